@@ -1,0 +1,194 @@
+"""What a program says, once its dialect is out of the way: lines, moves, and the pieces that replace a move.
+
+Data flows one way: text -> `Program` (a dialect's `read`) -> `Move`s (`moves`) -> somebody decides new
+positions -> `Rewrite`s -> text (`rewrite`). The dialect knows words and modality; it knows no kinematics.
+
+Units: mm and degrees, whatever the program's own (`G20` programs are converted on the way in and out).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import final
+
+import numpy as np
+
+
+@final
+@dataclass(frozen=True)
+class AxisWords:
+    """The axis words a machine's programs use: names of its linear and rotary axes, and their least increments.
+
+    Attributes:
+        linear: names of the three linear axes, in the order x, y, z of the program's coordinates.
+        rotary: names of the rotary axes in command order (none, one or two).
+        increment: least increment of each axis, mm or degrees.
+        tcp_on, tcp_off: further words that switch the control's own kinematics on and off on this machine
+            (a remapped ``M428``, say), in capitals, beside those of the dialect.
+    """
+
+    linear: tuple[str, ...]
+    rotary: tuple[str, ...]
+    increment: Mapping[str, float]
+    tcp_on: tuple[str, ...] = ()
+    tcp_off: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Linear, then rotary axis names."""
+        return self.linear + self.rotary
+
+
+@final
+@dataclass(frozen=True)
+class Line:
+    """One line of a program: 1-based number and its text with its own line ending."""
+
+    number: int
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class Program:
+    """A program as read: its lines hold every byte (decoded as latin-1, so that any byte survives)."""
+
+    source: str
+    dialect: str
+    lines: tuple[Line, ...]
+
+    @property
+    def text(self) -> str:
+        """The whole text."""
+        return "".join(line.text for line in self.lines)
+
+
+@final
+class Kind(Enum):
+    """How a move gets to its end."""
+
+    RAPID = "rapid"
+    LINEAR = "linear"
+    ARC = "arc"
+
+
+@final
+@dataclass(frozen=True)
+class Arc:
+    """A circular (helical) move in a principal plane of the program's linear coordinates.
+
+    Attributes:
+        plane: indices (a, b, c) of the two in-plane coordinates, right-handed about the third: G17 (0, 1, 2),
+            G18 (2, 0, 1), G19 (1, 2, 0).
+        centre_mm: centre in the plane (coordinates a and b), absolute.
+        angle_rad: signed sweep from start to end, counter-clockwise positive, full turns included.
+    """
+
+    plane: tuple[int, int, int]
+    centre_mm: tuple[float, float]
+    angle_rad: float
+
+
+@final
+@dataclass(frozen=True)
+class Move:
+    """One block that moves axes, with everything modal made explicit.
+
+    Attributes:
+        line: index into ``Program.lines``.
+        kind: rapid, linear feed or arc.
+        tcp: whether the control does the kinematics here (the words are tool-tip coordinates).
+        machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``): such a block passes through
+            unchanged, ``position`` holds what it names and NaN elsewhere.
+        position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the
+            program's own coordinates (no work offset); NaN where the program has not said it yet.
+            Rotary entries are NaN in a block that gives a tool vector.
+        named: axis names this block wrote.
+        vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
+        normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
+        arc: for ``Kind.ARC``.
+    """
+
+    line: int
+    kind: Kind
+    tcp: bool
+    position: tuple[float, ...]
+    named: frozenset[str]
+    machine: bool = False
+    vector: tuple[float, float, float] | None = None
+    normal: tuple[float, float, float] | None = None
+    arc: Arc | None = None
+
+
+@final
+@dataclass(frozen=True)
+class Notice:
+    """Something in the program a reader of the report must know: a line passed through, a word not understood."""
+
+    line: int
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class Reading:
+    """What interpreting a program gave: its moves, in order, and notices."""
+
+    moves: tuple[Move, ...]
+    notices: tuple[Notice, ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Rewrite:
+    """New end positions for one move: one row a piece, the last row being the move's own end.
+
+    Attributes:
+        move: the move it replaces.
+        positions: (pieces, axes) absolute, mm and degrees, order ``AxisWords.names``, already at the least
+            increment; rotary entries are NaN where the move gives a tool vector.
+        vectors: (pieces, 3) unit tool vectors, or None.
+    """
+
+    move: Move
+    positions: np.ndarray
+    vectors: np.ndarray | None = field(default=None)
+
+
+class Dialect(ABC):
+    """One language of NC programs."""
+
+    name: str
+    suffixes: tuple[str, ...]
+
+    @abstractmethod
+    def read(self, data: bytes, source: str) -> Program:
+        """Split bytes into lines.
+
+        Raises:
+            InputError: empty, or not text.
+        """
+
+    @abstractmethod
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+        """Interpret a program; ``tcp``: whether the control's kinematics are on from the start.
+
+        Raises:
+            InputError: with file, line and value, on whatever cannot be understood or must not pass uncompensated.
+        """
+
+    @abstractmethod
+    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+        """The text with the given moves replaced and every other byte kept.
+
+        Moves without a rewrite keep their text. A rewritten block carries every axis word whose value differs from
+        what the output program last said of that axis, whether or not the original wrote it.
+        """
+
+
+def known(position: Sequence[float]) -> bool:
+    """Whether every entry of a position is known (no NaN)."""
+    return bool(np.all(np.isfinite(position)))
