@@ -1,0 +1,310 @@
+"""A calibration: the error motions, squareness and locations identified for one machine, under their ISO 230-1 names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, final
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from twin.curves import BASES, basis_named
+from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
+from twin.errors import InputError
+from twin.files import Place, line_of, load_yaml, write_whole
+from twin.machine import Machine
+
+SCHEMA = "twin.calibration/1"
+LARGEST_ANGLE_URAD = 1e5
+"""Beyond this an angle is no error motion but a mistake in the file; the rotation series is exact well past it."""
+
+
+class _CurveEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    unit: str
+    domain: tuple[float, float]
+    basis: str
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
+    covariance: tuple[tuple[float, ...], ...] | None = None
+    illustrative: bool = False
+    source: str = ""
+
+
+class _CalibrationFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    schema_: Literal["twin.calibration/1"] = Field(alias="schema")
+    machine: str
+    source: str
+    curves: dict[str, _CurveEntry] = {}
+    squareness: dict[str, float] = {}
+    location: dict[str, float] = {}
+    effects: tuple[dict[str, Any], ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Curve:
+    """One error motion.
+
+    Attributes:
+        name: ISO 230-1 name.
+        unit: ``um`` or ``urad``.
+        domain: (lo, hi) in mm or degrees.
+        basis: name of its basis.
+        coefficients: in ``unit``.
+        covariance: (k, k) of the coefficients, or None where it is not known.
+        source: where the numbers come from.
+        illustrative: whether they are drawn, not measured.
+    """
+
+    name: str
+    unit: str
+    domain: tuple[float, float]
+    basis: str
+    coefficients: tuple[float, ...]
+    covariance: np.ndarray | None = None
+    source: str = ""
+    illustrative: bool = False
+
+    def __call__(self, q: Any) -> np.ndarray:
+        """The curve at axis positions q (mm or degrees, any shape), in ``unit``.
+
+        Raises:
+            InputError: a position outside the domain.
+        """
+        positions = np.asarray(q, dtype=float)
+        lo, hi = self.domain
+        outside = ~((positions >= lo) & (positions <= hi))
+        if np.any(outside):
+            raise InputError(
+                f"{self.name} outside its domain",
+                expected=f"a position from {lo:g} to {hi:g}",
+                value=float(np.asarray(positions)[outside].flat[0]),
+            )
+        basis = basis_named(self.basis)
+        if basis is None:
+            raise InputError("no such basis", expected=_bases(), value=self.basis)
+        return np.asarray(basis.value(positions, self.domain, self.coefficients))
+
+
+@final
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of one machine's errors; a curve, squareness or location not named is zero.
+
+    Attributes:
+        machine: the machine it belongs to.
+        source: where the numbers come from, in words.
+        curves: error motions by name.
+        squareness: µrad by name.
+        location: µm and µrad by name.
+        path: the file it was read from, or None.
+    """
+
+    machine: Machine
+    source: str
+    curves: Mapping[str, Curve]
+    squareness: Mapping[str, float]
+    location: Mapping[str, float]
+    path: Path | None = None
+
+    @classmethod
+    def zero(cls, machine: Machine) -> Calibration:
+        """The machine as drawn."""
+        nothing: Mapping[str, Any] = MappingProxyType({})
+        return cls(machine, "nominal: no errors", nothing, nothing, nothing)
+
+    @classmethod
+    def load(cls, path: Path, machine: Machine) -> Calibration:
+        """Read and check a calibration file.
+
+        Raises:
+            InputError: with file, line, value and what was expected.
+        """
+        entries, lines = load_yaml(path, _CalibrationFile, SCHEMA)
+        if entries.machine != machine.name:
+            raise InputError(
+                "a calibration for another machine",
+                expected=f"machine: {machine.name}",
+                file=path,
+                line=line_of(("machine",), lines),
+                value=entries.machine,
+            )
+        check = _Check(path, lines, machine)
+        if entries.effects:
+            raise check.fail(("effects", 0), "an effect this version does not know", "no entries", entries.effects[0])
+        curves = {name: check.curve(name, entry) for name, entry in entries.curves.items()}
+        for kind, given, allowed in (
+            ("squareness", entries.squareness, machine.squareness_names),
+            ("location", entries.location, machine.location_names),
+        ):
+            for name, value in given.items():
+                check.name((kind, name), name, allowed)
+                if (split_name(name)[0] >= 3) and abs(value) > LARGEST_ANGLE_URAD:
+                    raise check.fail((kind, name), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", value)
+        return cls(
+            machine=machine,
+            source=entries.source,
+            curves=MappingProxyType(curves),
+            squareness=MappingProxyType(dict(entries.squareness)),
+            location=MappingProxyType(dict(entries.location)),
+            path=path,
+        )
+
+    @classmethod
+    def default(cls, machine: Machine) -> Calibration:
+        """The machine file's own calibration; the machine as drawn if it names none."""
+        return cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole or not at all."""
+        write_whole(path, self.to_yaml())
+
+    def to_yaml(self) -> str:
+        """The file's text; reading it gives the same calibration."""
+        data = {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "source": self.source,
+            "curves": {name: _entry(curve) for name, curve in self.curves.items()},
+            "squareness": {name: float(value) for name, value in self.squareness.items()},
+            "location": {name: float(value) for name, value in self.location.items()},
+        }
+        return yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The model these numbers are: one effect an entry, in the order of the file."""
+        found: list[Effect] = []
+        for curve in self.curves.values():
+            basis = basis_named(curve.basis)
+            if basis is None:
+                raise InputError("no such basis", expected=_bases(), value=curve.basis)
+            axis = self.machine.by_name[split_name(curve.name)[2]]
+            found.append(
+                ErrorMotion(curve.name, basis, curve.domain, curve.coefficients, wrapped=axis.lower is None)
+            )
+        for name, angle in self.squareness.items():
+            found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
+        found += [AxisLocation(name, offset) for name, offset in self.location.items()]
+        return tuple(found)
+
+    def where(self, keep: Callable[[str], bool]) -> Calibration:
+        """The same calibration with only the error motions, squareness and locations whose name is kept."""
+        return replace(
+            self,
+            curves=MappingProxyType({name: curve for name, curve in self.curves.items() if keep(name)}),
+            squareness=MappingProxyType({name: value for name, value in self.squareness.items() if keep(name)}),
+            location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
+        )
+
+    def domains(self) -> np.ndarray:
+        """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
+        bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))
+        for curve in self.curves.values():
+            axis = self.machine.by_name[split_name(curve.name)[2]]
+            if axis.lower is not None:
+                row = bounds[self.machine.axes.index(axis)]
+                row[:] = max(row[0], curve.domain[0]), min(row[1], curve.domain[1])
+        return bounds
+
+
+@final
+@dataclass(frozen=True)
+class _Check:
+    """Checks of a calibration file that need the machine."""
+
+    path: Path
+    lines: Mapping[Place, int]
+    machine: Machine
+
+    def fail(self, place: Place, what: str, expected: str, value: object) -> InputError:
+        return InputError(what, expected=expected, file=self.path, line=line_of(place, self.lines), value=value)
+
+    def name(self, place: Place, name: str, allowed: tuple[str, ...]) -> None:
+        if name not in allowed:
+            raise self.fail(
+                place, f"no {place[0]} of {self.machine.name} has that name", f"one of {', '.join(allowed)}", name
+            )
+
+    def curve(self, name: str, entry: _CurveEntry) -> Curve:
+        place: Place = ("curves", name)
+        self.name(place, name, self.machine.motion_names)
+        component, _, axis_name = split_name(name)
+        axis = self.machine.by_name[axis_name]
+        unit = "um" if component < 3 else "urad"
+        if entry.unit != unit:
+            raise self.fail((*place, "unit"), f"wrong unit for {name}", unit, entry.unit)
+        lo, hi = entry.domain
+        if not lo < hi:
+            raise self.fail((*place, "domain"), "an empty domain", "[lo, hi] with lo < hi", list(entry.domain))
+        if axis.lower is None and abs(hi - lo - 360.0) > 1e-9:
+            raise self.fail((*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain))
+        basis = basis_named(entry.basis)
+        if basis is None:
+            raise self.fail((*place, "basis"), "no such basis", _bases(), entry.basis)
+        misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
+        if misfit is not None:
+            raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
+        if unit == "urad" and np.sum(np.abs(entry.coefficients)) > LARGEST_ANGLE_URAD:
+            raise self.fail(
+                (*place, "coefficients"),
+                "no plausible angle",
+                f"coefficients that sum to at most {LARGEST_ANGLE_URAD:g} µrad",
+                entry.coefficients,
+            )
+        return Curve(
+            name=name,
+            unit=entry.unit,
+            domain=entry.domain,
+            basis=entry.basis,
+            coefficients=entry.coefficients,
+            covariance=self.covariance((*place, "covariance"), entry),
+            source=entry.source,
+            illustrative=entry.illustrative,
+        )
+
+    def covariance(self, place: Place, entry: _CurveEntry) -> np.ndarray | None:
+        if entry.covariance is None:
+            return None
+        count = len(entry.coefficients)
+        if len(entry.covariance) != count or any(len(row) != count for row in entry.covariance):
+            raise self.fail(place, "covariance of the wrong shape", f"{count} rows of {count}", entry.covariance)
+        matrix = np.array(entry.covariance)
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise self.fail(place, "covariance is not symmetric", "a symmetric matrix", entry.covariance)
+        eigenvalues = np.linalg.eigvalsh(matrix)
+        # Rounding of the printed digits may push a zero eigenvalue this far below zero, no further.
+        if eigenvalues[0] < -1e-9 * max(eigenvalues[-1], 0.0) or eigenvalues[-1] < 0.0:
+            raise self.fail(
+                place,
+                "covariance is not positive semi-definite",
+                "no negative eigenvalue",
+                f"smallest eigenvalue {eigenvalues[0]:.3g}",
+            )
+        matrix.flags.writeable = False
+        return matrix
+
+
+def _bases() -> str:
+    return "one of " + ", ".join(basis.name for basis in BASES)
+
+
+def _entry(curve: Curve) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "unit": curve.unit,
+        "domain": [float(bound) for bound in curve.domain],
+        "basis": curve.basis,
+        "coefficients": [float(c) for c in curve.coefficients],
+    }
+    if curve.covariance is not None:
+        entry["covariance"] = [[float(value) for value in row] for row in curve.covariance]
+    if curve.illustrative:
+        entry["illustrative"] = True
+    if curve.source:
+        entry["source"] = curve.source
+    return entry

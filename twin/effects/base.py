@@ -1,0 +1,65 @@
+"""The one thing every effect is: a pure function from axis positions to error components in one axis's frame."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+from twin.machine import DIRECTIONS, ErrorFrame
+from twin.units import UM, URAD
+
+
+@final
+@dataclass(frozen=True)
+class Frame:
+    """The frame an effect acts in: which axis, and its motion or its location."""
+
+    axis: str
+    role: Literal["motion", "location"]
+
+
+class Effect(ABC):
+    """One effect of the model.
+
+    Effects add: the six components of a frame are the sums over the effects that act in it, then
+    ``Trans(e_X, e_Y, e_Z) · Exp([e_A, e_B, e_C])`` (contract §1).
+    """
+
+    name: str
+    """ISO 230-1 name (``E_XX``, ``E_C0Y``, ``E_X0C``), or the effect's own."""
+
+    @property
+    @abstractmethod
+    def frame(self) -> Frame:
+        """Where it acts."""
+
+    @abstractmethod
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """Its contribution, by component index in ``XYZABC``: µm for the first three, µrad for the others.
+
+        Args:
+            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape.
+        """
+
+
+def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:
+    """All error frames at the given positions: ``[frame][component]``, metres and radians; 0.0 where nothing acts."""
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
+    total: list[list[Any]] = [[0.0] * 6 for _ in frames]
+    for effect in effects:
+        row = total[index[effect.frame.axis, effect.frame.role]]
+        for component, value in effect.components(positions).items():
+            row[component] = row[component] + value * (UM if component < 3 else URAD)
+    return total
+
+
+def split_name(name: str) -> tuple[int, bool, str]:
+    """Take an ISO 230-1 name apart: component index in ``XYZABC``, whether it is of the average line, axis name.
+
+    ``E_C0Y`` → (5, True, "Y"); ``E_XX`` → (0, False, "X").
+    """
+    rest = name.removeprefix("E_")
+    average = rest[1] == "0"
+    return DIRECTIONS.index(rest[0]), average, rest[2:] if average else rest[1:]

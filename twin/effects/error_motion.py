@@ -1,0 +1,47 @@
+"""Error motions: one curve a component, a function of the axis's own position (ISO 230-1, 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+
+from twin.curves import Basis
+from twin.effects.base import Effect, Frame, split_name
+
+
+@final
+class ErrorMotion(Effect):
+    """``E_XX`` … ``E_CC`` as Σ c_k f_k(q).
+
+    Args:
+        name: ISO 230-1 name.
+        basis: family of functions.
+        domain: (lo, hi) in mm or degrees.
+        coefficients: µm or µrad.
+        wrapped: whether the axis turns without end, so that its position is wrapped into the domain.
+    """
+
+    def __init__(
+        self, name: str, basis: Basis, domain: tuple[float, float], coefficients: tuple[float, ...], *, wrapped: bool
+    ) -> None:
+        self.name = name
+        self.basis = basis
+        self.domain = domain
+        self.coefficients = coefficients
+        self._wrapped = wrapped and not basis.periodic
+        self._component, _, self._axis = split_name(name)
+
+    @property
+    def frame(self) -> Frame:
+        """The motion frame of its axis."""
+        return Frame(self._axis, "motion")
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`."""
+        q = positions[self._axis]
+        if self._wrapped:
+            lo, hi = self.domain
+            q = q - (hi - lo) * np.floor((q - lo) / (hi - lo))
+        return {self._component: self.basis.value(q, self.domain, self.coefficients)}

@@ -1,0 +1,41 @@
+"""Squareness: an axis's mean direction turned out of square with the datum (ISO 230-1, 3.6; contract §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+
+from twin.effects.base import Effect, Frame, split_name
+
+
+@final
+class Squareness(Effect):
+    """``E_C0Y``, ``E_A0Z``, ``E_B0Z``: the axis's direction n turns right-handed by the angle, e = q · (ω × n).
+
+    With n = y: E_XY −= y·E_C0Y; with n = z: E_XZ += z·E_B0Z and E_YZ −= z·E_A0Z.
+
+    Args:
+        name: ISO 230-1 name.
+        angle_urad: the angle.
+        direction: unit vector of the axis's motion in its error frame.
+    """
+
+    def __init__(self, name: str, angle_urad: float, direction: tuple[float, float, float]) -> None:
+        self.name = name
+        self.angle_urad = angle_urad
+        component, _, self._axis = split_name(name)
+        turn = np.zeros(3)
+        turn[component - 3] = 1.0
+        self._lever = np.cross(turn, direction)
+
+    @property
+    def frame(self) -> Frame:
+        """The motion frame of its axis."""
+        return Frame(self._axis, "motion")
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`. An angle in µrad over a distance in mm gives 1e-3 µm."""
+        q = positions[self._axis]
+        return {i: q * (1e-3 * self.angle_urad * self._lever[i]) for i in range(3) if self._lever[i] != 0.0}
