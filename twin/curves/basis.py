@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from math import pi
 from typing import Any, Final, final
 
-import numpy as np
+from twin.elementary import cos, sin
 
 
 class Basis(ABC):
@@ -82,7 +82,7 @@ class Fourier(Basis):
         angle = q * (pi / 180.0)
         found = [0.0 * angle + 1.0]
         for order in range(1, (count + 1) // 2):
-            found += [np.cos(order * angle), np.sin(order * angle)]
+            found += [cos(order * angle), sin(order * angle)]
         return found
 
     def misfit(self, count: int, *, rotary: bool) -> str | None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, final
 
-import numpy as np
-
 from twin.curves import Basis
 from twin.effects.base import Effect, Frame, split_name
+from twin.elementary import floor
 
 
 @final
@@ -43,5 +42,5 @@ class ErrorMotion(Effect):
         q = positions[self._axis]
         if self._wrapped:
             lo, hi = self.domain
-            q = q - (hi - lo) * np.floor((q - lo) / (hi - lo))
+            q = q - (hi - lo) * floor((q - lo) / (hi - lo))
         return {self._component: self.basis.value(q, self.domain, self.coefficients)}

@@ -1,0 +1,72 @@
+"""A CasADi function over many rows at once: mapped and fed through its buffers, never called in a Python loop per row."""
+
+from __future__ import annotations
+
+import os
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+CHUNK = 1024
+"""Rows a call: long enough that a call costs nothing, short enough that its work fits in cache."""
+
+
+@final
+class BatchFunction:
+    """``rows in, rows out``: every input and output is an array with one row a pose.
+
+    Args:
+        function: dense inputs and outputs; each becomes an array of shape (rows, entries), entries column-major.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
+        self._widths_out = [function.numel_out(i) for i in range(function.n_out())]
+        dense = function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
+        workers = os.cpu_count() or 1
+        self._mapped = dense.map(CHUNK, "thread", workers) if workers > 1 else dense.map(CHUNK)
+        self._single = dense.map(1)
+
+    def __call__(self, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Evaluate all rows.
+
+        Args:
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows.
+
+        Returns:
+            One (rows, entries) array an output.
+        """
+        rows = max((array.shape[0] for array in inputs if array.ndim == 2), default=1)
+        columns = [
+            np.ascontiguousarray(np.broadcast_to(array, (rows, width)), dtype=float)
+            for array, width in zip(inputs, self._widths_in, strict=True)
+        ]
+        outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
+        function, size = (self._single, 1) if rows <= 4 else (self._mapped, CHUNK)
+        buffer, trigger = function.buffer()
+        for start in range(0, rows, size):
+            part = slice(start, start + size)
+            whole = start + size <= rows
+            given = [column[part] if whole else _padded(column[part], size) for column in columns]
+            results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
+            for i, array in enumerate(given):
+                buffer.set_arg(i, memoryview(array))
+            for i, array in enumerate(results):
+                buffer.set_res(i, memoryview(array))
+            trigger()
+            if not whole:
+                for output, result in zip(outputs, results, strict=True):
+                    output[part] = result[: rows - start]
+        return outputs
+
+
+def _padded(rows: np.ndarray, size: int) -> np.ndarray:
+    """The last row repeated up to ``size``: padding must be a pose like any other."""
+    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)])
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    symbols = [ca.SX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
+    results = function.call(symbols)
+    return ca.Function(function.name(), symbols, [ca.densify(result) for result in results])

@@ -1,0 +1,23 @@
+"""Elementary functions that take NumPy arrays and CasADi expressions alike, so that a formula is written once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+
+def cos(x: Any) -> Any:
+    """Cosine."""
+    return ca.cos(x) if isinstance(x, ca.SX) else np.cos(x)
+
+
+def sin(x: Any) -> Any:
+    """Sine."""
+    return ca.sin(x) if isinstance(x, ca.SX) else np.sin(x)
+
+
+def floor(x: Any) -> Any:
+    """Largest whole number not above x."""
+    return ca.floor(x) if isinstance(x, ca.SX) else np.floor(x)

@@ -1,0 +1,100 @@
+"""The geometry of circular blocks: from what a program says (centre or radius, sense, turns) to an `Arc`."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from twin.nc.blocks import Arc
+
+SLACK_MM = 0.02
+SLACK_RATIO = 1e-3
+SLACK_MOST_MM = 0.5
+"""An end point may miss its circle by 0.02 mm or 0.1 % of the radius (whichever is more), never by 0.5 mm."""
+
+PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+
+
+class Misfit(NamedTuple):
+    """Why a circular block is not one: what is wrong, and what was expected."""
+
+    what: str
+    expected: str
+
+
+def _misses(difference: float, radius: float) -> bool:
+    return difference > SLACK_MOST_MM or (difference > SLACK_MM and difference > SLACK_RATIO * radius)
+
+
+def arc_by_centre(
+    plane: tuple[int, int, int],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    centre: tuple[float, float],
+    clockwise: bool,
+    turns: int = 0,
+) -> Arc | Misfit:
+    """The arc about a centre; end = start is a full circle.
+
+    Args:
+        plane: as `Arc.plane`.
+        start: in-plane start, mm.
+        end: in-plane end, mm.
+        centre: in-plane centre, mm.
+        clockwise: sense.
+        turns: full turns beyond the plain arc.
+    """
+    ax, ay = start[0] - centre[0], start[1] - centre[1]
+    bx, by = end[0] - centre[0], end[1] - centre[1]
+    first, last = math.hypot(ax, ay), math.hypot(bx, by)
+    if not (math.isfinite(first) and math.isfinite(last)):
+        return Misfit("circular block from a position the program has not said", "an absolute position first")
+    if first < 1e-9:
+        return Misfit("arc of radius zero", "a centre away from the start")
+    if _misses(abs(first - last), max(first, last)):
+        return Misfit(
+            f"the end of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
+            f"the same distance from the centre within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
+        )
+    if math.hypot(bx - ax, by - ay) < 1e-9:
+        sweep = 2 * math.pi
+    else:
+        sweep = (math.atan2(by, bx) - math.atan2(ay, ax)) % (2 * math.pi)
+        if clockwise:
+            sweep = 2 * math.pi - sweep
+    sweep += 2 * math.pi * turns
+    return Arc(plane, centre, -sweep if clockwise else sweep)
+
+
+def arc_by_radius(
+    plane: tuple[int, int, int],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    radius: float,
+    clockwise: bool,
+    turns: int = 0,
+) -> Arc | Misfit:
+    """The arc of a radius: positive the short way (up to half a circle), negative the long way.
+
+    Args:
+        plane: as `Arc.plane`.
+        start: in-plane start, mm.
+        end: in-plane end, mm.
+        radius: mm, signed.
+        clockwise: sense.
+        turns: full turns beyond the plain arc.
+    """
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    chord = math.hypot(dx, dy)
+    if not math.isfinite(chord):
+        return Misfit("circular block from a position the program has not said", "an absolute position first")
+    if chord < 1e-9:
+        return Misfit("arc by radius that ends where it starts", "a centre (a full circle has many)")
+    size = abs(radius)
+    if chord / 2 > size and _misses(chord / 2 - size, size):
+        return Misfit(f"radius {size:g} mm is too small for a chord of {chord:.4f} mm", "at least half the chord")
+    height = math.sqrt(max(0.0, size * size - chord * chord / 4))
+    left = (radius > 0) != clockwise  # the centre lies left of the chord for a short counter-clockwise arc
+    sign = 1.0 if left else -1.0
+    centre = (start[0] + dx / 2 - sign * height * dy / chord, start[1] + dy / 2 + sign * height * dx / chord)
+    return arc_by_centre(plane, start, end, centre, clockwise, turns)

@@ -1,0 +1,199 @@
+"""What the dialects share about text: bytes to lines, and numbers printed in the style of the word they replace."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import lru_cache
+from typing import NamedTuple
+
+from twin.errors import InputError
+from twin.nc.blocks import Line, Program
+
+MM_PER_INCH = 25.4
+LARGEST = 1e9
+"""No coordinate, feed or parameter of a real program comes near this (mm, degrees, mm/min)."""
+
+_LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
+_CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14") + b"\x7f"
+_SPACES = re.compile(r"[ \t]+")
+BOM = "\xef\xbb\xbf"
+
+
+def read_lines(data: bytes, source: str, dialect: str) -> Program:
+    """Split bytes into lines, every byte kept.
+
+    Raises:
+        InputError: no bytes, no line with anything on it, or a binary file.
+    """
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise InputError("binary file", expected="an NC program as text", file=source, line=line, value="NUL byte")
+    stripped = data.translate(None, _CONTROL)
+    if 10 * (len(data) - len(stripped)) > len(data):
+        raise InputError("binary file", expected="an NC program as text", file=source, value="control characters")
+    text = data.decode("latin-1")
+    if not text.removeprefix(BOM).strip(" \t\r\n\f\x1a"):
+        raise InputError("empty program", expected="at least one block", file=source)
+    lines = tuple(Line(number, part) for number, part in enumerate(_LINE.findall(text), start=1))
+    return Program(source=source, dialect=dialect, lines=lines)
+
+
+def ending(text: str) -> str:
+    """The line ending of one line's text, or nothing."""
+    if text.endswith("\r\n"):
+        return "\r\n"
+    return text[-1:] if text[-1:] in ("\n", "\r") else ""
+
+
+def newline_of(program: Program) -> str:
+    """The line ending a program uses (that of its first line; a newline if it has only one)."""
+    return ending(program.lines[0].text) or "\n"
+
+
+def number(text: str) -> float:
+    """The value of a number as programs write it (``-.5``, ``+5``, ``5.``, ``5,5``, a space after the sign).
+
+    Returns:
+        The value, or NaN for what is not a number of a sensible size.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        try:
+            value = float(_SPACES.sub("", text).replace(",", "."))
+        except ValueError:
+            return math.nan
+    return value if -LARGEST < value < LARGEST else math.nan
+
+
+class Style(NamedTuple):
+    """How a program writes its numbers.
+
+    Attributes:
+        point: whether a whole number ends in a decimal point (``5.``).
+        keep: least number of decimals (``5.0`` has 1, ``5.120`` has 3).
+        lead: whether a zero stands before the decimal point (``0.5``).
+        plus: whether positive numbers carry a sign.
+        comma: whether the decimal separator is a comma.
+    """
+
+    point: bool = False
+    keep: int = 0
+    lead: bool = True
+    plus: bool = False
+    comma: bool = False
+
+
+def style_of(text: str, base: Style) -> Style:
+    """The style of one written number; what it leaves open (``12.5`` says nothing about ``5.``) is taken from a base."""
+    first = text[:1]
+    plus = True if first == "+" else base.plus if first == "-" else False
+    comma = "," in text
+    whole, separator, fraction = text.partition("," if comma else ".")
+    if not separator:
+        return Style(False, 0, base.lead, plus, base.comma)
+    digits = whole.lstrip("+- \t")
+    if not fraction:
+        return Style(True, 0, base.lead if digits else False, plus, comma)
+    lead = False if not digits else True if digits == "0" and fraction.strip("0") else base.lead
+    if fraction[-1] == "0":
+        return Style(False, len(fraction), lead, plus, comma)
+    return Style(base.point, base.keep, lead, plus, comma)
+
+
+@lru_cache(maxsize=256)
+def decimals_of(increment: float) -> int:
+    """How many decimals print a least increment exactly (0.001 -> 3, 0.005 -> 3, 0.00025 -> 5), at most 9."""
+    for decimals in range(9):
+        scaled = increment * 10**decimals
+        if abs(scaled - round(scaled)) <= 1e-6 * scaled and round(scaled) >= 1:
+            return decimals
+    return 9
+
+
+class Grid(NamedTuple):
+    """The values one axis word can have: multiples of a step in the program's unit.
+
+    Attributes:
+        step: step, in the program's unit.
+        decimals: decimals printed.
+        unit: mm (or degrees) per program unit.
+    """
+
+    step: float
+    decimals: int
+    unit: float
+
+
+@lru_cache(maxsize=1024)
+def grid(increment: float, inch: bool) -> Grid:
+    """The grid of an axis with a least increment in mm or degrees; ``inch``: a linear axis of an inch program."""
+    decimals = decimals_of(increment)
+    if inch:
+        decimals = max(5, decimals + 2)
+        return Grid(10.0**-decimals, decimals, MM_PER_INCH)
+    return Grid(increment, decimals, 1.0)
+
+
+def printed(value: float, increment: float, *, inch: bool = False) -> float:
+    """The value a program will hold once ``value`` has been printed.
+
+    Args:
+        value: mm or degrees.
+        increment: least increment of the axis, mm or degrees.
+        inch: whether the program is in inches and the axis linear.
+
+    Returns:
+        mm or degrees, as the printed word reads back.
+    """
+    step, decimals, unit = grid(increment, inch)
+    return (round(round(value / unit / step) * step, decimals) + 0.0) * unit
+
+
+def format_number(value: float, decimals: int, style: Style) -> str:
+    """A number in a style, rounded to some decimals; never ``-0``."""
+    text = f"{value:.{decimals}f}"
+    negative = text[0] == "-"
+    if negative:
+        text = text[1:]
+    whole, _, fraction = text.partition(".")
+    fraction = fraction.rstrip("0")
+    zero = not fraction and whole == "0"
+    if style.keep > len(fraction):
+        fraction = fraction.ljust(style.keep, "0")
+    if whole == "0" and not zero and not style.lead:
+        whole = ""
+    if fraction or style.point:
+        whole = f"{whole}{',' if style.comma else '.'}{fraction}"
+    if zero:
+        return f"+{whole}" if style.plus else whole
+    if negative:
+        return f"-{whole}"
+    return f"+{whole}" if style.plus else whole
+
+
+def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float, float], float]:
+    """A vector at unit length, and the length it had (0 leaves it as it is)."""
+    length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if length == 0.0 or abs(length - 1.0) < 1e-15:
+        return vector, length
+    return (vector[0] / length, vector[1] / length, vector[2] / length), length
+
+
+def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
+    """A text with stretches replaced; edits at one place keep their order, none may overlap."""
+    if len(edits) > 1:
+        edits.sort(key=_start)
+    parts = []
+    at = 0
+    for start, end, new in edits:
+        parts.append(text[at:start])
+        parts.append(new)
+        at = end
+    parts.append(text[at:])
+    return "".join(parts)
+
+
+def _start(edit: tuple[int, int, str]) -> int:
+    return edit[0]
