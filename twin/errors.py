@@ -46,3 +46,8 @@ class InputError(ValueError):
 def _one_line(value: object, limit: int = 80) -> str:
     text = " ".join(str(value).split())
     return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+@final
+class OutputError(RuntimeError):
+    """What was about to be written does not say what was meant: a defect of `twin`, caught before it reached steel."""

@@ -1,0 +1,183 @@
+"""What a compensation did and what it leaves, for a person and for a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, final
+
+import numpy as np
+
+from twin.kinematics import Poses, angle_between_rad
+
+SCHEMA = "twin.compensation/1"
+SHOWN = 8
+"""Lines of a list that the text shows before it counts the rest; JSON has them all."""
+
+
+@final
+@dataclass(frozen=True)
+class Deviation:
+    """How far the tool is from where it was meant to be, over all ends and dense points between them.
+
+    Attributes:
+        rms_um, max_um: distance at the functional point.
+        rms_urad, max_urad: angle of the tool axis.
+        worst_line: program line of the largest distance.
+        points: how many poses.
+    """
+
+    rms_um: float
+    max_um: float
+    rms_urad: float
+    max_urad: float
+    worst_line: int
+    points: int
+
+    @classmethod
+    def of(cls, reached: Poses, meant: Poses, lines: np.ndarray) -> Deviation:
+        """Compare poses; ``lines`` (n,) says which program line each belongs to."""
+        distance = np.linalg.norm(reached.point_mm - meant.point_mm, axis=1) * 1e3
+        angle = angle_between_rad(reached.axis, meant.axis) * 1e6
+        if not distance.size:
+            return cls(0.0, 0.0, 0.0, 0.0, 0, 0)
+        return cls(
+            rms_um=float(np.sqrt(np.mean(distance**2))),
+            max_um=float(distance.max()),
+            rms_urad=float(np.sqrt(np.mean(angle**2))),
+            max_urad=float(angle.max()),
+            worst_line=int(lines[np.argmax(distance)]),
+            points=len(distance),
+        )
+
+
+@final
+@dataclass(frozen=True)
+class ClassShare:
+    """The share of one ISO/TR 16907 class.
+
+    Attributes:
+        name: the class.
+        corrected: whether the scope has it; None where the method does not work by class.
+        before_rms_um, before_max_um: what its error motions alone do at the functional point.
+        before_max_urad: what they do to the tool axis.
+        left_rms_um: what of it stays at the functional point; None as above.
+    """
+
+    name: str
+    corrected: bool | None
+    before_rms_um: float
+    before_max_um: float
+    before_max_urad: float
+    left_rms_um: float | None
+
+
+@final
+@dataclass(frozen=True)
+class LineNote:
+    """Something to know about one program line."""
+
+    line: int
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class Report:
+    """A compensation's account of itself; every field is in the JSON under its name.
+
+    Attributes:
+        rounding_um: largest distance that rounding to the least increment leaves at a block's end.
+        solver_um: largest distance the solver leaves there.
+        out_of_range: blocks a command of which leaves its axis's range.
+        orientation_left: blocks whose orientation the rotary axes cannot repair.
+        not_met: blocks whose error between ends stays above the tolerance.
+        notes: lines passed through as written, and assumptions.
+    """
+
+    program: str
+    machine: str
+    calibration: str
+    calibration_source: str
+    illustrative: bool
+    method: str
+    scope: str
+    tool_length_mm: float
+    tolerance_um: float
+    lines: int
+    moves: int
+    rewritten: int
+    split: int
+    added: int
+    largest_correction: Mapping[str, tuple[float, str]]
+    before: Deviation
+    after: Deviation
+    rounding_um: float
+    solver_um: float
+    classes: tuple[ClassShare, ...]
+    out_of_range: tuple[LineNote, ...]
+    orientation_left: tuple[LineNote, ...]
+    not_met: tuple[LineNote, ...]
+    notes: tuple[LineNote, ...]
+    orientation_asked: bool = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything asked for was met (the exit status says so)."""
+        asked_and_left = self.orientation_left if self.orientation_asked else ()
+        return not (self.out_of_range or self.not_met or asked_and_left)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON."""
+        data = asdict(self)
+        data["largest_correction"] = {
+            name: {"value": value, "unit": unit} for name, (value, unit) in self.largest_correction.items()
+        }
+        return {"schema": SCHEMA, "complete": self.complete, **data}
+
+    def to_text(self) -> str:
+        """The report as a machinist reads it."""
+        out = [
+            f"{self.program} on {self.machine}",
+            f"  calibration   {self.calibration}",
+        ]
+        if self.illustrative:
+            out.append("                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it.")
+        out += [
+            f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
+            f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
+            f"{self.split} split where {self.tolerance_um:g} µm between ends asked for it (+{self.added} blocks)",
+            "  largest move  "
+            + ", ".join(
+                f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
+                for name, (value, unit) in self.largest_correction.items()
+            ),
+            "",
+            f"  error at the tool over {self.before.points} poses   RMS        max      tool axis RMS   max",
+            f"    before               {_um(self.before.rms_um)} {_um(self.before.max_um)} "
+            f"(line {self.before.worst_line})   {self.before.rms_urad:8.1f} {self.before.max_urad:8.1f} µrad",
+            f"    after                {_um(self.after.rms_um)} {_um(self.after.max_um)} "
+            f"(line {self.after.worst_line})   {self.after.rms_urad:8.1f} {self.after.max_urad:8.1f} µrad",
+            f"    rounding leaves up to {self.rounding_um:.3f} µm at a block's end, the solver {self.solver_um:.1e} µm",
+            "",
+            "  by class (ISO/TR 16907)   before RMS     max        left",
+        ]
+        for share in self.classes:
+            left = "" if share.left_rms_um is None else "corrected" if share.corrected else f"{_um(share.left_rms_um)} (not in scope)"
+            out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
+        for title, notes in (
+            ("out of range", self.out_of_range),
+            ("not met", self.not_met),
+            ("orientation that cannot be corrected", self.orientation_left),
+            ("to know", self.notes),
+        ):
+            if notes:
+                out += ["", f"  {title}: {len(notes)} {'line' if len(notes) == 1 else 'lines'}"]
+                out += [f"    line {note.line}: {note.text}" for note in notes[:SHOWN]]
+                if len(notes) > SHOWN:
+                    out.append(f"    … and {len(notes) - SHOWN} more (all in the JSON report)")
+        return "\n".join(out) + "\n"
+
+
+def _um(value: float) -> str:
+    return f"{value:8.3f} µm"

@@ -1,0 +1,1 @@
+"""What comes with `twin` to try it on, and the scripts that made it."""

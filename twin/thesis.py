@@ -1,0 +1,123 @@
+"""The compensation of Ellingsdalen (2021), as its listings 3.1-3.4 run: the baseline ours is measured against.
+
+One subtraction of the deviation, not the inverse. What the listings do is kept, mistakes included, because the published
+figure 3.11 was made with it:
+
+- a fitted polynomial of degree above one loses its constant (listing 3.1);
+- curves are read at the nearest whole mm or degree; Z's table is indexed from its far end (listings 3.3, 3.4);
+- angular errors of the linear axes are left out (eq. 3.40);
+- E_BB is read for E_CB and E_BC for E_CC, the turn about y has the wrong sign, and both rotary axes' errors stand before the
+  whole chain instead of at their joints (listing 3.3);
+- axis locations are not part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+
+from twin.calibration import Calibration, Curve
+from twin.errors import InputError
+from twin.kinematics import Kinematics
+from twin.units import URAD
+
+CLASSES = ("L-POS", "L-STR", "L-SQU", "R-ANG")
+"""What the thesis says it corrects (2.9.1, 3.5)."""
+
+
+@final
+class ThesisMethod:
+    """The thesis's compensation for a machine with X, Y, Z on the tool side and two rotary axes under the workpiece.
+
+    Args:
+        calibration: the identified error motions.
+        nominal: the machine without errors.
+
+    Raises:
+        InputError: a machine of another build; the listings know only this one.
+    """
+
+    def __init__(self, calibration: Calibration, nominal: Kinematics) -> None:
+        machine = calibration.machine
+        sides = {axis.name: axis.side for axis in machine.axes}
+        linear = tuple(machine.axes[i].name for i in machine.linear)
+        if linear != ("X", "Y", "Z") or any(sides[name] != "tool" for name in linear):
+            raise InputError(
+                "the thesis's method is for X, Y, Z on the tool side", expected="--method exact on this machine", value=machine.name
+            )
+        self._calibration = calibration
+        self._nominal = nominal
+        self._linear = list(machine.linear)
+        self._rotary = list(machine.rotary)
+        self._columns = {axis.name: i for i, axis in enumerate(machine.axes)}
+
+    def commands(self, nominal: np.ndarray) -> np.ndarray:
+        """Compensated commands (n, axes), mm and degrees, for nominal ones: rotary axes first, then linear (figure 3.9)."""
+        commands = np.array(nominal, dtype=float)
+        commands[:, self._linear] += self._for_rotary(nominal)
+        commands[:, self._linear] -= self._of_linear(commands)
+        return commands
+
+    def _for_rotary(self, q: np.ndarray) -> np.ndarray:
+        """(n, 3) mm to follow the workpiece: listing 3.3, whose errors stand before the whole chain."""
+        shift = np.zeros((len(q), 3))
+        turned = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        axes = [self._nominal.machine.axes[i].name for i in self._rotary]
+        for name in axes:
+            column = q[:, self._columns[name]]
+            for k, read in enumerate("ABB"):  # E_B is read for E_C
+                turned = turned @ _turn(k, self._read(f"E_{read}{name}", column) * URAD)
+        for name in axes:
+            column = q[:, self._columns[name]]
+            shift += np.stack([self._read(f"E_{d}{name}", column) * 1e-3 for d in "XYZ"], axis=1)
+        # The workpiece point under the tool, in the machine: where the tool is meant to be.
+        point = self._tool_in_base(q)
+        moved = np.einsum("nij,nj->ni", turned, point + shift)
+        return np.asarray(moved - point)
+
+    def _of_linear(self, q: np.ndarray) -> np.ndarray:
+        """(n, 3) mm deviation of the linear axes: eq. 3.40 and listing 3.4, translations and squareness only."""
+        x, y, z = (q[:, self._columns[name]] for name in "XYZ")
+        square: Mapping[str, float] = self._calibration.squareness
+        deviation = np.zeros((len(q), 3))
+        for name, column in zip("XYZ", (x, y, z), strict=True):
+            deviation += np.stack([self._read(f"E_{d}{name}", column) * 1e-3 for d in "XYZ"], axis=1)
+        deviation[:, 0] += (-y * square.get("E_C0Y", 0.0) + z * square.get("E_B0Z", 0.0)) * 1e-6
+        deviation[:, 1] += -z * square.get("E_A0Z", 0.0) * 1e-6
+        return deviation
+
+    def _tool_in_base(self, q: np.ndarray) -> np.ndarray:
+        upright = np.array(q)
+        upright[:, self._rotary] = 0.0  # the work frame at rest is the base frame
+        return np.asarray(self._nominal.forward(upright).point_mm)
+
+    def _read(self, name: str, positions: np.ndarray) -> np.ndarray:
+        """A curve as the listings read it: without its constant, at the nearest whole mm or degree."""
+        curve: Curve | None = self._calibration.curves.get(name)
+        if curve is None:
+            return np.zeros(len(positions))
+        lo, hi = curve.domain
+        whole = np.round(positions)
+        if lo < 0.0 <= hi:
+            # The table runs from 0 down to lo; a negative index counts from its end.
+            whole = np.where(whole < 0.0, lo - 1.0 - whole, whole)
+        elif lo == 0.0 and hi >= 360.0:
+            whole = np.mod(whole, hi - lo)
+        values = curve(np.clip(whole, lo, hi))
+        at_zero = curve(np.clip(0.0, lo, hi))
+        return np.asarray(values - at_zero if len(curve.coefficients) > 2 else values)
+
+
+def _turn(about: int, angles: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) turns about x, y or z as the listing writes them: the one about y has its sign reversed."""
+    i, j = ((1, 2), (0, 2), (0, 1))[about]
+    turns = np.zeros((len(angles), 3, 3))
+    turns[:, range(3), range(3)] = 1.0
+    turns[:, i, i] = turns[:, j, j] = np.cos(angles)
+    turns[:, i, j], turns[:, j, i] = -np.sin(angles), np.sin(angles)
+    return turns
+
+
+__all__ = ["CLASSES", "ThesisMethod"]

@@ -1,0 +1,278 @@
+"""From what a program says to what the axes are told: words, commands, and the path between two blocks.
+
+*Words* are a program's numbers made absolute (order `AxisWords.names`: x, y, z, then rotary axes). *Commands* are axis
+coordinates (command order). In mode ``axis`` words are commands less the work offset; in mode ``tcp`` the first three are the tool
+tip in the work frame and the control finds the commands by the nominal inverse. Between blocks the control moves straight in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from twin.branches import Branches
+from twin.calibration import Calibration
+from twin.errors import InputError
+from twin.inverse import Inverse
+from twin.kinematics import Kinematics, Poses
+from twin.machine import Machine
+from twin.nc.blocks import AxisWords, Kind, Move, Notice, Program, Reading
+
+
+@final
+@dataclass(frozen=True)
+class Setup:
+    """How the workpiece is set up.
+
+    Attributes:
+        work_offset: added to axis words, by axis name, mm and degrees.
+        work_origin_mm: where the program's zero is in the work frame, for tool-tip coordinates.
+        start_deg: where rotary axes stand before the program says so; 0 where not given.
+    """
+
+    work_offset: Mapping[str, float] = field(default_factory=dict)
+    work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start_deg: Mapping[str, float] = field(default_factory=dict)
+
+
+def axis_words(machine: Machine) -> AxisWords:
+    """The words of a machine's programs: its linear axes in the order x, y, z of the work frame.
+
+    Raises:
+        InputError: the machine is not one that runs programs.
+    """
+    data = machine.model.createData()
+    pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
+    to_work = data.oMf[machine.work_frame].rotation.T
+    order: dict[int, str] = {}
+    for i in machine.linear:
+        axis = machine.axes[i]
+        frame = next(frame for frame in machine.frames if frame.axis == axis.name and frame.role == "motion")
+        motion = to_work @ data.oMi[frame.joint].rotation @ np.array(axis.direction)
+        motion = -motion if axis.side == "work" else motion
+        along = int(np.argmax(motion))
+        if motion[along] < 1.0 - 1e-9:
+            raise InputError(
+                f"axis {axis.name} does not move the tool along x, y or z", expected="linear axes along the work frame", file=machine.path
+            )
+        order[along] = axis.name
+    if sorted(order) != [0, 1, 2]:
+        raise InputError("not three linear axes across each other", expected="a five-axis machine, to run programs", file=machine.path)
+    return AxisWords(
+        linear=tuple(order[i] for i in range(3)),
+        rotary=tuple(machine.axes[i].name for i in machine.rotary),
+        increment={axis.name: axis.increment for axis in machine.axes},
+        tcp_on=machine.tcp_on,
+        tcp_off=machine.tcp_off,
+    )
+
+
+@final
+class WordSpace:
+    """Words to commands and back, for one machine, tool length and setup.
+
+    Args:
+        machine: the machine.
+        setup: offsets.
+        tool_length_mm: the tool.
+
+    Attributes:
+        axes: the axis words.
+        nominal: the machine without errors.
+        order: (axes,) column of the commands each word is.
+    """
+
+    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
+        self.machine = machine
+        self.axes = axis_words(machine)
+        self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
+        self.inverse = Inverse(self.nominal)
+        self.order = np.array([machine.names.index(name) for name in self.axes.names])
+        self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
+        self.origin = np.array(setup.work_origin_mm)
+        self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
+
+    @cached_property
+    def branches(self) -> Branches:
+        """Rotary positions for tool vectors."""
+        return Branches(self.nominal)
+
+    def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """(n, axes) commands the control makes of (n, axes) words; ``tcp`` (n,) says in which mode each stands."""
+        shifted = words + self.offset
+        if np.any(tcp):
+            rows = np.flatnonzero(tcp & np.isfinite(words).all(axis=1))
+            start = np.zeros((len(rows), len(self.order)))
+            start[:, self.order[3:]] = shifted[rows, 3:]
+            reached = self.nominal.forward(start)
+            target = Poses(words[rows, :3] + self.origin, reached.rotation)
+            shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
+        commands = np.empty_like(shifted)
+        commands[:, self.order] = shifted
+        return commands
+
+    def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """(n, axes) words that make the control give (n, axes) commands."""
+        words = commands[:, self.order] - self.offset
+        rows = np.flatnonzero(tcp & np.isfinite(commands).all(axis=1))
+        if rows.size:
+            words[rows, :3] = self.nominal.forward(commands[rows]).point_mm - self.origin
+        return words
+
+
+@final
+@dataclass(frozen=True)
+class Motion:
+    """One move with its ends known, in words of its own mode.
+
+    Attributes:
+        move: the move as read.
+        start: (axes,) words where it starts; NaN where the program has not said yet.
+        end: (axes,) words where it ends; rotary words also where the program gave a tool vector.
+    """
+
+    move: Move
+    start: np.ndarray
+    end: np.ndarray
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether the control follows a line or arc here (a rapid's path is the control's own affair)."""
+        return self.move.kind is not Kind.RAPID and bool(np.isfinite(self.start).all())
+
+
+@final
+@dataclass(frozen=True)
+class Path:
+    """A program as motions.
+
+    Attributes:
+        motions: those with every position known.
+        passed: notices on lines that move but are left as written, and on what was assumed.
+        end_known: whether the program says where every axis is.
+    """
+
+    motions: tuple[Motion, ...]
+    passed: tuple[Notice, ...]
+
+
+def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
+    """Go through a program, keeping track of where every axis stands.
+
+    Raises:
+        InputError: a feed move from or to a place the program has not said, or a tool vector the machine cannot reach.
+    """
+    vectors = [i for i, move in enumerate(reading.moves) if move.vector is not None]
+    solutions = {}
+    if vectors:
+        candidates = space.branches.all(np.array([reading.moves[i].vector for i in vectors]))
+        solutions = dict(zip(vectors, candidates, strict=True))
+    motions: list[Motion] = []
+    passed: list[Notice] = []
+    words = np.full(len(space.axes.names), np.nan)
+    tcp = reading.moves[0].tcp if reading.moves else False
+    assumed = False
+    for i, move in enumerate(reading.moves):
+        if move.tcp != tcp:
+            words, tcp = _switched(words, move.tcp, space), move.tcp
+        end = np.array(move.position)
+        if move.machine:
+            words = _after_machine_move(words, end, move, space)
+            passed.append(Notice(move.line, "machine coordinates: passed through as written"))
+            continue
+        end = np.where(np.isnan(end), words, end)
+        if i in solutions:
+            end[3:] = _along_vector(program, move, solutions[i], words[3:], space)
+        unsaid = np.isnan(end[3:])
+        if np.any(unsaid):
+            end[3:] = np.where(unsaid, space.start, end[3:])
+            if not assumed:
+                names = [name for name, missing in zip(space.axes.rotary, unsaid, strict=True) if missing]
+                at = ", ".join(f"{name} = {value:g}°" for name, value in zip(space.axes.rotary, space.start, strict=True) if name in names)
+                passed.append(Notice(move.line, f"the program has not said where {' and '.join(names)} stand: taken as {at}"))
+                assumed = True
+        start = words.copy()
+        start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
+        words = end
+        if np.isnan(end[:3]).any():
+            names = [name for name, value in zip(space.axes.linear, end, strict=False) if np.isnan(value)]
+            if move.kind is not Kind.RAPID:
+                raise InputError(
+                    f"a feed move before the program said where {', '.join(names)} stand",
+                    expected="a position for every linear axis first",
+                    file=program.source,
+                    line=program.lines[move.line].number,
+                    value=program.lines[move.line].text.strip(),
+                )
+            passed.append(Notice(move.line, f"{', '.join(names)} not said yet: rapid passed through as written"))
+            continue
+        motions.append(Motion(move, start, end))
+    return Path(tuple(motions), tuple(passed))
+
+
+def along(motion: Motion, fractions: np.ndarray) -> np.ndarray:
+    """(k, axes) words at fractions (0…1] of a motion: straight, or on its arc, rotary words and pitch in proportion."""
+    words = motion.start + fractions[:, None] * (motion.end - motion.start)
+    arc = motion.move.arc
+    if arc is not None:
+        a, b, _ = arc.plane
+        radial = motion.start[[a, b]] - arc.centre_mm
+        # A centre printed to the increment leaves start and end radius unlike: go from one to the other.
+        last = motion.end[[a, b]] - arc.centre_mm
+        radius = np.hypot(*radial) + fractions * (np.hypot(*last) - np.hypot(*radial))
+        begin = np.arctan2(radial[1], radial[0])
+        finish = np.arctan2(last[1], last[0])
+        sweep = arc.angle_rad + np.mod(finish - begin - arc.angle_rad + np.pi, 2 * np.pi) - np.pi
+        angle = begin + fractions * sweep
+        words[:, a] = arc.centre_mm[0] + radius * np.cos(angle)
+        words[:, b] = arc.centre_mm[1] + radius * np.sin(angle)
+        words[fractions == 1.0] = motion.end
+    return np.asarray(words)
+
+
+def chords(motion: Motion, tolerance_mm: float) -> int:
+    """How many chords of a motion stay within a tolerance of it: 1 for a line."""
+    arc = motion.move.arc
+    if arc is None:
+        return 1
+    a, b, _ = arc.plane
+    radius = float(np.hypot(*(motion.start[[a, b]] - arc.centre_mm)))
+    if radius <= tolerance_mm:
+        return max(1, int(np.ceil(abs(arc.angle_rad) / (np.pi / 2))))
+    step = 2.0 * np.arccos(1.0 - tolerance_mm / radius)
+    return max(1, int(np.ceil(abs(arc.angle_rad) / step)))
+
+
+def _switched(words: np.ndarray, tcp: bool, space: WordSpace) -> np.ndarray:
+    """The same place in the words of the other mode."""
+    if not np.isfinite(words).all():
+        return np.concatenate([np.full(3, np.nan), words[3:]])
+    commands = space.commands(words[None, :], np.array([not tcp]))
+    return space.words(commands, np.array([tcp]))[0]
+
+
+def _after_machine_move(words: np.ndarray, end: np.ndarray, move: Move, space: WordSpace) -> np.ndarray:
+    named = np.array([name in move.named for name in space.axes.names])
+    after = np.where(named, end - space.offset, words)
+    if move.tcp:
+        after[:3] = np.nan  # where the tip is then depends on the control
+    return np.asarray(after)
+
+
+def _along_vector(program: Program, move: Move, solutions: np.ndarray, before: np.ndarray, space: WordSpace) -> np.ndarray:
+    standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
+    found = space.branches.nearest(solutions, standing)
+    if found is None:
+        raise InputError(
+            f"{space.machine.name} cannot point its tool that way",
+            expected="a tool vector within the ranges of its rotary axes",
+            file=program.source,
+            line=program.lines[move.line].number,
+            value=move.vector,
+        )
+    return np.asarray(found - space.offset[3:])
