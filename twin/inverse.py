@@ -26,7 +26,7 @@ STEPS: Final = 12
 """Newton steps allowed; from a nominal start two or three are taken."""
 LARGEST_STEP: Final = 0.1
 """Radians a rotary axis may move in one step: a longer one has left the branch."""
-DEFAULT_ROTARY_LIMIT_DEG: Final = 0.2
+DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
 """How far a rotary axis may move to repair an orientation, when nobody says otherwise."""
 
 

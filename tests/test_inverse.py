@@ -1,0 +1,148 @@
+"""The inverse with errors: exact where it can be, honest where it cannot, never an exception in the middle of a batch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.errors import random_calibration
+from tests.test_kinematics import random_commands
+from twin.branches import Branches
+from twin.calibration import Calibration
+from twin.errors import InputError
+from twin.inverse import Inverse, Status
+from twin.kinematics import Kinematics, Poses
+from twin.machine import Machine
+
+POSES = 10_000
+
+
+def inner_commands(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Random commands far enough from the limits of linear axes for a correction of some mm."""
+    q = random_commands(machine, n, rng)
+    for i in machine.linear:
+        axis = machine.axes[i]
+        assert axis.lower is not None and axis.upper is not None
+        q[:, i] = np.clip(q[:, i], axis.lower + 8.0, axis.upper - 8.0)
+    return q
+
+
+def test_reaches_ten_thousand_poses(dmu50: Machine) -> None:
+    """Errors to 1 mm and 1 mrad: every pose converges but those near B = 0 and B = 180°, where C or B cannot help."""
+    rng = np.random.default_rng(11)
+    real = Kinematics(dmu50, random_calibration(dmu50, rng), tool_length_mm=100.0)
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
+    q = inner_commands(dmu50, POSES, rng)
+    target = nominal.forward(q)
+    solution = Inverse(real).solve(target, q)
+    converged, singular = solution.where(Status.CONVERGED), solution.where(Status.SINGULAR)
+    assert np.all(converged | singular)
+    assert solution.point_residual_mm.max() <= 1e-9
+    assert solution.orientation_residual_rad[converged].max() <= 1e-12
+    # 1 mrad over sin(tilt) is within 0.5 degrees once the tilt passes some 10 degrees, B some 15.
+    assert np.all(np.minimum(q[singular, 3], 180.0 - q[singular, 3]) < 30.0)
+    again = real.forward(solution.positions[converged])
+    assert np.abs(again.point_mm - target.point_mm[converged]).max() <= 1e-9
+    assert np.abs(solution.positions - q)[:, 3:].max() <= 0.5 + 1e-9
+
+
+def test_linear_axes_only_keeps_the_rotary_ones(dmu50: Machine) -> None:
+    rng = np.random.default_rng(12)
+    real = Kinematics(dmu50, random_calibration(dmu50, rng))
+    q = inner_commands(dmu50, 2000, rng)
+    target = Kinematics(dmu50, Calibration.zero(dmu50)).forward(q)
+    solution = Inverse(real).solve(target, q, rotary=False)
+    assert np.all(solution.where(Status.CONVERGED))
+    assert np.array_equal(solution.positions[:, 3:], q[:, 3:] * dmu50.scale[3:] / dmu50.scale[3:])
+    assert solution.point_residual_mm.max() <= 1e-9
+
+
+@given(seed=st.integers(0, 2**32 - 1), b=st.floats(3.0, 177.0), c=st.floats(-720.0, 720.0))
+def test_forward_undoes_inverse(dmu50: Machine, seed: int, b: float, c: float) -> None:
+    rng = np.random.default_rng(seed)
+    real = Kinematics(dmu50, random_calibration(dmu50, rng, size=50.0), tool_length_mm=50.0)
+    q = inner_commands(dmu50, 1, rng)
+    q[0, 3:] = b, c
+    reached = real.forward(q)
+    nearby = q + [[0.1, -0.1, 0.1, 0.02, -0.02]]
+    solution = Inverse(real).solve(reached, nearby)
+    assert solution.status[0] is Status.CONVERGED
+    assert np.abs(solution.positions - q).max() <= 1e-8  # the tool axis holds C by sin(tilt) ≥ 0.037 at 1e-12 rad
+
+
+def test_c_stays_continuous_through_the_singularity(dmu50: Machine, calibration: Calibration) -> None:
+    """B down to 0 and up again: the correction of C is bounded, fades at B = 0, and never jumps."""
+    real = Kinematics(dmu50, calibration, tool_length_mm=100.0)
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
+    b = np.abs(np.linspace(-8.0, 8.0, 3201))
+    q = np.column_stack([np.tile([250.0, 225.0, -200.0], (len(b), 1)), b, np.linspace(20.0, 30.0, len(b))])
+    limit = 0.3
+    solution = Inverse(real, rotary_limit_deg=limit).solve(nominal.forward(q), q)
+    correction = solution.positions[:, 4] - q[:, 4]
+    assert np.abs(correction).max() <= limit + 1e-9
+    assert np.abs(np.diff(correction)).max() <= 0.05 * limit  # steps of 0.005° in B
+    at_zero = np.argmin(b)
+    assert abs(correction[at_zero]) <= 0.01 * limit
+    assert solution.status[at_zero] is Status.SINGULAR
+    assert solution.orientation_residual_rad[at_zero] > 0.0
+    assert solution.point_residual_mm.max() <= 1e-9
+    assert np.all(solution.positions[:, 3] >= 0.0)
+    assert solution.status[0] is Status.CONVERGED
+
+
+def test_statuses_not_exceptions(dmu50: Machine, calibration: Calibration) -> None:
+    inverse = Inverse(Kinematics(dmu50, calibration))
+    q = np.array([[250.0, 225.0, -200.0, 40.0, 10.0]] * 4)
+    good = Kinematics(dmu50, Calibration.zero(dmu50)).forward(q)
+    point = good.point_mm.copy()
+    point[1] = np.nan
+    point[2] += [900.0, 0.0, 0.0]
+    start = q.copy()
+    start[3, 0] = np.inf
+    solution = inverse.solve(Poses(point, good.rotation), start)
+    assert [status.value for status in solution.status] == ["converged", "out of range", "out of range", "out of range"]
+    assert np.isinf(solution.point_residual_mm[1])
+    with pytest.raises(InputError, match="start"):
+        inverse.solve(good, q[:, :3])
+
+
+def test_one_pose_or_many_give_the_same(dmu50: Machine, calibration: Calibration) -> None:
+    """Chunks and padding change nothing, bit for bit."""
+    rng = np.random.default_rng(13)
+    real = Kinematics(dmu50, calibration)
+    q = inner_commands(dmu50, 1500, rng)
+    many = real.forward(q)
+    for i in (0, 1023, 1024, 1499):
+        one = real.forward(q[i])
+        assert np.array_equal(one.point_mm[0], many.point_mm[i])
+
+
+def test_branches_of_the_dmu50(dmu50: Machine) -> None:
+    """Both solutions point the tool the same way; the nearest one in range is found, whole turns of C included."""
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50))
+    branches = Branches(nominal)
+    rng = np.random.default_rng(14)
+    q = inner_commands(dmu50, 500, rng)
+    axis = nominal.forward(q).axis
+    solutions = branches.all(axis)
+    for k in range(2):
+        both = q.copy()
+        both[:, 3:] = solutions[:, k]
+        # Near B = 0 the closed form loses half its digits: it is a start for Newton, not an answer.
+        assert np.abs(nominal.forward(both).axis - axis).max() <= 1e-7
+    for i in range(len(q)):
+        found = branches.nearest(solutions[i], q[i, 3:] + [0.3, -0.3])
+        assert found is not None
+        assert np.abs(found - q[i, 3:]).max() <= 1e-6
+
+
+def test_upright_tool_keeps_c(dmu50: Machine) -> None:
+    branches = Branches(Kinematics(dmu50, Calibration.zero(dmu50)))
+    upright = branches.all(np.array([[0.0, 0.0, 1.0]]))[0]
+    found = branches.nearest(upright, np.array([10.0, 417.0]))
+    assert found is not None
+    assert found == pytest.approx([0.0, 417.0], abs=1e-6)
+    below = branches.all(np.array([[0.0, 0.6, -0.8]]))[0]
+    assert branches.nearest(below, np.zeros(2)) is None

@@ -1,0 +1,93 @@
+"""The error budget: what each error motion is, and what it does to the tool over the working volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.iso16907 import iso_class
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+
+POSES: Final = 2000
+SEED: Final = 16907
+
+
+@final
+@dataclass(frozen=True)
+class BudgetRow:
+    """One error motion, squareness or location, or one class of them.
+
+    Attributes:
+        name: ISO 230-1 name, or ISO/TR 16907 class.
+        iso_class: its class.
+        unit: ``um`` or ``urad``; empty for a class.
+        peak: largest absolute value over its domain; NaN for a class.
+        tool_rms_um, tool_max_um: what it alone does to the tool point over the volume.
+        illustrative: whether it is drawn, not measured.
+    """
+
+    name: str
+    iso_class: str
+    unit: str
+    peak: float
+    tool_rms_um: float
+    tool_max_um: float
+    illustrative: bool
+
+
+def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray:
+    """(poses, axes) commands spread evenly over the ranges, mm and degrees; an unlimited axis over one turn."""
+    rng = np.random.default_rng(seed)
+    lower = [0.0 if axis.lower is None else axis.lower for axis in machine.axes]
+    upper = [360.0 if axis.upper is None else axis.upper for axis in machine.axes]
+    cells = np.argsort(rng.random((poses, len(lower))), axis=0)  # a Latin hypercube: every slice of every axis once
+    return np.asarray(np.array(lower) + (cells + rng.random(cells.shape)) / poses * (np.array(upper) - np.array(lower)))
+
+
+def error_budget(
+    machine: Machine, calibration: Calibration, *, tool_length_mm: float | None = None
+) -> tuple[tuple[BudgetRow, ...], tuple[BudgetRow, ...]]:
+    """Rows by error, and rows by class with the total last.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        tool_length_mm: None for the machine file's own.
+    """
+    q = volume(machine)
+    meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q).point_mm
+    within = ~Kinematics(machine, calibration).outside_domain(q).any(axis=1)
+    q, meant = q[within], meant[within]
+
+    def at_tool(limited: Calibration) -> tuple[float, float]:
+        reached = Kinematics(machine, limited, tool_length_mm=tool_length_mm).forward(q).point_mm
+        distance = np.linalg.norm(reached - meant, axis=1) * 1e3
+        return float(np.sqrt(np.mean(distance**2))), float(distance.max())
+
+    rows = []
+    for name, peak, unit, illustrative in _entries(calibration):
+        rms, largest = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
+        rows.append(BudgetRow(name, iso_class(name, machine), unit, peak, rms, largest, illustrative))
+    classes = []
+    for found in dict.fromkeys(row.iso_class for row in rows):
+        of_class = calibration.where(lambda name, found=found: iso_class(name, machine) == found)  # type: ignore[misc]
+        rms, largest = at_tool(of_class)
+        drawn = any(row.illustrative for row in rows if row.iso_class == found)
+        classes.append(BudgetRow(found, found, "", np.nan, rms, largest, drawn))
+    rms, largest = at_tool(calibration)
+    classes.append(BudgetRow("all", "all", "", np.nan, rms, largest, any(row.illustrative for row in rows)))
+    return tuple(rows), tuple(classes)
+
+
+def _entries(calibration: Calibration) -> list[tuple[str, float, str, bool]]:
+    found = []
+    for curve in calibration.curves.values():
+        values = curve(np.linspace(*curve.domain, 721))
+        found.append((curve.name, float(np.abs(values).max()), curve.unit, curve.illustrative))
+    for name, value in (*calibration.squareness.items(), *calibration.location.items()):
+        found.append((name, abs(value), "um" if name[2] in "XYZ" else "urad", False))
+    return found

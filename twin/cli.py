@@ -1,0 +1,312 @@
+"""The command line: arguments in, files and one account of them out. The only place that prints."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from twin.budget import BudgetRow, error_budget
+from twin.calibration import Calibration
+from twin.compensate import Compensation, Compensator, Options
+from twin.errors import InputError, OutputError
+from twin.execute import execute
+from twin.files import check_writable, write_whole
+from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.iso16907 import NAMES, Scope
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.nc import dialect_for, find_program, posted
+from twin.scene import ScenePath, scene_html
+from twin.toolpath import Setup, WordSpace, follow
+
+BAD_INPUT = 2
+NOT_ALL_MET = 3
+INTERRUPTED = 130
+
+app = typer.Typer(
+    help="A digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+)
+
+
+class Mode(str, Enum):
+    """Who does the kinematics."""
+
+    axis = "axis"
+    tcp = "tcp"
+
+
+class Method(str, Enum):
+    """How commands are found."""
+
+    exact = "exact"
+    thesis = "thesis"
+
+
+MachineOption = Annotated[str, typer.Option("--machine", "-m", help="Machine file, or the name of one that comes with twin.")]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", "-c", help="Calibration file; the machine file's own if not given.")
+]
+ToolOption = Annotated[float | None, typer.Option("--tool-length", help="mm from spindle nose to tool tip.")]
+OffsetOption = Annotated[
+    list[str] | None, typer.Option("--work-offset", help="Added to axis words: X=… Y=… Z=… B=… C=… (mm, degrees).")
+]
+OriginOption = Annotated[
+    str | None, typer.Option("--work-origin", help="x,y,z of the program's zero in the work frame (mm), in mode tcp.")
+]
+ModeOption = Annotated[Mode, typer.Option("--mode", help="axis: words are axis positions; tcp: tool-tip coordinates.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
+
+
+@app.command()
+def info(
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    tool_length: ToolOption = None,
+) -> None:
+    """Axes, ranges, frames and the error budget of a machine."""
+    loaded = Machine.load(machine)
+    errors = _calibration(calibration, loaded)
+    console = Console()
+    console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
+    console.print(f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n", highlight=False)
+    axes = Table("axis", "kind", "range", "least increment", "side", "joint", title="Axes, in command order", title_justify="left")
+    for axis in loaded.axes:
+        span = "unlimited" if axis.lower is None else f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
+        axes.add_row(axis.name, "linear" if axis.linear else "rotary", span, f"{axis.increment:g} {axis.unit}", axis.side, axis.joint)
+    console.print(axes)
+    frames = Table("frame", "of axis", "components", title="Error frames", title_justify="left")
+    for frame in loaded.frames:
+        frames.add_row("error motion" if frame.role == "motion" else "location", frame.axis, " ".join(loaded.error_names(frame)))
+    console.print(frames)
+    console.print(
+        f"tool frame {loaded.model.frames[loaded.tool_frame].name}, work frame {loaded.model.frames[loaded.work_frame].name}, "
+        f"squareness {' '.join(loaded.squareness_names) or 'none'}, locations {' '.join(loaded.location_names) or 'none'}\n",
+        highlight=False,
+    )
+    rows, classes = error_budget(loaded, errors, tool_length_mm=tool_length)
+    length = loaded.tool_length_mm if tool_length is None else tool_length
+    console.print(_budget_table(f"Error budget at the tool over the volume, tool length {length:g} mm", rows, peak=True))
+    console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
+    if any(row.illustrative for row in rows):
+        console.print("* illustrative: drawn, not measured")
+
+
+@app.command()
+def compensate(
+    program: Annotated[Path, typer.Argument(help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The compensated program.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    scope: Annotated[list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")] = None,
+    mode: ModeOption = Mode.axis,
+    tolerance: Annotated[float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block.")] = 1e-3,
+    json_file: JsonOption = None,
+    report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too.")] = None,
+    tool_length: ToolOption = None,
+    work_offset: OffsetOption = None,
+    work_origin: OriginOption = None,
+    method: Annotated[Method, typer.Option("--method", help="exact: the inverse with errors; thesis: the baseline.")] = Method.exact,
+    rotary_limit: Annotated[
+        float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
+    ] = DEFAULT_ROTARY_LIMIT_DEG,
+) -> None:
+    """Write the program whose execution on the machine with errors lands where the given one meant.
+
+    twin compensate part.nc -o part.compensated.nc --tool-length 120 --json report.json
+    """
+    loaded = Machine.load(machine)
+    source = find_program(program)
+    _positive("--tolerance", tolerance)
+    _positive("--rotary-limit", rotary_limit)
+    dialect, target = dialect_for(source), dialect_for(output)
+    if target.name != dialect.name and dialect.name != "apt":
+        raise InputError(
+            f"a {dialect.name} program cannot be written as {target.name}", expected=f"-o with {' '.join(dialect.suffixes)}", file=output
+        )
+    outputs = [path for path in (output, json_file, report_file) if path is not None]
+    check_writable(outputs)
+    if source.resolve() in {path.resolve() for path in outputs}:
+        raise InputError("the output is the program itself", expected="another file", file=output)
+    options = Options(
+        setup=_setup(loaded, work_offset, work_origin),
+        tool_length_mm=tool_length,
+        tcp=mode is Mode.tcp,
+        scope=None if scope is None else Scope.parse(scope),
+        tolerance_mm=tolerance,
+        rotary_limit_deg=rotary_limit,
+        method=method.value,
+    )
+    compensator = Compensator(loaded, _calibration(calibration, loaded), options)
+    with _progress() as say:
+        read = dialect.read(source.read_bytes(), str(source))
+        result: Compensation = compensator.compensate(read, dialect, say)
+        text = result.text if target.name == dialect.name else posted(read, result, compensator, target.name)
+    account = result.report.to_text()
+    write_whole(output, text.encode("latin-1"))
+    if json_file is not None:
+        write_whole(json_file, json.dumps(result.report.to_dict(), indent=1) + "\n")
+    if report_file is not None:
+        write_whole(report_file, account)
+    print(account, end="")
+    print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+    if not result.report.complete:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+@app.command()
+def scene(
+    program: Annotated[Path, typer.Argument(help="NC program, or one that comes with twin.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    mode: ModeOption = Mode.axis,
+    tool_length: ToolOption = None,
+    work_offset: OffsetOption = None,
+    work_origin: OriginOption = None,
+    exaggeration: Annotated[float | None, typer.Option("--exaggeration", help="Factor on the drawn deviation.")] = None,
+) -> None:
+    """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network.
+
+    twin scene part.nc -o scene.html --tool-length 120
+    """
+    loaded = Machine.load(machine)
+    source = find_program(program)
+    dialect = dialect_for(source)
+    check_writable([output])
+    if exaggeration is not None:
+        _positive("--exaggeration", exaggeration)
+    errors = _calibration(calibration, loaded)
+    real = Kinematics(loaded, errors, tool_length_mm=tool_length)
+    space = WordSpace(loaded, _setup(loaded, work_offset, work_origin), tool_length)
+    with _progress() as say:
+        say("reading", 0.0)
+        read = dialect.read(source.read_bytes(), str(source))
+        path = follow(read, dialect.moves(read, space.axes, tcp=mode is Mode.tcp), space)
+        say("running", 0.2)
+        run = execute(read, path, space, real)
+        if len(run.positions) < 2:
+            raise InputError("nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source)
+        say("drawing", 0.5)
+        drawn = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
+        illustrative = any(curve.illustrative for curve in errors.curves.values())
+        html = scene_html(real, drawn, title=f"{source.name} on {loaded.name}", exaggeration=exaggeration, illustrative=illustrative)
+    write_whole(output, html)
+    left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
+    print(f"written: {output}{left}")
+    if run.left_out:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: exit 0 done, 2 bad input or usage, 3 done but something could not be met, all of it listed."""
+    try:
+        app(args=_gathered(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+    except InputError as error:
+        print(f"twin: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except OutputError as error:
+        print(f"twin: defect, nothing written: {error}", file=sys.stderr)
+        sys.exit(NOT_ALL_MET)
+    except KeyboardInterrupt:
+        print("twin: interrupted, nothing written", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _gathered(arguments: list[str]) -> list[str]:
+    """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
+    patterns = {"--work-offset": re.compile(r"[A-Za-z]\w*=.*"), "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I)}
+    out: list[str] = []
+    gathering: str | None = None
+    fresh = False
+    for word in arguments:
+        if word in patterns:
+            gathering, fresh = word, True
+        elif gathering and fresh:
+            parts = [part for part in re.split(r"[\s,]+", word) if part] or [word]
+            for part in parts:
+                out += [gathering, part]
+            fresh = False
+        elif gathering and patterns[gathering].fullmatch(word):
+            out += [gathering, word]
+        else:
+            gathering = None
+            out.append(word)
+    return [*out, gathering] if gathering and fresh else out
+
+
+def _calibration(path: Path | None, machine: Machine) -> Calibration:
+    return Calibration.default(machine) if path is None else Calibration.load(path, machine)
+
+
+def _setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:
+    found = {}
+    for entry in offsets or []:
+        name, _, text = entry.partition("=")
+        if name not in machine.by_name:
+            raise InputError("--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry)
+        if name in found:
+            raise InputError("--work-offset given twice", expected="each axis once", value=entry)
+        found[name] = _number("--work-offset", text, entry)
+    place = (0.0, 0.0, 0.0)
+    if origin is not None:
+        parts = origin.split(",")
+        if len(parts) != 3:
+            raise InputError("--work-origin is not three numbers", expected="x,y,z in mm", value=origin)
+        x, y, z = (_number("--work-origin", part, origin) for part in parts)
+        place = (x, y, z)
+    return Setup(found, place)
+
+
+def _number(option: str, text: str, shown: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise InputError(f"{option} is no number", expected="a finite number", value=shown)
+    return value
+
+
+def _positive(option: str, value: float) -> None:
+    if not 0.0 < value < float("inf"):
+        raise InputError(f"{option} is out of place", expected="a positive number", value=value)
+
+
+def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Table:
+    headers = ["error", "class", "peak"] if peak else ["class"]
+    table = Table(*headers, "tool RMS", "tool max", title=title, title_justify="left")
+    for row in rows:
+        unit = "µm" if row.unit == "um" else "µrad"
+        start = [row.name + ("*" if row.illustrative and peak else ""), row.iso_class, f"{row.peak:.1f} {unit}"] if peak else [row.name]
+        table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm")
+    return table
+
+
+@contextmanager
+def _progress() -> Iterator[Any]:
+    """One line on stderr while it lasts; nothing where nobody watches."""
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description:>10}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""A program executed on the machine with errors: where the tool was meant to go, and where it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.kinematics import Kinematics
+from twin.nc.blocks import Kind, Program
+from twin.toolpath import Path, WordSpace, along, chords
+
+SPACING: Final = (5.0, 2.0)
+"""mm of linear and degrees of rotary motion between two points, at most."""
+CHORD_MM: Final = 0.01
+"""How closely arcs are followed."""
+
+
+@final
+@dataclass(frozen=True)
+class Execution:
+    """A program run once.
+
+    Attributes:
+        positions: (n, axes) commands, mm and degrees, command order.
+        meant_mm: (n, 3) intended tool points in the work frame.
+        reached_mm: (n, 3) tool points the machine reaches.
+        cutting: (n,) False on rapids.
+        ends: (n,) whether the point is the end of a block.
+        lines: (n,) program line of each point.
+        left_out: points outside an axis's range or a curve's domain, which nothing is known of.
+    """
+
+    positions: np.ndarray
+    meant_mm: np.ndarray
+    reached_mm: np.ndarray
+    cutting: np.ndarray
+    ends: np.ndarray
+    lines: np.ndarray
+    left_out: int
+
+
+def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) -> Execution:
+    """Run a program as its control would: straight in words between blocks, rapids drawn straight too.
+
+    Args:
+        program: the program.
+        path: its motions (`twin.toolpath.follow`).
+        space: words to commands on the machine as drawn.
+        real: the machine with errors, same tool length.
+    """
+    words, tcp, cutting, ends, lines = [], [], [], [], []
+    for motion in path.motions:
+        fractions = np.array([1.0])
+        if np.isfinite(motion.start).all():
+            size = np.abs(motion.end - motion.start)
+            steps = max(size[:3].max() / SPACING[0], size[3:].max(initial=0.0) / SPACING[1], chords(motion, CHORD_MM))
+            fractions = np.arange(1, int(np.ceil(max(steps, 1.0))) + 1) / np.ceil(max(steps, 1.0))
+        words.append(along(motion, fractions) if np.isfinite(motion.start).all() else motion.end[None, :])
+        tcp += [motion.move.tcp] * len(fractions)
+        cutting += [motion.move.kind is not Kind.RAPID] * len(fractions)
+        ends += [False] * (len(fractions) - 1) + [True]
+        lines += [program.lines[motion.move.line].number] * len(fractions)
+    positions = space.commands(np.concatenate(words), np.array(tcp))
+    limits = space.machine.limits / space.machine.scale[:, None]
+    keep = np.isfinite(positions).all(axis=1) & ~real.outside_domain(positions).any(axis=1)
+    keep &= ((positions >= limits[:, 0] - 1e-9) & (positions <= limits[:, 1] + 1e-9)).all(axis=1)
+    positions = positions[keep]
+    return Execution(
+        positions=positions,
+        meant_mm=space.nominal.forward(positions).point_mm,
+        reached_mm=real.forward(positions).point_mm,
+        cutting=np.array(cutting)[keep],
+        ends=np.array(ends)[keep],
+        lines=np.array(lines)[keep],
+        left_out=int(np.count_nonzero(~keep)),
+    )
