@@ -228,7 +228,7 @@ class _Check:
     def name(self, place: Place, name: str, allowed: tuple[str, ...]) -> None:
         if name not in allowed:
             raise self.fail(
-                place, f"no {place[0]} of {self.machine.name} has that name", f"one of {', '.join(allowed)}", name
+                place, f"{self.machine.name} has no such entry under {place[0]}", f"one of {', '.join(allowed)}", name
             )
 
     def curve(self, name: str, entry: _CurveEntry) -> Curve:

@@ -93,6 +93,7 @@ def _plain(node: yaml.Node, place: Place, lines: dict[Place, int], path: Path) -
                     "given twice", expected="each key once", file=path, line=key_node.start_mark.line + 1, value=key
                 )
             found[key] = _plain(value_node, (*place, key), lines, path)
+            lines[(*place, key)] = key_node.start_mark.line + 1
         return found
     if isinstance(node, yaml.SequenceNode):
         return [_plain(item, (*place, index), lines, path) for index, item in enumerate(node.value)]

@@ -96,8 +96,8 @@ def _recovered(name: str) -> Curve:
     column, degree, source = PUBLISHED[name]
     x = FIGURE_3_11[:, 0]
     error_um = (x * (column == 1) - FIGURE_3_11[:, column]) * 1e3
-    # E_XX: the first two rows are printed to 0.1 µm, the others to 1 µm.
-    weight = np.where((column == 1) & (x <= 100), 10.0, 1.0)
+    # Six digits are printed: of a position that is 1 µm (the first two rows 0.1 µm), of a small deviation far less.
+    weight = 1.0 / 10.0 ** (np.floor(np.log10(np.abs(FIGURE_3_11[:, column]))) - 5.0)
     powers = (x[:, None] / 500.0) ** np.arange(1, degree + 1)
     fitted, *_ = np.linalg.lstsq(powers * weight[:, None], error_um * weight, rcond=None)
     in_x = np.polynomial.Polynomial([0.0, *fitted])
