@@ -8,7 +8,7 @@ would leave the meant path by more than the tolerance. What comes out is read ba
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal, final
 
@@ -178,6 +178,8 @@ class _Run:
         self.straight = np.array([motion.move.arc is None for motion in path.motions])
         self.by_vector = np.array([motion.move.vector is not None for motion in path.motions])
         self.interpolated = np.array([motion.interpolated for motion in path.motions])
+        # From outside the range there is no meant path to keep to; such a start is reported with its own block.
+        self.interpolated &= ~self._outside(self.space.commands(self.start, self.tcp))
         self.pieces = np.array([chords(motion, compensator.options.tolerance_mm) for motion in path.motions])
 
     @cached_property
@@ -203,8 +205,7 @@ class _Run:
     def split(self, say: Progress) -> _Rows:
         """Solve all blocks, splitting where the error between two ends exceeds the tolerance."""
         everything = np.arange(len(self.path.motions))
-        solved = {0: self._solve(*self._ends(everything))}
-        rows = solved[0]
+        rows = self._solve(*self._ends(everything))
         if self.c.options.method == "thesis":
             return rows
         candidates = everything[self.interpolated]
@@ -223,6 +224,12 @@ class _Run:
             grown = np.ceil(self.pieces[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
             self.pieces[candidates] = np.minimum(grown, LARGEST_SPLIT)
             rows = _replaced(rows, candidates, self._solve(*self._ends(candidates)))
+        kept = np.unique(rows.motion[rows.untouched])
+        if np.any(self.pieces[kept] > 1):
+            # A block that leaves the range on its way is left as written, whole.
+            self.pieces[kept] = 1
+            rows = _replaced(rows, kept, self._solve(*self._ends(kept)))
+            rows = replace(rows, untouched=rows.untouched | np.isin(rows.motion, kept))
         return rows
 
     def _ends(self, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -245,9 +252,7 @@ class _Run:
         tcp = self.tcp[of]
         nominal = self.space.commands(words, tcp)
         limits = self.c.machine.limits / self.c.machine.scale[:, None]
-        slack = 1e-9
-        untouched = ~((nominal >= limits[:, 0] - slack) & (nominal <= limits[:, 1] + slack)).all(axis=1)
-        untouched |= self.c.full.outside_domain(nominal).any(axis=1)
+        untouched = self._outside(nominal)
         safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
         target = self.space.nominal.forward(safe)
         vectors = np.full((len(of), 3), np.nan)
@@ -277,6 +282,13 @@ class _Run:
         return _Rows(
             of, fraction, words, nominal, target, exact, final, printed, vectors, orientation_left, singular, clamped & ~untouched, untouched
         )
+
+    def _outside(self, commands: np.ndarray) -> np.ndarray:
+        """(n,) whether commands (mm, degrees) leave an axis's range or a curve's domain."""
+        limits = self.c.machine.limits / self.c.machine.scale[:, None]
+        slack = 1e-9
+        inside = ((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack)).all(axis=1)
+        return np.asarray(~inside | self.c.full.outside_domain(commands).any(axis=1))
 
     def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotary axes where the printed words will put them; tool vectors where the program gives those."""
@@ -370,8 +382,9 @@ class _Run:
             part = slice(bounds[i], bounds[i + 1])
             positions = rows.printed[part].copy()
             vectors = None
+            if self.by_vector[i] or not self.turns:
+                positions[:, 3:] = np.nan  # no rotary words: the vector says it, or the program has none
             if self.by_vector[i]:
-                positions[:, 3:] = np.nan
                 vectors = rows.vectors[part]
             found.append(Rewrite(motion.move, positions, vectors))
         return found

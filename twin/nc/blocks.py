@@ -149,7 +149,8 @@ class Rewrite:
     Attributes:
         move: the move it replaces.
         positions: (pieces, axes) absolute, mm and degrees, order ``AxisWords.names``, already at the least
-            increment; rotary entries are NaN where the move gives a tool vector.
+            increment; NaN for a word that is not to be written (rotary axes of a move that gives a tool vector, or of
+            a program that never names them).
         vectors: (pieces, 3) unit tool vectors, or None.
     """
 
