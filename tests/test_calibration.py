@@ -23,7 +23,9 @@ def test_default_calibration_gives_the_published_figure(calibration: Calibration
     figure = SHARED / "data" / "figure-3-11.csv"
     if not figure.is_file():
         pytest.skip("the published figure is not beside this checkout")
-    rows = np.genfromtxt([line for line in figure.read_text().splitlines() if not line.startswith("#")][1:], delimiter=",")
+    rows = np.genfromtxt(
+        [line for line in figure.read_text().splitlines() if not line.startswith("#")][1:], delimiter=","
+    )
     x = rows[:, 0]
     for name, column in (("E_YX", 2), ("E_ZX", 3)):
         printed = [float(f"{-value * 1e-3:.6g}") for value in calibration.curves[name](x)]

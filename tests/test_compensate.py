@@ -24,10 +24,14 @@ LENGTH = 120.0
 ROUNDING_UM = 0.9  # three linear words at 0.001 mm: half of 1.73 µm, and nothing else
 
 
-def compensate(text: str, machine: Machine, calibration: Calibration, name: str = "p.nc", **options: object) -> Compensation:
+def compensate(
+    text: str, machine: Machine, calibration: Calibration, name: str = "p.nc", **options: object
+) -> Compensation:
     dialect = dialect_for(Path(name))
     program = dialect.read(text.encode("latin-1"), name)
-    return Compensator(machine, calibration, Options(**{"tool_length_mm": LENGTH, **options})).compensate(program, dialect)
+    return Compensator(machine, calibration, Options(**{"tool_length_mm": LENGTH, **options})).compensate(
+        program, dialect
+    )
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +58,9 @@ def test_cone_frustum_lands_where_it_was_meant(dmu50: Machine, calibration: Cali
     assert result.report.complete
 
 
-def test_long_blocks_are_split_where_they_must_be(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
+def test_long_blocks_are_split_where_they_must_be(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
     """Across the whole of X and through a turn of C: between ends no more than tolerance and rounding is left."""
     text = "G21 G90\nG0 X10 Y20 Z-100 B40 C0\nG1 X490 F500\nG1 Y400\nG1 C300\nG1 X100 Y50 Z-300 B70 C20\n"
     tolerance_um = 1.0
@@ -111,9 +117,19 @@ def test_compensate_then_execute(
     lines = ["G21 G90"]
     position = None
     for _ in range(int(rng.integers(2, 8))):
-        new = np.array([rng.uniform(5, 495), rng.uniform(5, 445), rng.uniform(-395, -5), rng.uniform(30, 150), rng.uniform(-400, 400)])
+        new = np.array(
+            [
+                rng.uniform(5, 495),
+                rng.uniform(5, 445),
+                rng.uniform(-395, -5),
+                rng.uniform(30, 150),
+                rng.uniform(-400, 400),
+            ]
+        )
         named = rng.random(5) < 0.5 if position is not None else np.ones(5, dtype=bool)
-        words = " ".join(f"{axis}{value:.{decimals}f}" for axis, value, say in zip("XYZBC", new, named, strict=True) if say)
+        words = " ".join(
+            f"{axis}{value:.{decimals}f}" for axis, value, say in zip("XYZBC", new, named, strict=True) if say
+        )
         if words:
             lines.append(f"G0 {words}")
         position = new
@@ -140,7 +156,9 @@ def test_tcp_and_axis_mode_put_the_tool_in_the_same_place(dmu50: Machine, calibr
     assert np.abs(found["nc"] - found["cls"])[:, 3].max() <= 1e-3
 
 
-def test_scope_decides_what_is_corrected_and_where(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
+def test_scope_decides_what_is_corrected_and_where(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
     text = (SAMPLES / "cone_frustum.nc").read_text()
     meant = np.array([p for _, p in run_iso(text)])
 

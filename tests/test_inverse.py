@@ -66,7 +66,7 @@ def test_forward_undoes_inverse(dmu50: Machine, seed: int, b: float, c: float) -
     q = inner_commands(dmu50, 1, rng)
     q[0, 3:] = b, c
     reached = real.forward(q)
-    nearby = q + [[0.1, -0.1, 0.1, 0.02, -0.02]]
+    nearby = q + np.array([0.1, -0.1, 0.1, 0.02, -0.02])
     solution = Inverse(real).solve(reached, nearby)
     assert solution.status[0] is Status.CONVERGED
     assert np.abs(solution.positions - q).max() <= 1e-8  # the tool axis holds C by sin(tilt) ≥ 0.037 at 1e-12 rad

@@ -73,7 +73,7 @@ def test_without_errors_it_is_the_closed_form_both_ways(dmu50: Machine) -> None:
     assert np.abs(poses.axis - [axis for _, axis in closed]).max() <= RAD_TOLERANCE
     for i in range(0, POSES, 7):
         back = sorby_inverse(poses.point_mm[i], poses.axis[i])
-        again, axis = sorby_forward(back)
+        again, _ = sorby_forward(back)
         # arccos near k = 1 and k = 1/2 loses half the digits of B: compare where the closed form is well conditioned.
         if 1.0 < q[i, 3] < 179.0:
             assert np.abs(again - poses.point_mm[i]).max() <= MM_TOLERANCE
@@ -182,7 +182,9 @@ def test_positions_are_checked(dmu50: Machine, calibration: Calibration) -> None
 def test_an_unlimited_axis_is_wrapped(dmu50: Machine) -> None:
     """A power curve of C, which does not repeat by itself."""
     curve = Curve("E_ZC", "um", (0.0, 360.0), "power", (0.0, 10.0))
-    calibration = Calibration(dmu50, "test", MappingProxyType({"E_ZC": curve}), MappingProxyType({}), MappingProxyType({}))
+    calibration = Calibration(
+        dmu50, "test", MappingProxyType({"E_ZC": curve}), MappingProxyType({}), MappingProxyType({})
+    )
     kinematics = Kinematics(dmu50, calibration)
     c = np.array([-350.0, 10.0, 370.0, 3610.0])
     q = np.column_stack([np.tile([250.0, 225.0, -200.0, 0.0], (4, 1)), c])

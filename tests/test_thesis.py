@@ -49,7 +49,9 @@ def test_the_embedded_figure_is_the_published_one() -> None:
 def test_ours_leaves_less_on_the_same_machine(dmu50: Machine, calibration: Calibration) -> None:
     """Over random poses of the volume: the thesis leaves most of the error, we leave none but rounding."""
     rng = np.random.default_rng(5)
-    q = np.column_stack([rng.uniform(lo, hi, 500) for lo, hi in ((50, 450), (50, 400), (-350, -50), (15, 165), (0, 360))])
+    q = np.column_stack(
+        [rng.uniform(lo, hi, 500) for lo, hi in ((50, 450), (50, 400), (-350, -50), (15, 165), (0, 360))]
+    )
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=120.0)
     real = Kinematics(dmu50, calibration, tool_length_mm=120.0)
     meant = nominal.forward(q).point_mm

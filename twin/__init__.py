@@ -1,0 +1,33 @@
+"""twin: a digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.
+
+The names a script needs; everything else lives in the room its name says.
+"""
+
+from twin.calibration import Calibration, Curve
+from twin.compensate import Compensation, Compensator, Options
+from twin.errors import InputError
+from twin.inverse import Inverse, Solution, Status
+from twin.iso16907 import Scope
+from twin.kinematics import Kinematics, Poses
+from twin.machine import Axis, Machine
+from twin.nc import read_program
+from twin.toolpath import Setup
+
+__all__ = [
+    "Axis",
+    "Calibration",
+    "Compensation",
+    "Compensator",
+    "Curve",
+    "InputError",
+    "Inverse",
+    "Kinematics",
+    "Machine",
+    "Options",
+    "Poses",
+    "Scope",
+    "Setup",
+    "Solution",
+    "Status",
+    "read_program",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,9 @@ class BatchFunction:
     def __init__(self, function: ca.Function) -> None:
         self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
         self._widths_out = [function.numel_out(i) for i in range(function.n_out())]
-        dense = function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
+        dense = (
+            function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
+        )
         workers = os.cpu_count() or 1
         self._mapped = dense.map(CHUNK, "thread", workers) if workers > 1 else dense.map(CHUNK)
         self._single = dense.map(1)
@@ -44,6 +46,7 @@ class BatchFunction:
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
         function, size = (self._single, 1) if rows <= 4 else (self._mapped, CHUNK)
+        buffer: Any
         buffer, trigger = function.buffer()
         for start in range(0, rows, size):
             part = slice(start, start + size)
@@ -51,14 +54,19 @@ class BatchFunction:
             given = [column[part] if whole else _padded(column[part], size) for column in columns]
             results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
             for i, array in enumerate(given):
-                buffer.set_arg(i, memoryview(array))
+                buffer.set_arg(i, _view(array))
             for i, array in enumerate(results):
-                buffer.set_res(i, memoryview(array))
+                buffer.set_res(i, _view(array))
             trigger()
             if not whole:
                 for output, result in zip(outputs, results, strict=True):
                     output[part] = result[: rows - start]
         return outputs
+
+
+def _view(array: np.ndarray) -> Any:
+    # CasADi's stubs know the (pointer, size) form only; it takes a buffer.
+    return memoryview(array)  # type: ignore[arg-type, unused-ignore]
 
 
 def _padded(rows: np.ndarray, size: int) -> np.ndarray:

@@ -32,12 +32,16 @@ class Branches:
     def __init__(self, nominal: Kinematics) -> None:
         machine = nominal.machine
         if len(machine.rotary) != 2:
-            raise InputError("tool vectors on a machine without two rotary axes", expected="B and C, or the like", file=machine.path)
+            raise InputError(
+                "tool vectors on a machine without two rotary axes", expected="B and C, or the like", file=machine.path
+            )
         self._limits = (machine.limits / machine.scale[:, None])[list(machine.rotary)]
         rest = np.zeros((2, len(machine.axes)))
         first, second = machine.rotary
         rest[1, first] = 90.0
-        rest[:, list(machine.linear)] = [np.mean([machine.axes[i].lower, machine.axes[i].upper]) for i in machine.linear]
+        rest[:, list(machine.linear)] = [
+            np.mean([machine.axes[i].lower, machine.axes[i].upper]) for i in machine.linear
+        ]
         turns = nominal.sensitivities(np.where(np.isfinite(rest), rest, 0.0)).command[:, 3:, [first, second]]
         # The axis nearer the work turns about a direction fixed in the work frame, whatever the other does.
         work_first = bool(np.allclose(turns[0, :, 1], turns[1, :, 1], atol=1e-9))
@@ -94,11 +98,9 @@ class Branches:
             for shift in (0.0, -1.0, 1.0):
                 candidate = angles + 360.0 * (turns + shift)
                 candidate = np.where(np.isnan(solution), previous, candidate)
-                candidate = self._into_range(candidate)
-                if candidate is None:
-                    continue
-                if best is None or _travel(candidate, previous) < _travel(best, previous):
-                    best = candidate
+                inside = self._into_range(candidate)
+                if inside is not None and (best is None or _travel(inside, previous) < _travel(best, previous)):
+                    best = inside
         return best
 
     def _into_range(self, angles: np.ndarray) -> np.ndarray | None:

@@ -158,7 +158,9 @@ class Calibration:
     @classmethod
     def default(cls, machine: Machine) -> Calibration:
         """The machine file's own calibration; the machine as drawn if it names none."""
-        return cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
+        return (
+            cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
+        )
 
     def save(self, path: Path) -> None:
         """Write the file, whole or not at all."""
@@ -185,9 +187,7 @@ class Calibration:
             if basis is None:
                 raise InputError("no such basis", expected=_bases(), value=curve.basis)
             axis = self.machine.by_name[split_name(curve.name)[2]]
-            found.append(
-                ErrorMotion(curve.name, basis, curve.domain, curve.coefficients, wrapped=axis.lower is None)
-            )
+            found.append(ErrorMotion(curve.name, basis, curve.domain, curve.coefficients, wrapped=axis.lower is None))
         for name, angle in self.squareness.items():
             found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
@@ -243,7 +243,9 @@ class _Check:
         if not lo < hi:
             raise self.fail((*place, "domain"), "an empty domain", "[lo, hi] with lo < hi", list(entry.domain))
         if axis.lower is None and abs(hi - lo - 360.0) > 1e-9:
-            raise self.fail((*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain))
+            raise self.fail(
+                (*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain)
+            )
         basis = basis_named(entry.basis)
         if basis is None:
             raise self.fail((*place, "basis"), "no such basis", _bases(), entry.basis)

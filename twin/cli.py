@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import Enum
+from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,21 +43,23 @@ app = typer.Typer(
 )
 
 
-class Mode(str, Enum):
+class Mode(StrEnum):
     """Who does the kinematics."""
 
     axis = "axis"
     tcp = "tcp"
 
 
-class Method(str, Enum):
+class Method(StrEnum):
     """How commands are found."""
 
     exact = "exact"
     thesis = "thesis"
 
 
-MachineOption = Annotated[str, typer.Option("--machine", "-m", help="Machine file, or the name of one that comes with twin.")]
+MachineOption = Annotated[
+    str, typer.Option("--machine", "-m", help="Machine file, or the name of one that comes with twin.")
+]
 CalibrationOption = Annotated[
     Path | None, typer.Option("--calibration", "-c", help="Calibration file; the machine file's own if not given.")
 ]
@@ -83,15 +85,36 @@ def info(
     errors = _calibration(calibration, loaded)
     console = Console()
     console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
-    console.print(f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n", highlight=False)
-    axes = Table("axis", "kind", "range", "least increment", "side", "joint", title="Axes, in command order", title_justify="left")
+    console.print(
+        f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n",
+        highlight=False,
+    )
+    axes = Table(
+        "axis",
+        "kind",
+        "range",
+        "least increment",
+        "side",
+        "joint",
+        title="Axes, in command order",
+        title_justify="left",
+    )
     for axis in loaded.axes:
         span = "unlimited" if axis.lower is None else f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
-        axes.add_row(axis.name, "linear" if axis.linear else "rotary", span, f"{axis.increment:g} {axis.unit}", axis.side, axis.joint)
+        axes.add_row(
+            axis.name,
+            "linear" if axis.linear else "rotary",
+            span,
+            f"{axis.increment:g} {axis.unit}",
+            axis.side,
+            axis.joint,
+        )
     console.print(axes)
     frames = Table("frame", "of axis", "components", title="Error frames", title_justify="left")
     for frame in loaded.frames:
-        frames.add_row("error motion" if frame.role == "motion" else "location", frame.axis, " ".join(loaded.error_names(frame)))
+        frames.add_row(
+            "error motion" if frame.role == "motion" else "location", frame.axis, " ".join(loaded.error_names(frame))
+        )
     console.print(frames)
     console.print(
         f"tool frame {loaded.model.frames[loaded.tool_frame].name}, work frame {loaded.model.frames[loaded.work_frame].name}, "
@@ -100,7 +123,9 @@ def info(
     )
     rows, classes = error_budget(loaded, errors, tool_length_mm=tool_length)
     length = loaded.tool_length_mm if tool_length is None else tool_length
-    console.print(_budget_table(f"Error budget at the tool over the volume, tool length {length:g} mm", rows, peak=True))
+    console.print(
+        _budget_table(f"Error budget at the tool over the volume, tool length {length:g} mm", rows, peak=True)
+    )
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
@@ -108,19 +133,27 @@ def info(
 
 @app.command()
 def compensate(
-    program: Annotated[Path, typer.Argument(help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin.")],
+    program: Annotated[
+        Path, typer.Argument(help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The compensated program.")],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
-    scope: Annotated[list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")] = None,
+    scope: Annotated[
+        list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")
+    ] = None,
     mode: ModeOption = Mode.axis,
-    tolerance: Annotated[float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block.")] = 1e-3,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block.")
+    ] = 1e-3,
     json_file: JsonOption = None,
     report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too.")] = None,
     tool_length: ToolOption = None,
     work_offset: OffsetOption = None,
     work_origin: OriginOption = None,
-    method: Annotated[Method, typer.Option("--method", help="exact: the inverse with errors; thesis: the baseline.")] = Method.exact,
+    method: Annotated[
+        Method, typer.Option("--method", help="exact: the inverse with errors; thesis: the baseline.")
+    ] = Method.exact,
     rotary_limit: Annotated[
         float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
     ] = DEFAULT_ROTARY_LIMIT_DEG,
@@ -136,7 +169,9 @@ def compensate(
     dialect, target = dialect_for(source), dialect_for(output)
     if target.name != dialect.name and dialect.name != "apt":
         raise InputError(
-            f"a {dialect.name} program cannot be written as {target.name}", expected=f"-o with {' '.join(dialect.suffixes)}", file=output
+            f"a {dialect.name} program cannot be written as {target.name}",
+            expected=f"-o with {' '.join(dialect.suffixes)}",
+            file=output,
         )
     outputs = [path for path in (output, json_file, report_file) if path is not None]
     check_writable(outputs)
@@ -200,11 +235,15 @@ def scene(
         say("running", 0.2)
         run = execute(read, path, space, real)
         if len(run.positions) < 2:
-            raise InputError("nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source)
+            raise InputError(
+                "nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source
+            )
         say("drawing", 0.5)
         drawn = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
         illustrative = any(curve.illustrative for curve in errors.curves.values())
-        html = scene_html(real, drawn, title=f"{source.name} on {loaded.name}", exaggeration=exaggeration, illustrative=illustrative)
+        html = scene_html(
+            real, drawn, title=f"{source.name} on {loaded.name}", exaggeration=exaggeration, illustrative=illustrative
+        )
     write_whole(output, html)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
     print(f"written: {output}{left}")
@@ -229,7 +268,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _gathered(arguments: list[str]) -> list[str]:
     """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
-    patterns = {"--work-offset": re.compile(r"[A-Za-z]\w*=.*"), "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I)}
+    patterns = {
+        "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
+        "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
+    }
     out: list[str] = []
     gathering: str | None = None
     fresh = False
@@ -258,7 +300,9 @@ def _setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> S
     for entry in offsets or []:
         name, _, text = entry.partition("=")
         if name not in machine.by_name:
-            raise InputError("--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry)
+            raise InputError(
+                "--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry
+            )
         if name in found:
             raise InputError("--work-offset given twice", expected="each axis once", value=entry)
         found[name] = _number("--work-offset", text, entry)
@@ -292,7 +336,11 @@ def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Tab
     table = Table(*headers, "tool RMS", "tool max", title=title, title_justify="left")
     for row in rows:
         unit = "µm" if row.unit == "um" else "µrad"
-        start = [row.name + ("*" if row.illustrative and peak else ""), row.iso_class, f"{row.peak:.1f} {unit}"] if peak else [row.name]
+        start = (
+            [row.name + ("*" if row.illustrative and peak else ""), row.iso_class, f"{row.peak:.1f} {unit}"]
+            if peak
+            else [row.name]
+        )
         table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm")
     return table
 
@@ -302,7 +350,12 @@ def _progress() -> Iterator[Any]:
     """One line on stderr while it lasts; nothing where nobody watches."""
     console = Console(stderr=True)
     with Progress(
-        TextColumn("{task.description:>10}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True, disable=not console.is_terminal
+        TextColumn("{task.description:>10}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
     ) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)

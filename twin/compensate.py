@@ -8,7 +8,7 @@ would leave the meant path by more than the tolerance. What comes out is read ba
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Literal, final
 
@@ -20,8 +20,7 @@ from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse, Status
 from twin.iso16907 import BASIC, Scope, iso_class
 from twin.kinematics import Kinematics, Poses, angle_between_rad
 from twin.machine import Machine
-from twin.nc import Dialect
-from twin.nc.blocks import Move, Notice, Program, Reading, Rewrite
+from twin.nc.blocks import Dialect, Notice, Program, Reading, Rewrite
 from twin.report import ClassShare, Deviation, LineNote, Report
 from twin.thesis import ThesisMethod
 from twin.toolpath import Path, Setup, WordSpace, along, chords, follow
@@ -53,7 +52,7 @@ class Options:
         method: ``exact``, or ``thesis`` for the baseline of `twin.thesis`.
     """
 
-    setup: Setup = Setup()
+    setup: Setup = field(default_factory=Setup)
     tool_length_mm: float | None = None
     tcp: bool = False
     scope: Scope | None = None
@@ -125,9 +124,9 @@ class Compensator:
         self.options = options
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.full = Kinematics(machine, calibration, tool_length_mm=options.tool_length_mm)
-        self._thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
+        self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
         increments = np.array([axis.increment for axis in machine.axes])
-        self._increment = increments[self.space.order]
+        self.increment = increments[self.space.order]
 
     def compensate(self, program: Program, dialect: Dialect, progress: Progress | None = None) -> Compensation:
         """Compensate one program.
@@ -141,7 +140,9 @@ class Compensator:
         reading = dialect.moves(program, self.space.axes, tcp=self.options.tcp)
         path = follow(program, reading, self.space)
         if not path.motions:
-            raise InputError("no block that moves an axis to a known place", expected="a program with motion", file=program.source)
+            raise InputError(
+                "no block that moves an axis to a known place", expected="a program with motion", file=program.source
+            )
         run = _Run(self, path, reading, dialect)
         say("solving", 0.1)
         rows = run.split(say)
@@ -216,11 +217,15 @@ class _Run:
             worst = self._between(candidates, rows)
             stuck = np.zeros(len(everything), dtype=bool)
             stuck[rows.motion[rows.clamped | rows.untouched]] = True
-            failing = (worst > self.c.options.tolerance_mm) & ~stuck[candidates] & (self.pieces[candidates] < LARGEST_SPLIT)
+            failing = (
+                (worst > self.c.options.tolerance_mm) & ~stuck[candidates] & (self.pieces[candidates] < LARGEST_SPLIT)
+            )
             candidates = candidates[failing]
             if not candidates.size:
                 break
-            factor = np.sqrt(worst[failing] / self.c.options.tolerance_mm)  # the error between ends is quadratic in length
+            factor = np.sqrt(
+                worst[failing] / self.c.options.tolerance_mm
+            )  # the error between ends is quadratic in length
             grown = np.ceil(self.pieces[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
             self.pieces[candidates] = np.minimum(grown, LARGEST_SPLIT)
             rows = _replaced(rows, candidates, self._solve(*self._ends(candidates)))
@@ -260,8 +265,8 @@ class _Run:
         singular = np.zeros(len(of), dtype=bool)
         commands = np.array(safe)
         rotary = list(self.c.machine.rotary)
-        if self.c._thesis is not None:  # noqa: SLF001 - one room
-            commands = self.c._thesis.commands(safe)  # noqa: SLF001
+        if self.c.thesis is not None:
+            commands = self.c.thesis.commands(safe)
             exact = np.array(commands)
         else:
             if self._orientation_inverse is not None:
@@ -273,14 +278,30 @@ class _Run:
             commands, vectors = self._rotary_as_printed(commands, of)
             exact = self._point_inverse.solve(target, commands, rotary=False).positions
         clipped = np.clip(exact, limits[:, 0], limits[:, 1])
-        clamped = (np.abs(clipped - exact) > 0.5 * np.array([axis.increment for axis in self.c.machine.axes])).any(axis=1)
+        clamped = (np.abs(clipped - exact) > 0.5 * np.array([axis.increment for axis in self.c.machine.axes])).any(
+            axis=1
+        )
         out = self.space.words(clipped, tcp)
-        printed = np.round(out / self.c._increment) * self.c._increment  # noqa: SLF001
-        printed[np.ix_(self.by_vector[of], range(3, printed.shape[1]))] = out[np.ix_(self.by_vector[of], range(3, printed.shape[1]))]
+        printed = np.round(out / self.c.increment) * self.c.increment
+        printed[np.ix_(self.by_vector[of], range(3, printed.shape[1]))] = out[
+            np.ix_(self.by_vector[of], range(3, printed.shape[1]))
+        ]
         printed[untouched] = words[untouched]
         final = self.space.commands(printed, tcp)
         return _Rows(
-            of, fraction, words, nominal, target, exact, final, printed, vectors, orientation_left, singular, clamped & ~untouched, untouched
+            of,
+            fraction,
+            words,
+            nominal,
+            target,
+            exact,
+            final,
+            printed,
+            vectors,
+            orientation_left,
+            singular,
+            clamped & ~untouched,
+            untouched,
         )
 
     def _outside(self, commands: np.ndarray) -> np.ndarray:
@@ -295,7 +316,7 @@ class _Run:
         rotary = list(self.c.machine.rotary)
         commands = np.array(commands)
         offset = self.space.offset[3:]
-        increment = self.c._increment[3:]  # noqa: SLF001
+        increment = self.c.increment[3:]
         vectors = np.full((len(of), 3), np.nan)
         plain = ~self.by_vector[of]
         words = commands[:, rotary] - offset
@@ -318,8 +339,12 @@ class _Run:
 
         Linear words are taken before rounding, so that splitting is not asked to cure rounding.
         """
-        size = np.abs(self.end[motions] - np.where(np.isfinite(self.start[motions]), self.start[motions], self.end[motions]))
-        spacing = np.maximum(size[:, :3].max(axis=1) / SAMPLE_SPACING[0], size[:, 3:].max(axis=1, initial=0.0) / SAMPLE_SPACING[1])
+        size = np.abs(
+            self.end[motions] - np.where(np.isfinite(self.start[motions]), self.start[motions], self.end[motions])
+        )
+        spacing = np.maximum(
+            size[:, :3].max(axis=1) / SAMPLE_SPACING[0], size[:, 3:].max(axis=1, initial=0.0) / SAMPLE_SPACING[1]
+        )
         pieces = self.pieces[motions]
         each = np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / pieces)).astype(int)
         count = pieces * each
@@ -361,8 +386,10 @@ class _Run:
         of, fraction, local = self._samples(motions, rows)
         given = self.space.words(np.where(np.isfinite(rows.exact), rows.exact, rows.commands), self.tcp[rows.motion])
         commands = self._path_commands(of, local, rows, given)
-        meant = self.space.nominal._forward(self.space.commands(self._words_at(of, fraction), self.tcp[of]) * self.c.machine.scale)[1]  # noqa: SLF001
-        reached = self.point._forward(commands * self.c.machine.scale)[1]  # noqa: SLF001
+        meant = self.space.nominal.reached(
+            self.space.commands(self._words_at(of, fraction), self.tcp[of]) * self.c.machine.scale
+        )[1]
+        reached = self.point.reached(commands * self.c.machine.scale)[1]
         distance = np.linalg.norm(reached - meant, axis=1) * 1e3
         worst = np.zeros(len(self.path.motions))
         np.maximum.at(worst, of, distance)
@@ -411,7 +438,9 @@ class _Run:
             # Half a least increment of the coarser, inch, output: what printing may change.
             off = np.abs(got - wanted) > 2e-4
             if rewrite is not None and np.any(off):
-                raise OutputError(f"{program.source}:{line}: the output says {got[off.any(axis=1)][0]}, not {wanted[off.any(axis=1)][0]}")
+                raise OutputError(
+                    f"{program.source}:{line}: the output says {got[off.any(axis=1)][0]}, not {wanted[off.any(axis=1)][0]}"
+                )
         if position != len(moves):
             raise OutputError(f"{program.source}: {len(moves)} moves in the output, {position} meant")
 
@@ -432,7 +461,9 @@ class _Run:
         meant = self.space.nominal.forward(before)
         uncompensated, compensated = self.c.full.forward(before), self.c.full.forward(after)
         good = np.flatnonzero(~rows.untouched & ~rows.clamped)
-        rounding = np.linalg.norm(self.point.forward(rows.commands[good]).point_mm - rows.target.point_mm[good], axis=1) * 1e3
+        rounding = (
+            np.linalg.norm(self.point.forward(rows.commands[good]).point_mm - rows.target.point_mm[good], axis=1) * 1e3
+        )
         exact = np.linalg.norm(self.point.forward(rows.exact[good]).point_mm - rows.target.point_mm[good], axis=1) * 1e3
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         notes = [_note(program, notice) for notice in (*self.reading.notices, *self.path.passed)]
@@ -448,11 +479,12 @@ class _Run:
             tolerance_um=self.c.options.tolerance_mm * 1e3,
             lines=len(program.lines),
             moves=len(self.reading.moves),
-            rewritten=int(len(np.unique(rows.motion[~rows.untouched]))),
+            rewritten=len(np.unique(rows.motion[~rows.untouched])),
             split=int(np.count_nonzero(self.pieces > 1)),
             added=int(np.sum(self.pieces - 1)),
             largest_correction={
-                axis.name: (float(corrections[:, i].max(initial=0.0)), axis.unit) for i, axis in enumerate(self.c.machine.axes)
+                axis.name: (float(corrections[:, i].max(initial=0.0)), axis.unit)
+                for i, axis in enumerate(self.c.machine.axes)
             },
             before=Deviation.of(uncompensated, meant, lines[motion]),
             after=Deviation.of(compensated, meant, lines[motion]),
@@ -500,7 +532,9 @@ class _Run:
             wrong = [
                 f"{axis.name} {value:.4f} outside {axis.lower:g} … {axis.upper:g} {axis.unit}"
                 for axis, value in zip(self.c.machine.axes, asked, strict=True)
-                if axis.lower is not None and axis.upper is not None and not axis.lower - 1e-9 <= value <= axis.upper + 1e-9
+                if axis.lower is not None
+                and axis.upper is not None
+                and not axis.lower - 1e-9 <= value <= axis.upper + 1e-9
             ] or ["outside the domain of an error motion"]
             done = "left as written" if rows.untouched[row] else "stopped at the limit"
             notes[number] = LineNote(number, f"{'; '.join(wrong)}: {done}")
@@ -511,7 +545,10 @@ class _Run:
         for row in np.flatnonzero(rows.singular):
             number = program.lines[self.path.motions[rows.motion[row]].move.line].number
             worst[number] = max(worst.get(number, 0.0), float(rows.orientation_left[row]))
-        return tuple(LineNote(number, f"{angle * 1e6:.1f} µrad of orientation left: the rotary axes cannot repair it here") for number, angle in worst.items())
+        return tuple(
+            LineNote(number, f"{angle * 1e6:.1f} µrad of orientation left: the rotary axes cannot repair it here")
+            for number, angle in worst.items()
+        )
 
     def _not_met(self, program: Program, rows: _Rows) -> tuple[LineNote, ...]:
         if self.c.options.method == "thesis":
@@ -521,7 +558,10 @@ class _Run:
         limit = self.c.options.tolerance_mm
         stuck = set(rows.motion[rows.clamped | rows.untouched].tolist())
         return tuple(
-            LineNote(program.lines[self.path.motions[m].move.line].number, f"{error * 1e3:.2f} µm between ends, after splitting in {self.pieces[m]}")
+            LineNote(
+                program.lines[self.path.motions[m].move.line].number,
+                f"{error * 1e3:.2f} µm between ends, after splitting in {self.pieces[m]}",
+            )
             for m, error in zip(dense, worst, strict=True)
             if error > limit and m not in stuck
         )
@@ -536,7 +576,9 @@ def _replaced(rows: _Rows, motions: np.ndarray, new: _Rows) -> _Rows:
         return np.asarray(np.concatenate([a[keep], b])[order])
 
     target = Poses(merged(rows.target.point_mm, new.target.point_mm), merged(rows.target.rotation, new.target.rotation))
-    fields = {name: merged(getattr(rows, name), getattr(new, name)) for name in _Rows.__dataclass_fields__ if name != "target"}
+    fields = {
+        name: merged(getattr(rows, name), getattr(new, name)) for name in _Rows.__dataclass_fields__ if name != "target"
+    }
     return _Rows(target=target, **fields)
 
 
@@ -548,4 +590,3 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-__all__ = ["Compensation", "Compensator", "Move", "Options"]

@@ -57,7 +57,11 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     data = _plain(root, (), lines, path)
     if data.get("schema") != name:
         raise InputError(
-            "wrong kind of file", expected=f"schema: {name}", file=path, line=lines.get(("schema",)), value=data.get("schema")
+            "wrong kind of file",
+            expected=f"schema: {name}",
+            file=path,
+            line=lines.get(("schema",)),
+            value=data.get("schema"),
         )
     try:
         return schema.model_validate(data), lines
@@ -102,7 +106,7 @@ def _plain(node: yaml.Node, place: Place, lines: dict[Place, int], path: Path) -
 
 def _scalar(node: yaml.Node) -> Any:
     value = yaml.constructor.SafeConstructor().construct_object(node, deep=True)
-    if isinstance(value, str) and node.style is None:
+    if isinstance(value, str) and isinstance(node, yaml.ScalarNode) and node.style is None:
         # YAML 1.1 reads 1e-3 as text; a metrologist means the number.
         try:
             return float(value)
@@ -130,7 +134,9 @@ def check_writable(paths: Sequence[Path]) -> None:
         try:
             handle, probe = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")
         except OSError as error:
-            raise InputError("cannot be written", expected="a writable folder", file=path, value=error.strerror) from error
+            raise InputError(
+                "cannot be written", expected="a writable folder", file=path, value=error.strerror
+            ) from error
         os.close(handle)
         os.unlink(probe)
 

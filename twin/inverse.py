@@ -172,9 +172,7 @@ class Inverse:
         residual, jacobian = self._system(q, point, across)
         return residual, jacobian.reshape(len(q), -1, 5).transpose(0, 2, 1)
 
-    def _step(
-        self, residual: np.ndarray, by_position: np.ndarray, *, rotary: bool
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _step(self, residual: np.ndarray, by_position: np.ndarray, *, rotary: bool) -> tuple[np.ndarray, np.ndarray]:
         base = by_position[:, :3, self._linear]
         if not rotary:
             return -np.linalg.solve(base, residual[:, :3, None])[:, :, 0], np.zeros((len(residual), 0))
@@ -213,7 +211,9 @@ class Inverse:
         lower, upper = self.kinematics.machine.limits[self._rotary].T
         turned = q[:, self._rotary] + move
         # A start beyond its range stays where it is (and is reported); others stop at the limit.
-        q[:, self._rotary] = np.clip(turned, np.minimum(lower, q[:, self._rotary]), np.maximum(upper, q[:, self._rotary]))
+        q[:, self._rotary] = np.clip(
+            turned, np.minimum(lower, q[:, self._rotary]), np.maximum(upper, q[:, self._rotary])
+        )
         return q
 
     def _admissible(self, q: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -235,7 +235,7 @@ class Inverse:
         iterations: int,
     ) -> Solution:
         machine = self.kinematics.machine
-        rotation, reached = self.kinematics._forward(q)  # noqa: SLF001 - no domain check: a batch never raises
+        rotation, reached = self.kinematics.reached(q)
         distance = np.linalg.norm(reached - point, axis=1)
         left = angle_between_rad(rotation[:, 6:9], axis)
         positions = q / machine.scale

@@ -77,7 +77,9 @@ class Scope:
         for name in names:
             upper = name.strip().upper()
             if upper not in NAMES:
-                raise InputError("no such class of ISO/TR 16907", expected=f"--scope with some of {' '.join(NAMES)}", value=name)
+                raise InputError(
+                    "no such class of ISO/TR 16907", expected=f"--scope with some of {' '.join(NAMES)}", value=name
+                )
             found.update(COMBINED.get(upper, (upper,)))
         if not found:
             raise InputError("an empty scope", expected=f"--scope with some of {' '.join(NAMES)}")
@@ -99,7 +101,7 @@ class Scope:
         return iso_class(name, machine) == "R-POS" and "R-POS" in self.classes
 
     def __str__(self) -> str:
-        parts = [name for name in BASIC if name in self.classes]
+        parts: list[str] = [name for name in BASIC if name in self.classes]
         for combined in ("L-VOL", "R-VOL"):
             if set(COMBINED[combined]) <= set(parts):
                 parts = [combined if part == COMBINED[combined][0] else part for part in parts]

@@ -104,6 +104,18 @@ class Kinematics:
         results = [ca.substitute(result, e, errors) for result in (by_command, by_error)]
         return BatchFunction(ca.Function("sensitivities", [q], results))
 
+    def reached(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What `forward` gives, unchecked and in our own units, for a batch that must never raise.
+
+        Args:
+            q: (n, axes) metres and radians.
+
+        Returns:
+            (n, 9) rotations, column after column, and (n, 3) points in metres.
+        """
+        rotation, point = self._forward(q)
+        return rotation, point
+
     def forward(self, positions: Any) -> Poses:
         """Poses the machine really reaches.
 
@@ -114,7 +126,7 @@ class Kinematics:
             InputError: wrong shape, a value that is no finite number, or outside the domain of a curve.
         """
         q = self.check(positions)
-        rotation, point = self._forward(q * self.machine.scale)
+        rotation, point = self.reached(q * self.machine.scale)
         return Poses(_locked(point / MM), _locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
     def error_frames(self, positions: Any) -> np.ndarray:
@@ -149,9 +161,15 @@ class Kinematics:
         q = np.atleast_2d(np.asarray(positions, dtype=float))
         axes = self.machine.axes
         if q.ndim != 2 or q.shape[1] != len(axes):
-            raise InputError("positions of the wrong shape", expected=f"(n, {len(axes)}): {', '.join(self.machine.names)}", value=q.shape)
+            raise InputError(
+                "positions of the wrong shape",
+                expected=f"(n, {len(axes)}): {', '.join(self.machine.names)}",
+                value=q.shape,
+            )
         if not np.all(np.isfinite(q)):
-            raise InputError("a position that is no number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0])
+            raise InputError(
+                "a position that is no number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0]
+            )
         outside = self.outside_domain(q)
         if np.any(outside):
             row, column = np.argwhere(outside)[0]

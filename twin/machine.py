@@ -143,7 +143,9 @@ class Machine:
         self.tool_length_mm = entries.programs.tool_length
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
-        self.default_calibration = None if entries.calibration is None else (path.parent / entries.calibration).resolve()
+        self.default_calibration = (
+            None if entries.calibration is None else (path.parent / entries.calibration).resolve()
+        )
         source = _load_urdf(self.urdf)
         _check(entries, source, path, lines)
         self.model, joint_of, self.frames = _with_error_frames(source, entries)
@@ -181,7 +183,9 @@ class Machine:
     def limits(self) -> np.ndarray:
         """(axes, 2) lower and upper limits in metres and radians; infinite for an unlimited axis."""
         rows = [
-            (-np.inf, np.inf) if axis.lower is None or axis.upper is None else (axis.lower * axis.scale, axis.upper * axis.scale)
+            (-np.inf, np.inf)
+            if axis.lower is None or axis.upper is None
+            else (axis.lower * axis.scale, axis.upper * axis.scale)
             for axis in self.axes
         ]
         return _read_only(np.array(rows))
@@ -313,7 +317,9 @@ def _load_urdf(path: Path) -> pin.Model:
     try:
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
-        raise InputError("not a URDF that Pinocchio can load", expected="a URDF robot", file=path, value=error) from error
+        raise InputError(
+            "not a URDF that Pinocchio can load", expected="a URDF robot", file=path, value=error
+        ) from error
 
 
 def _check(entries: _MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
@@ -333,7 +339,9 @@ def _check(entries: _MachineFile, source: pin.Model, path: Path, lines: Mapping[
             raise fail("joint", f"{entries.urdf} has no such moving joint", f"one of {', '.join(joints)}", entry.joint)
         joint = source.joints[source.getJointId(entry.joint)]
         if joint.nq != 1 or joint.nv != 1:
-            raise fail("joint", f"joint is {joint.shortname()}", "a prismatic or a (limited) revolute joint", entry.joint)
+            raise fail(
+                "joint", f"joint is {joint.shortname()}", "a prismatic or a (limited) revolute joint", entry.joint
+            )
         if ("P" in joint.shortname().removeprefix("JointModel")[:1]) != (entry.kind == "linear"):
             kind = "linear" if entry.kind == "rotary" else "rotary"
             raise fail("kind", f"joint {entry.joint} is {joint.shortname()}", f"kind: {kind}", entry.kind)
@@ -370,7 +378,9 @@ def _with_error_frames(
     model = pin.Model()
     model.name = source.name
     model.gravity = source.gravity
-    end_of = {0: (0, pin.SE3.Identity())}  # old joint -> new joint that carries its body, and the body's placement there
+    end_of = {
+        0: (0, pin.SE3.Identity())
+    }  # old joint -> new joint that carries its body, and the body's placement there
     joint_of: dict[str, int] = {}
     free_flyers: dict[tuple[str, str], int] = {}
     for old in range(1, source.njoints):
@@ -422,14 +432,20 @@ def _start(first: int, source: pin.Model, entries: _MachineFile) -> np.ndarray:
     for entry in entries.axes:
         joint = source.getJointId(entry.joint)
         if entry.name in entries.frames.origin and first in source.supports[joint].tolist():
-            start -= entries.frames.origin[entry.name] * MM * (data.oMi[joint].rotation @ _direction(source.joints[joint]))
+            start -= (
+                entries.frames.origin[entry.name] * MM * (data.oMi[joint].rotation @ _direction(source.joints[joint]))
+            )
     return start
 
 
 def _direction(joint: pin.JointModel) -> np.ndarray:
     """Unit vector of a one-degree-of-freedom joint's motion in its own frame."""
     data = joint.createData()
-    joint.calc(data, np.zeros(joint.nq) if joint.idx_q < 0 else np.zeros(joint.idx_q + joint.nq), np.zeros(joint.idx_v + joint.nv))
+    joint.calc(
+        data,
+        np.zeros(joint.nq) if joint.idx_q < 0 else np.zeros(joint.idx_q + joint.nq),
+        np.zeros(joint.idx_v + joint.nv),
+    )
     motion = np.asarray(data.S).reshape(6)
     return motion[:3] if np.any(motion[:3]) else motion[3:]
 

@@ -142,7 +142,9 @@ class Report:
             f"  calibration   {self.calibration}",
         ]
         if self.illustrative:
-            out.append("                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it.")
+            out.append(
+                "                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it."
+            )
         out += [
             f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
@@ -163,7 +165,13 @@ class Report:
             "  by class (ISO/TR 16907)   before RMS     max        left",
         ]
         for share in self.classes:
-            left = "" if share.left_rms_um is None else "corrected" if share.corrected else f"{_um(share.left_rms_um)} (not in scope)"
+            left = (
+                ""
+                if share.left_rms_um is None
+                else "corrected"
+                if share.corrected
+                else f"{_um(share.left_rms_um)} (not in scope)"
+            )
             out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
         for title, notes in (
             ("out of range", self.out_of_range),

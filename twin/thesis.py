@@ -45,7 +45,9 @@ class ThesisMethod:
         linear = tuple(machine.axes[i].name for i in machine.linear)
         if linear != ("X", "Y", "Z") or any(sides[name] != "tool" for name in linear):
             raise InputError(
-                "the thesis's method is for X, Y, Z on the tool side", expected="--method exact on this machine", value=machine.name
+                "the thesis's method is for X, Y, Z on the tool side",
+                expected="--method exact on this machine",
+                value=machine.name,
             )
         self._calibration = calibration
         self._nominal = nominal

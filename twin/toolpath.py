@@ -58,11 +58,17 @@ def axis_words(machine: Machine) -> AxisWords:
         along = int(np.argmax(motion))
         if motion[along] < 1.0 - 1e-9:
             raise InputError(
-                f"axis {axis.name} does not move the tool along x, y or z", expected="linear axes along the work frame", file=machine.path
+                f"axis {axis.name} does not move the tool along x, y or z",
+                expected="linear axes along the work frame",
+                file=machine.path,
             )
         order[along] = axis.name
     if sorted(order) != [0, 1, 2]:
-        raise InputError("not three linear axes across each other", expected="a five-axis machine, to run programs", file=machine.path)
+        raise InputError(
+            "not three linear axes across each other",
+            expected="a five-axis machine, to run programs",
+            file=machine.path,
+        )
     return AxisWords(
         linear=tuple(order[i] for i in range(3)),
         rotary=tuple(machine.axes[i].name for i in machine.rotary),
@@ -193,8 +199,14 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
             end[3:] = np.where(unsaid, space.start, end[3:])
             if not assumed:
                 names = [name for name, missing in zip(space.axes.rotary, unsaid, strict=True) if missing]
-                at = ", ".join(f"{name} = {value:g}°" for name, value in zip(space.axes.rotary, space.start, strict=True) if name in names)
-                passed.append(Notice(move.line, f"the program has not said where {' and '.join(names)} stand: taken as {at}"))
+                at = ", ".join(
+                    f"{name} = {value:g}°"
+                    for name, value in zip(space.axes.rotary, space.start, strict=True)
+                    if name in names
+                )
+                passed.append(
+                    Notice(move.line, f"the program has not said where {' and '.join(names)} stand: taken as {at}")
+                )
                 assumed = True
         start = words.copy()
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
@@ -264,7 +276,9 @@ def _after_machine_move(words: np.ndarray, end: np.ndarray, move: Move, space: W
     return np.asarray(after)
 
 
-def _along_vector(program: Program, move: Move, solutions: np.ndarray, before: np.ndarray, space: WordSpace) -> np.ndarray:
+def _along_vector(
+    program: Program, move: Move, solutions: np.ndarray, before: np.ndarray, space: WordSpace
+) -> np.ndarray:
     standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
     found = space.branches.nearest(solutions, standing)
     if found is None:

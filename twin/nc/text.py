@@ -86,7 +86,7 @@ class Style(NamedTuple):
 
 
 def style_of(text: str, base: Style) -> Style:
-    """The style of one written number; what it leaves open (``12.5`` says nothing about ``5.``) is taken from a base."""
+    """The style of one written number; what it leaves open (``12.5`` does not tell of ``5.``) comes from a base."""
     first = text[:1]
     plus = True if first == "+" else base.plus if first == "-" else False
     comma = "," in text
@@ -184,7 +184,7 @@ def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float,
 def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
     """A text with stretches replaced; edits at one place keep their order, none may overlap."""
     if len(edits) > 1:
-        edits.sort(key=_start)
+        edits.sort(key=_place)
     parts = []
     at = 0
     for start, end, new in edits:
@@ -195,5 +195,6 @@ def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
     return "".join(parts)
 
 
-def _start(edit: tuple[int, int, str]) -> int:
-    return edit[0]
+def _place(edit: tuple[int, int, str]) -> tuple[int, int]:
+    """Insertions come before a stretch that is replaced at the same place."""
+    return edit[0], edit[1]

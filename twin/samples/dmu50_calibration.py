@@ -36,8 +36,16 @@ FIGURE_3_11: Final = np.array(
 
 PUBLISHED: Final = {
     "E_XX": (1, 4, "thesis figure 3.11: degree 4 without constant, within 0.5 µm of the printed X"),
-    "E_YX": (2, 5, "thesis figure 3.11: degree 5 without constant, exact to the printed digits; reference line removed"),
-    "E_ZX": (3, 8, "thesis figure 3.11: degree 8 without constant, exact to the printed digits; reference line removed"),
+    "E_YX": (
+        2,
+        5,
+        "thesis figure 3.11: degree 5 without constant, exact to the printed digits; reference line removed",
+    ),
+    "E_ZX": (
+        3,
+        8,
+        "thesis figure 3.11: degree 8 without constant, exact to the printed digits; reference line removed",
+    ),
 }
 """Error motion: (column of figure 3.11, degree, source)."""
 

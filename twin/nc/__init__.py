@@ -1,0 +1,67 @@
+"""NC programs: three languages, read and written without losing a byte."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.nc.apt import Apt
+from twin.nc.blocks import Dialect, Program
+from twin.nc.heidenhain import Heidenhain
+from twin.nc.iso import Iso
+
+_SAMPLES = Path(__file__).resolve().parents[1] / "samples"
+DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
+
+
+def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
+    """The dialect of a program, by the suffix of its name.
+
+    Args:
+        path: the program's path.
+        data: its bytes, where they are at hand: a ``.txt`` that begins with ``BEGIN PGM`` is plain language.
+
+    Raises:
+        InputError: an unknown suffix.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".txt" and data is not None and re.match(rb"\s*\d*\s*BEGIN\s+PGM\s", data[:200], re.IGNORECASE):
+        return Heidenhain()
+    for dialect in DIALECTS:
+        if suffix in dialect.suffixes:
+            return dialect
+    known = " ".join(suffix for dialect in DIALECTS for suffix in dialect.suffixes)
+    raise InputError("unknown kind of program", expected=f"a name ending in one of {known}", file=path, value=suffix)
+
+
+def find_program(path: str | Path) -> Path:
+    """The program of that name: a file, else one that comes with twin.
+
+    Raises:
+        InputError: neither is there.
+    """
+    path = Path(path)
+    if path.exists():
+        return path
+    bundled = _SAMPLES / path.name
+    if path.parent == Path() and bundled.is_file():
+        return bundled
+    known = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
+    names = sorted(file.name for file in _SAMPLES.glob("*") if file.suffix in known)
+    raise InputError("no such program", expected=f"a file, or one that comes with twin: {' '.join(names)}", file=path)
+
+
+def read_program(path: str | Path) -> tuple[Program, Dialect]:
+    """A program from a file (or one that comes with twin), and its dialect.
+
+    Raises:
+        InputError: no such file, an unknown suffix, empty, or not text.
+    """
+    found = find_program(path)
+    try:
+        data = found.read_bytes()
+    except OSError as error:
+        raise InputError("cannot be read", expected="a readable file", file=found, value=error.strerror) from error
+    dialect = dialect_for(found, data)
+    return dialect.read(data, str(found)), dialect

@@ -1,0 +1,58 @@
+"""The vocabulary of Heidenhain plain language: block heads, path words, and which statements mean what."""
+
+from __future__ import annotations
+
+import re
+
+_VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
+
+HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d]))?+[ \t]*+", re.ASCII)
+"""What stands before a block: spaces and its number."""
+KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
+PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
+
+TOKEN = re.compile(
+    rf"""[ \t\f\x1a]*+(?:
+      (?P<axis>(I?)([XYZABCUVW])[ \t]*+({_VALUE}))
+    | (?P<note>;[^\r\n]*+|[\r\n]++)
+    | (?P<side>R(?:0(?![\d.,])|[LR](?![A-Z])|[+-](?![\d.,Q])))
+    | (?P<feed>F[ \t]*+(?:MAX|AUTO|[ZU]?[ \t]*+{_VALUE}))
+    | (?P<sense>DR[ \t]*+[+-])
+    | (?P<radius>R[ \t]*+({_VALUE}))
+    | (?P<vector>([NT][XYZ])[ \t]*+({_VALUE}))
+    | (?P<retract>MB[ \t]*+(?:MAX|{_VALUE}))
+    | (?P<misc>M(\d++))
+    | (?P<ahead>LA[ \t]*+{_VALUE})
+    | (?P<bad>\S)
+    )""",
+    re.VERBOSE | re.ASCII | re.IGNORECASE,
+)
+
+UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
+TOOL_AXIS = re.compile(r"TOOL[ \t]+CALL[ \t]+(?:[^ \t]+[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE)
+CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d++)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+FN = re.compile(r"FN[ \t]*+(\d++)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
+ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
+NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
+
+REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
+PASSED = frozenset(
+    "END BLK TOOL STOP LBL INCLUDE DECLARE PATTERN SECTION TABDATA QS GLOBAL OPEN WAIT STRUCTURE".split()
+)
+TRANSFORM_CYCLES = {
+    7: "datum shift",
+    8: "mirror image",
+    10: "rotation",
+    11: "scaling",
+    19: "working plane",
+    26: "scaling",
+}
+RUN_AT_ONCE = frozenset({12, 220, 221, 224})
+"""Cycles that run where they are defined: a program call, hole patterns."""
+REFUSED_M = frozenset({89, 98, 99, 118, 130, 144})
+LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
+
+EXPAND = "the cycle expanded into L blocks by the postprocessor"
+LINEAR = "the path written as L, LN, CC/C and CR blocks by the postprocessor"
+BAKED = "a program whose coordinates need no transformation"
+FLAT = "one program with every block written out"

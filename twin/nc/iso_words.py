@@ -1,0 +1,140 @@
+"""The vocabulary of ISO programs: the tokens of a block, and what Fanuc, LinuxCNC and Siemens 840D words mean to us."""
+
+from __future__ import annotations
+
+import re
+
+_STRING = r'"[^"\r\n]*+"'
+_ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
+_BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
+_NUMBER = r"[\d.]++"
+_HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
+_NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
+_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
+_EXPRESSION = rf"{_OPERAND}(?:[ \t]*+[-+*/]{_OPERAND})*+"
+
+TOKEN = re.compile(
+    rf"""[ \t\f\x1a]*+(?:
+      (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
+    | (?P<note>\([^()\r\n]*+\)|;[^\r\n]*+|[\r\n]++)
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_EXPRESSION}))
+    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
+    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
+    | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
+    | (?P<skip>/\d?)
+    | (?P<main>:\d*+)
+    | (?P<bad>\S)
+    )""",
+    re.VERBOSE | re.ASCII,
+)
+"""One token, spaces before it included: ``X1.5``; a comment or line end; ``X=..``, ``R1=..``, ``_X_HOME=..``; a name,
+with arguments or without; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; and what none of these is."""
+
+LITERAL = re.compile(r"[+-]?[ \t]*+[\d.]++", re.ASCII)
+WRAPPED = re.compile(r"(AC|IC|DC|ACP|ACN)[ \t]*+\([ \t]*+(.*?)[ \t]*+\)", re.IGNORECASE | re.ASCII)
+REFERENCE = re.compile(rf"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|{_HASH})", re.ASCII)
+ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
+
+# G codes by modal group. Two of one group in a block contradict each other; "" is no group.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "motion": ("0", "1", "2", "3"),
+    "plane": ("17", "18", "19"),
+    "units": ("20", "21", "70", "71", "700", "710"),
+    "distance": ("90", "91"),
+    "arc centre": ("90.1", "91.1"),
+    "feed": ("93", "94", "95"),
+    "spindle": ("96", "97", "961", "962", "971", "972"),
+    "radius": ("40",),
+    "length": ("43", "43.1", "43.4", "43.5", "44", "49"),
+    "return": ("98", "99"),
+    "offset": (
+        *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "500"),
+        *(str(code) for code in range(505, 600)),
+    ),
+    "machine": ("53", "153"),
+    "still": ("4", "22", "23", "25", "26"),
+    "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
+    "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
+    "": (
+        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69", "69.1", "80", "113", "601", "602", "603"),
+        *("450", "451", "460", "461", "462", "621", "340", "341"),
+    ),
+}
+GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for code in codes}
+
+_EXPAND = "the cycle expanded into G0 and G1 blocks by the postprocessor"
+_LINEAR = "the path written as G0, G1, G2 and G3 by the postprocessor"
+_BAKED = "a program whose coordinates need no transformation (one work offset, given with --work-offset)"
+_FLAT = "one program with every block written out"
+
+
+def _cycle(code: str) -> tuple[str, str]:
+    return (f"canned cycle G{code}", _EXPAND)
+
+
+REFUSED_CODES: dict[str, tuple[str, str]] = {
+    **{
+        code: _cycle(code)
+        for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88")
+    },
+    "89": _cycle("89"),
+    **{
+        code: (f"thread or tapping G{code}", _LINEAR)
+        for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
+    },
+    **{
+        code: (f"curve G{code}", _LINEAR)
+        for code in ("2.2", "2.3", "2.4", "3.2", "3.3", "3.4", "5.2", "5.3", "6.1", "6.2")
+    },
+    **{code: (f"curve G{code}", _LINEAR) for code in ("12", "13", "147", "148", "247", "248", "347", "348")},
+    **{
+        code: (f"coordinate transformation G{code}", _BAKED)
+        for code in (
+            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
+            *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
+        )
+    },
+    **{
+        code: (f"cutter radius compensation G{code}", "the tool centre path written out by CAM (G40)")
+        for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
+    },
+    "29": ("return from the reference point G29", "the position written as a G0 block"),
+    **{code: (f"macro call G{code}", _FLAT) for code in ("65", "66", "66.1", "72.1", "72.2")},
+}
+REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
+LAST_M: frozenset[str] = frozenset(
+    {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
+)
+"""M words that act when the block's motion is over: in a block that is split they go with the last piece."""
+
+# Names (Siemens 840D). PASSED change nothing about what axis words mean, CALLED run motion or control flow.
+PASSED: frozenset[str] = frozenset(
+    """MSG DEF FNORM FLIN FCUB FPO COMPOF COMPON COMPCURV COMPCAD COMPSURF SOFT BRISK DRIVE SOFTA BRISKA DRIVEA FFWON
+    FFWOF NEWCONF STOPRE CUT2D CUT2DF CUT3DC CUT3DF CUT3DFF CUT3DFS ORIWKS ORIMKS ORIAXES ORIVECT ORIPLANE ORIEULER
+    ORIRPY ORIRPY2 ORIVIRT1 ORIVIRT2 ORISON ORISOF OST OSOF OSC OSS OSSE OSD WALIMON WALIMOF SETMS LIMS SPOS SPOSA
+    WAITS WAITM WAITE STARTFIFO STOPFIFO FIFOCTRL DISPLOF DISPLON EXTERN PROC RET SAVE SBLOF SBLON NORM KONT KONTT
+    KONTC CFC CFTCP CFIN FGROUP FGREF FL FA FB FZ ACC VELOLIM JERKLIM RTLIOF RTLION ADIS ADISPOS WORKPIECE UPATH SPATH
+    DIAMOF DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC TRAFOOF TRAORI SUPA CYCLE832 CYCLE_HSC CTOL OTOL OVR
+    OVRRAP OVRA SVC FD FDA GROUP_BEGIN GROUP_END GROUP_ADDEND TOROTOF PAROTOF TOFRAMEOF ENDPROC DL MIRROROF EXTCLOSE
+    SETPIECE GETT GETSELT SETAL STOLF CUTMOD CUTMODK TOWSTD CDOF CDON CDOF2 CPRECON CPRECOF BLSYNC FTOCOF TLIFT
+    DELDTG ASUBST REPOSL FENDNORM ORIRESET NURBSOF""".split()
+)
+CONTROL_FLOW: frozenset[str] = frozenset(
+    """IF ELSE ELSEIF ENDIF WHILE ENDWHILE FOR ENDFOR LOOP ENDLOOP REPEAT REPEATB UNTIL GOTO GOTOB GOTOF GOTOC GOTOS
+    CASE DO CALL PCALL ISOCALL EXTCALL CALLPATH SUB ENDSUB RETURN BREAK CONTINUE WHEN WHENEVER EVERY ID IDS THEN AND
+    OR XOR NOT EQ NE GT GE LT LE MOD EXECTAB EXECUTE""".split()
+)
+TRANSFORMS: frozenset[str] = frozenset(
+    """ROT AROT ROTS AROTS CROTS RPL TRANS ATRANS CTRANS MIRROR AMIRROR SCALE ASCALE CYCLE800 TOROT TOROTX TOROTY TOROTZ
+    TOFRAME TOFRAMEX TOFRAMEY TOFRAMEZ PAROT OFFN TRANSMIT TRACYL TRAANG TCARR TCOABS TCOFR TOFF TOFFL TOFFLR DIAMON
+    DIAM90 PRESETON PRESETONS MEAFRAME TCOFRX TCOFRY TCOFRZ TOFFON TRACON TRAFOON""".split()
+)
+CANCELLING: frozenset[str] = frozenset("ROT TRANS MIRROR SCALE CYCLE800".split())
+"""Transformations that cancel themselves when nothing follows them."""
+CURVES: frozenset[str] = frozenset(
+    """CIP CT BSPLINE ASPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND RNDM CHF CHR ANG ANG1 ANG2 AR RP AP
+    OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
+    ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
+)
+CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
+EXPAND, LINEAR, BAKED, FLAT = _EXPAND, _LINEAR, _BAKED, _FLAT
