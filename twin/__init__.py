@@ -4,7 +4,7 @@ The names a script needs; everything else lives in the room its name says.
 """
 
 from twin.calibration import Calibration, Curve
-from twin.compensate import Compensation, Compensator, Options
+from twin.compensation import Compensation, Compensator, Options
 from twin.errors import InputError
 from twin.inverse import Inverse, Solution, Status
 from twin.iso16907 import Scope

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from twin.budget import BudgetRow, error_budget
 from twin.calibration import Calibration
-from twin.compensate import Compensation, Compensator, Options
+from twin.compensation import Compensation, Compensator, Options
 from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole

@@ -110,6 +110,8 @@ def scene_html(
     commands: list[Any] = []
     for number, visual in enumerate(visuals):
         commands += visual.commands(_node(visual.link, f"shape{number}"))
+        if visual.link == work:
+            commands += visual.commands(_node(work, f"pale{number}"), pale=True)
     for link in links:
         edges = [visual.edges for visual in visuals if visual.link == link]
         if edges:
@@ -185,8 +187,9 @@ class _Visual:
     edges: np.ndarray
     corners: np.ndarray
 
-    def commands(self, node: NodePath) -> list[Any]:
-        red, green, blue, alpha = self.colour
+    def commands(self, node: NodePath, pale: bool = False) -> list[Any]:
+        """Drawing commands; ``pale`` for the close-up, where it is only the ground the path is seen against."""
+        red, green, blue, alpha = (1 - 0.2 * (1 - part) if pale else part for part in self.colour)
         material = shapes.MeshLambertMaterial(
             color=_hex((red, green, blue)),
             opacity=alpha,
@@ -307,10 +310,15 @@ def _path_commands(
                 tube(shown[run], np.full(len(run), radius), colours[run], sides) for run in thinned(cuts, limit, path.worst)
             ]
             commands.append(_mesh(joined(pieces), node.append(name)))
-    for name, found, colour in (("nominal", cuts, _NOMINAL), ("rapids", rapids, _RAPID)):
-        pieces = [np.repeat(nominal[run], 2, axis=0)[1:-1] for run in thinned(found, MAX_POINTS, path.worst)]
-        if pieces:
-            commands.append(_lines(np.concatenate(pieces), colour, node.append(name)))
+    if cuts and fine > 0:
+        grey = [
+            tube(nominal[run], np.full(len(run), 0.35 * fine), np.tile(_NOMINAL, (len(run), 1)), 3)
+            for run in thinned(cuts, MAX_POINTS, path.worst)
+        ]
+        commands.append(_mesh(joined(grey), node.append("nominal")))
+    if rapids:
+        pairs = [np.repeat(nominal[run], 2, axis=0)[1:-1] for run in thinned(rapids, MAX_POINTS, path.worst)]
+        commands.append(_lines(np.concatenate(pairs), _RAPID, node.append("rapids")))
     blocks = [block for block in arrow_blocks(path, vectors) if path.deviation_um[block] > 0]
     if blocks and fine > 0:
         arrows = [
@@ -349,8 +357,8 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
     thickness = 0.004 * float(np.linalg.norm(span))
     slab = shapes.Box([1.16 * span[0], 1.16 * span[1], thickness])
     lights = {
-        "AmbientLight": {"intensity": 0.52},
-        "FillLight": {"intensity": 0.42, "position": [-2.0, -5.0, 4.0]},
+        "AmbientLight": {"intensity": 0.6},
+        "FillLight": {"intensity": 0.38, "position": [-2.0, -5.0, 4.0]},
         "PointLightNegativeX": {"visible": False},
         # The second point light stands in for the bounce from the floor, far enough to be even.
         "PointLightPositiveX": {"intensity": 0.16, "position": [4.0, -3.0, 1.0], "distance": 0.0},

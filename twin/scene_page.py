@@ -14,6 +14,7 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
 #title { left: 20px; top: 14px; pointer-events: none; }
 #title h1 { margin: 0; font-size: 21px; font-weight: 650; letter-spacing: -.01em; }
 #title p { margin: 1px 0 0; color: #59616b; }
+#slider { flex: 1; min-width: 60px; accent-color: #21918c; }
 #panel { right: 16px; top: 16px; bottom: 84px; display: flex; flex-direction: column; pointer-events: none; }
 #panel header { padding: 9px 14px 7px; background: #ffffff; border: 1px solid #c3cad2; border-radius: 8px 8px 0 0; }
 #panel h2 { margin: 0; font-size: 15px; font-weight: 650; }
@@ -34,9 +35,8 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
   font-size: 12.5px; font-weight: 600; white-space: nowrap; pointer-events: none; }
 #bar { left: 16px; right: 16px; bottom: 14px; min-height: 34px; padding: 8px 12px; display: flex; align-items: center; gap: 14px;
   background: #ffffff; border: 1px solid #c3cad2; border-radius: 8px; }
-#bar button { font: inherit; font-weight: 600; min-width: 84px; padding: 5px 10px; border: 1px solid #97a1ad; border-radius: 6px; background: #f2f5f8; cursor: pointer; }
+#bar button { font: inherit; font-weight: 600; min-width: 84px; padding: 5px 10px; border: 1px solid #97a1ad; border-radius: 6px; background: #f2f5f8; cursor: pointer; white-space: nowrap; }
 #bar button:hover { background: #e3e9ef; }
-#slider { flex: 1; min-width: 90px; accent-color: #21918c; }
 #now { font-variant-numeric: tabular-nums; font-size: 13px; display: flex; gap: 12px; white-space: nowrap; }
 #now span { display: inline-block; text-align: right; }
 #now em { font-style: normal; color: #59616b; }
@@ -66,7 +66,7 @@ _SCRIPT = """
   const closeOnly = [page.work + "/fine", page.work + "/nominal", page.work + "/arrows", page.tool + "/ghost", page.tool + "/tip"];
   for (const name of closeOnly) object(name).traverse(o => o.layers.set(1));
   object(page.work + "/rapids").traverse(o => o.layers.enable(1));
-  object(page.work + "/edges").traverse(o => o.layers.enable(1));
+  object(page.work).traverse(o => { if (o.parent.name.startsWith("pale")) o.layers.set(1); });
   viewer.scene.traverse(o => { if (o.isLight) o.layers.enable(1); });
 
   // Cameras. The world of three.js is y up: base (x, y, z) is (x, z, -y) there.

@@ -1,0 +1,169 @@
+"""What a compensation did: the written program re-simulated densely beside the original."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from twin.compensation.bench import Bench
+from twin.compensation.pieces import Pieces, Rows
+from twin.compensation.report import ClassShare, Deviation, LineNote, Report
+from twin.iso16907 import BASIC, iso_class
+from twin.kinematics import Poses, angle_between_rad
+from twin.nc.blocks import Notice, Program
+
+
+@final
+class Account:
+    """The account of one compensated program.
+
+    Args:
+        bench: machine, calibration, options.
+        pieces: the program cut into pieces.
+        rows: the commands for their ends.
+        program: the program as read.
+    """
+
+    def __init__(self, bench: Bench, pieces: Pieces, rows: Rows, program: Program) -> None:
+        self.bench = bench
+        self.pieces = pieces
+        self.rows = rows
+        self.program = program
+
+    def report(self) -> Report:
+        """Re-simulate densely what was written, beside what was there before."""
+        motions = np.arange(len(self.pieces.path.motions))
+        dense = motions[self.pieces.interpolated]
+        of, fraction, local = self.pieces.samples(dense)
+        words = np.concatenate([self.rows.words, self.pieces.words_at(of, fraction)])
+        motion = np.concatenate([self.rows.motion, of])
+        before = self.bench.space.commands(words, self.pieces.tcp[motion])
+        after = np.concatenate(
+            [self.rows.commands, self.pieces.path_commands(of, local, self.rows, self.rows.printed, as_run=True)]
+        )
+        keep = ~self.bench.full.outside_domain(before).any(axis=1) & ~self.bench.full.outside_domain(after).any(axis=1)
+        keep &= np.isfinite(after).all(axis=1) & np.isfinite(before).all(axis=1)
+        before, after, motion = before[keep], after[keep], motion[keep]
+        lines = np.array([self.program.lines[m.move.line].number for m in self.pieces.path.motions])
+        meant = self.bench.space.nominal.forward(before)
+        uncompensated, compensated = self.bench.full.forward(before), self.bench.full.forward(after)
+        good = ~self.rows.untouched & ~self.rows.clamped
+        rounding = self._left_at_ends(self.rows.commands, good)
+        exact = self._left_at_ends(self.rows.exact, good)
+        corrections = np.abs(self.rows.commands - self.rows.nominal)[~self.rows.untouched]
+        notes = [_note(self.program, notice) for notice in (*self.pieces.reading.notices, *self.pieces.path.passed)]
+        return Report(
+            program=self.program.source,
+            machine=self.bench.machine.name,
+            calibration=str(self.bench.calibration.path or "none"),
+            calibration_source=self.bench.calibration.source,
+            illustrative=any(curve.illustrative for curve in self.bench.calibration.curves.values()),
+            method=self.bench.options.method,
+            scope="as in the thesis" if self.bench.options.method == "thesis" else str(self.pieces.scope),
+            tool_length_mm=self.bench.full.tool_length_mm,
+            tolerance_um=self.bench.options.tolerance_mm * 1e3,
+            lines=len(self.program.lines),
+            moves=len(self.pieces.reading.moves),
+            rewritten=len(np.unique(self.rows.motion[~self.rows.untouched])),
+            split=int(np.count_nonzero(self.pieces.count > 1)),
+            added=int(np.sum(self.pieces.count - 1)),
+            largest_correction={
+                axis.name: (float(corrections[:, i].max(initial=0.0)), axis.unit)
+                for i, axis in enumerate(self.bench.machine.axes)
+            },
+            before=Deviation.of(uncompensated, meant, lines[motion]),
+            after=Deviation.of(compensated, meant, lines[motion]),
+            rounding_um=float(rounding.max(initial=0.0)),
+            solver_um=float(exact.max(initial=0.0)),
+            classes=self._classes(before, after, meant),
+            out_of_range=self._out_of_range(),
+            orientation_left=self._orientation_left(),
+            not_met=self._not_met(),
+            notes=tuple(notes),
+            orientation_asked=self.pieces.scope.asked and self.pieces.scope.orientation,
+        )
+
+    def _left_at_ends(self, commands: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """(k,) µm between point and target at piece ends, of what the scope corrects.
+
+        Unchecked: a command within rounding of a limit may lie just beyond it before it is printed.
+        """
+        point = self.pieces.point.reached(commands[good] * self.bench.machine.scale)[1]
+        return np.linalg.norm(point * 1e3 - self.rows.target.point_mm[good], axis=1) * 1e3
+
+    def _classes(self, before: np.ndarray, after: np.ndarray, meant: Poses) -> tuple[ClassShare, ...]:
+        shares = []
+        reached = self.bench.space.nominal.forward(after)
+        for name in BASIC:
+            alone = self.bench.limited(lambda error, name=name: iso_class(error, self.bench.machine) == name)  # type: ignore[misc]
+            found = alone.calibration
+            if not (found.curves or found.squareness or found.location):
+                continue
+            share = np.linalg.norm(alone.forward(before).point_mm - meant.point_mm, axis=1) * 1e3
+            turn = angle_between_rad(alone.forward(before).axis, meant.axis) * 1e6
+            corrected = None if self.bench.options.method == "thesis" else name in self.pieces.scope.classes
+            left = np.linalg.norm(alone.forward(after).point_mm - reached.point_mm, axis=1) * 1e3
+            shares.append(
+                ClassShare(
+                    name=name,
+                    corrected=corrected,
+                    before_rms_um=_rms(share),
+                    before_max_um=float(share.max(initial=0.0)),
+                    before_max_urad=float(turn.max(initial=0.0)),
+                    left_rms_um=None if corrected is None else 0.0 if corrected else _rms(left),
+                )
+            )
+        return tuple(shares)
+
+    def _out_of_range(self) -> tuple[LineNote, ...]:
+        notes = {}
+        for row in np.flatnonzero(self.rows.untouched | self.rows.clamped):
+            number = self.program.lines[self.pieces.path.motions[self.rows.motion[row]].move.line].number
+            if number in notes:
+                continue
+            asked = self.rows.nominal[row] if self.rows.untouched[row] else self.rows.exact[row]
+            wrong = [
+                f"{axis.name} {value:.4f} outside {axis.lower:g} … {axis.upper:g} {axis.unit}"
+                for axis, value in zip(self.bench.machine.axes, asked, strict=True)
+                if axis.lower is not None
+                and axis.upper is not None
+                and not axis.lower - 1e-9 <= value <= axis.upper + 1e-9
+            ] or ["outside the domain of an error motion"]
+            done = "left as written" if self.rows.untouched[row] else "stopped at the limit"
+            notes[number] = LineNote(number, f"{'; '.join(wrong)}: {done}")
+        return tuple(notes.values())
+
+    def _orientation_left(self) -> tuple[LineNote, ...]:
+        worst: dict[int, float] = {}
+        for row in np.flatnonzero(self.rows.singular):
+            number = self.program.lines[self.pieces.path.motions[self.rows.motion[row]].move.line].number
+            worst[number] = max(worst.get(number, 0.0), float(self.rows.orientation_left[row]))
+        return tuple(
+            LineNote(number, f"{angle * 1e6:.1f} µrad of orientation left: the rotary axes cannot repair it here")
+            for number, angle in worst.items()
+        )
+
+    def _not_met(self) -> tuple[LineNote, ...]:
+        if self.bench.options.method == "thesis":
+            return ()
+        dense = np.flatnonzero(self.pieces.interpolated)
+        worst = self.pieces.between(dense, self.rows) if dense.size else np.zeros(0)
+        limit = self.bench.options.tolerance_mm
+        stuck = set(self.rows.motion[self.rows.clamped | self.rows.untouched].tolist())
+        return tuple(
+            LineNote(
+                self.program.lines[self.pieces.path.motions[m].move.line].number,
+                f"{error * 1e3:.2f} µm between ends, after splitting in {self.pieces.count[m]}",
+            )
+            for m, error in zip(dense, worst, strict=True)
+            if error > limit and m not in stuck
+        )
+
+
+def _note(program: Program, notice: Notice) -> LineNote:
+    return LineNote(program.lines[notice.line].number, notice.text)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,0 +1,84 @@
+"""What stays the same for every program: machine, calibration, tool and the user's choices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, final
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.compensation.thesis import ThesisMethod
+from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.iso16907 import Scope
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.toolpath import Setup, WordSpace
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the fraction done."""
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """What to do, beside the machine and its calibration.
+
+    Attributes:
+        setup: work offsets and origin.
+        tool_length_mm: None for the machine file's own.
+        tcp: whether the control's kinematics are on from the start.
+        scope: None for everything the program can carry.
+        tolerance_mm: error allowed between the ends of a block, and of a chord.
+        rotary_limit_deg: how far a rotary axis may move to repair an orientation.
+        method: ``exact``, or ``thesis`` for the baseline of `twin.thesis`.
+    """
+
+    setup: Setup = field(default_factory=Setup)
+    tool_length_mm: float | None = None
+    tcp: bool = False
+    scope: Scope | None = None
+    tolerance_mm: float = 1e-3
+    rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG
+    method: Literal["exact", "thesis"] = "exact"
+
+
+@final
+class Bench:
+    """One machine with one calibration, set up.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        options: what to do.
+
+    Attributes:
+        space: words to commands on the machine as drawn.
+        full: the machine with all its errors.
+        thesis: the baseline, where it is asked for.
+        increment: (axes,) least increments in the order of the words.
+
+    Raises:
+        InputError: the machine cannot run programs, or the method does not fit it.
+    """
+
+    def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
+        self.machine = machine
+        self.calibration = calibration
+        self.options = options
+        self.space = WordSpace(machine, options.setup, options.tool_length_mm)
+        self.full = Kinematics(machine, calibration, tool_length_mm=options.tool_length_mm)
+        self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
+        self.increment = np.array([axis.increment for axis in machine.axes])[self.space.order]
+        self.limits = machine.limits / machine.scale[:, None]
+
+    def limited(self, keep: Callable[[str], bool]) -> Kinematics:
+        """The machine with only some of its errors."""
+        return Kinematics(self.machine, self.calibration.where(keep), tool_length_mm=self.options.tool_length_mm)
+
+    def outside(self, commands: np.ndarray) -> np.ndarray:
+        """(n,) whether commands (mm, degrees) leave an axis's range or a curve's domain."""
+        slack = 1e-9
+        inside = ((commands >= self.limits[:, 0] - slack) & (commands <= self.limits[:, 1] + slack)).all(axis=1)
+        return np.asarray(~inside | self.full.outside_domain(commands).any(axis=1))

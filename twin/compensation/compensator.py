@@ -1,0 +1,148 @@
+"""A program in, the program out whose execution on the machine with errors lands where the first one meant.
+
+What comes out is read back and compared with what was meant, then re-simulated, before anybody sees it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.compensation.account import Account
+from twin.compensation.bench import Bench, Options, Progress
+from twin.compensation.pieces import Pieces, Rows
+from twin.compensation.report import Report
+from twin.errors import InputError, OutputError
+from twin.machine import Machine
+from twin.nc.blocks import Dialect, Program, Reading, Rewrite
+from twin.toolpath import Path, follow
+
+PRINTED_MM: float = 2e-4
+"""What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
+
+
+@final
+@dataclass(frozen=True)
+class Compensation:
+    """A compensated program.
+
+    Attributes:
+        text: the program, to be written as latin-1.
+        report: what was done and what is left.
+        reading: the program as read.
+        rewrites: the new positions, in words.
+        path: the program as motions.
+        nominal: (rows, axes) nominal commands of every block's pieces, mm and degrees.
+        exact: (rows, axes) compensated commands before the linear words were rounded.
+        commands: (rows, axes) compensated commands as printed.
+        lines: (rows,) program line of each.
+    """
+
+    text: str
+    report: Report
+    reading: Reading
+    rewrites: tuple[Rewrite, ...]
+    path: Path
+    nominal: np.ndarray
+    exact: np.ndarray
+    commands: np.ndarray
+    lines: np.ndarray
+
+
+@final
+class Compensator:
+    """Compensates programs on one machine with one calibration.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        options: what to do.
+
+    Raises:
+        InputError: the machine cannot run programs, or the method does not fit it.
+    """
+
+    def __init__(self, machine: Machine, calibration: Calibration, options: Options | None = None) -> None:
+        self.bench = Bench(machine, calibration, Options() if options is None else options)
+
+    def compensate(self, program: Program, dialect: Dialect, progress: Progress | None = None) -> Compensation:
+        """Compensate one program.
+
+        Raises:
+            InputError: the program cannot be read, or something in it must not pass uncompensated.
+            OutputError: the text produced does not say what was meant; nothing was written.
+        """
+        say = progress or (lambda stage, fraction: None)
+        say("reading", 0.0)
+        axes = self.bench.space.axes
+        reading = dialect.moves(program, axes, tcp=self.bench.options.tcp)
+        path = follow(program, reading, self.bench.space)
+        if not path.motions:
+            raise InputError(
+                "no block that moves an axis to a known place", expected="a program with motion", file=program.source
+            )
+        pieces = Pieces(self.bench, path, reading, dialect)
+        say("solving", 0.1)
+        rows = pieces.solve(say)
+        rewrites = _rewrites(pieces, rows)
+        say("writing", 0.8)
+        text = dialect.rewrite(program, axes, reading, rewrites)
+        again = dialect.moves(dialect.read(text.encode("latin-1"), program.source), axes, tcp=self.bench.options.tcp)
+        _verify(program, reading, rewrites, again)
+        say("checking", 0.9)
+        report = Account(self.bench, pieces, rows, program).report()
+        say("done", 1.0)
+        lines = np.array([program.lines[path.motions[m].move.line].number for m in rows.motion])
+        return Compensation(
+            text, report, reading, tuple(rewrites), path, rows.nominal, rows.exact, rows.commands, lines
+        )
+
+
+def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:
+    """One a motion, in order."""
+    found = []
+    bounds = np.searchsorted(rows.motion, np.arange(len(pieces.path.motions) + 1))
+    kept = np.zeros(len(pieces.path.motions), dtype=bool)
+    kept[rows.motion[rows.untouched]] = True
+    for i, motion in enumerate(pieces.path.motions):
+        if kept[i]:
+            continue
+        part = slice(bounds[i], bounds[i + 1])
+        positions = rows.printed[part].copy()
+        vectors = None
+        if pieces.by_vector[i] or not pieces.turns:
+            positions[:, 3:] = np.nan  # no rotary words: the vector says it, or the program has none
+        if pieces.by_vector[i]:
+            vectors = rows.vectors[part]
+        found.append(Rewrite(motion.move, positions, vectors))
+    return found
+
+
+def _verify(program: Program, reading: Reading, rewrites: list[Rewrite], again: Reading) -> None:
+    """Compare the output, read back: every position with what was meant.
+
+    Raises:
+        OutputError: they differ.
+    """
+    moves = again.moves
+    by_move = {id(rewrite.move): rewrite for rewrite in rewrites}
+    position = 0
+    for move in reading.moves:
+        rewrite = by_move.get(id(move))
+        wanted = np.array([move.position]) if rewrite is None else rewrite.positions
+        found = moves[position : position + len(wanted)]
+        position += len(wanted)
+        line = program.lines[move.line].number
+        if len(found) < len(wanted):
+            raise OutputError(f"{program.source}:{line}: a block was lost on the way out")
+        got = np.array([one.position for one in found])
+        off = np.abs(got - wanted) > PRINTED_MM
+        if rewrite is not None and np.any(off):
+            raise OutputError(
+                f"{program.source}:{line}: the output says {got[off.any(axis=1)][0]}, not {wanted[off.any(axis=1)][0]}"
+            )
+    if position != len(moves):
+        raise OutputError(f"{program.source}: {len(moves)} moves in the output, {position} meant")
