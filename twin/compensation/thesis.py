@@ -105,8 +105,8 @@ class ThesisMethod:
         if lo < 0.0 <= hi:
             # The table runs from 0 down to lo; a negative index counts from its end.
             whole = np.where(whole < 0.0, lo - 1.0 - whole, whole)
-        elif lo == 0.0 and hi >= 360.0:
-            whole = np.mod(whole, hi - lo)
+        elif self._calibration.machine.by_name[name[3:]].lower is None:
+            whole = lo + np.mod(whole - lo, hi - lo)
         values = curve(np.clip(whole, lo, hi))
         at_zero = curve(np.clip(0.0, lo, hi))
         return np.asarray(values - at_zero if len(curve.coefficients) > 2 else values)

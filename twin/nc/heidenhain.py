@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import final
 
@@ -11,10 +10,9 @@ from twin.nc.emit import Said, pieces_of, vector_texts
 from twin.nc.heidenhain_state import Interpreter, PathBlock
 from twin.nc.heidenhain_words import HEAD
 from twin.nc.iso_block import AxisWord
-from twin.nc.text import Style, apply_edits, ending, newline_of, number, read_lines, style_of
+from twin.nc.text import Style, apply_edits, ending, newline_of, number, read_lines, style_in, style_of
 
 VECTOR_DECIMALS = 7
-_DECIMAL = re.compile(r"[XYZABCUVW][+-]?\d*([.,])\d", re.ASCII | re.IGNORECASE)
 Pieces = tuple[Rewrite, list[list[float]]]
 
 
@@ -45,7 +43,7 @@ class Heidenhain(Dialect):
         if not by_line:
             return program.text
         interpreter = Interpreter(program.source, axes, tcp=reading.moves[0].tcp)
-        writer = _Writer(axes, newline_of(program), comma=_uses_comma(program))
+        writer = _Writer(axes, newline_of(program), style_in(program, Style(plus=True)))
         for index, line in enumerate(program.lines):
             writer.block(interpreter.step(index, line.text), by_line.get(index))
         return writer.text()
@@ -55,12 +53,12 @@ class Heidenhain(Dialect):
 class _Writer:
     """Writes a program block by block, remembering what the output said."""
 
-    def __init__(self, axes: AxisWords, newline: str, *, comma: bool) -> None:
+    def __init__(self, axes: AxisWords, newline: str, style: Style) -> None:
         self.names = axes.names
         self.linear = len(axes.linear)
         self.newline = newline
         self.said = Said(axes)
-        self.style = Style(plus=True, comma=comma)
+        self.style = style
         self.lower = False
         self.out: list[str] = []
         self.numbered: list[bool] = []
@@ -188,7 +186,9 @@ class _Writer:
         old = block.text[word.value_start : word.value_end]
         if number(old) == number(old):
             self.style = style_of(old, self.style)._replace(plus=True)
-        return self._say(block, word.axis, target, word.incremental)
+        new = self._say(block, word.axis, target, word.incremental)
+        value = number(old)
+        return old if value == number(new) and old[0] in "+-" and (value != 0.0 or old[0] != "-") else new
 
     def _say(self, block: PathBlock, axis: int, target: float, incremental: bool) -> str:
         inch = block.inch and axis < self.linear
@@ -212,15 +212,6 @@ class _Writer:
             else:
                 words.append(f"T{'XYZ'[index]}{text}")
         return words
-
-
-def _uses_comma(program: Program) -> bool:
-    """Whether the first number with decimals in an axis word has a comma."""
-    for line in program.lines:
-        found = _DECIMAL.search(line.text)
-        if found is not None:
-            return found.group(1) == ","
-    return False
 
 
 def _before(text: str, start: int) -> int:

@@ -9,7 +9,7 @@ from twin.nc.blocks import AxisWords, Dialect, Move, Program, Reading, Rewrite
 from twin.nc.emit import pieces_of
 from twin.nc.iso_state import Interpreter
 from twin.nc.iso_write import Writer
-from twin.nc.text import newline_of, read_lines
+from twin.nc.text import Style, newline_of, read_lines, style_in
 
 
 @final
@@ -43,7 +43,9 @@ class Iso(Dialect):
         interpreter = Interpreter(program.source, axes, tcp=reading.moves[0].tcp)
         cycles = {move.line for move in reading.moves}
         drilled = len(cycles) != len(reading.moves) and (strokes or _touches_cycle(reading, by_line))
-        writer = Writer(program.source, axes, newline_of(program), expand_cycles=drilled)
+        writer = Writer(
+            program.source, axes, newline_of(program), style_in(program, Style(point=True)), expand_cycles=drilled
+        )
         out: list[str] = []
         for index, line in enumerate(program.lines):
             block = interpreter.step(index, line.text)

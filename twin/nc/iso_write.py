@@ -25,7 +25,7 @@ class Writer:
         motion: motion code in force in the output (None: before the first, or uncertain).
     """
 
-    def __init__(self, source: str, axes: AxisWords, newline: str, *, expand_cycles: bool) -> None:
+    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, expand_cycles: bool) -> None:
         self.source = source
         self.names = axes.names
         self.linear = len(axes.linear)
@@ -33,7 +33,7 @@ class Writer:
         self.expand_cycles = expand_cycles
         self.said = Said(axes)
         self.motion: int | None = None
-        self.style = Style(point=True)
+        self.style = style
         self.spaced = True
         self.lower = False
         self.wide = False
@@ -257,7 +257,9 @@ class Writer:
             self.said.say(axis, target, block.inch, False, self.style)
             value = self.said.value[axis] % 360.0
             return format_number(value, 9, self.style._replace(keep=0)) if value < 359.9999999995 else "0"
-        return self._say(line, axis, target, block.inch, word.incremental)
+        new = self._say(line, axis, target, block.inch, word.incremental)
+        value = number(old)
+        return old if value == number(new) and (value != 0.0 or old[0] != "-") else new
 
     def _added(self, line: int, block: Block, axis: int, target: float) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]

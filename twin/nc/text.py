@@ -92,6 +92,8 @@ def style_of(text: str, base: Style) -> Style:
     comma = "," in text
     whole, separator, fraction = text.partition("," if comma else ".")
     if not separator:
+        if not whole.strip("+- \t0"):  # a bare zero is written like that in any style
+            return Style(base.point, base.keep, base.lead, plus, base.comma)
         return Style(False, 0, base.lead, plus, base.comma)
     digits = whole.lstrip("+- \t")
     if not fraction:
@@ -100,6 +102,23 @@ def style_of(text: str, base: Style) -> Style:
     if fraction[-1] == "0":
         return Style(False, len(fraction), lead, plus, comma)
     return Style(base.point, base.keep, lead, plus, comma)
+
+
+_AXIS_NUMBER = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*([+-]?\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
+
+
+def style_in(program: Program, base: Style) -> Style:
+    """The style of a program's axis words, as far as its first ones tell."""
+    style = base
+    seen = 0
+    for line in program.lines:
+        for text in _AXIS_NUMBER.findall(line.text):
+            if text.strip("+-.,"):
+                style = style_of(text, style)
+                seen += 1
+        if seen > 100:
+            break
+    return style._replace(plus=base.plus)
 
 
 @lru_cache(maxsize=256)
