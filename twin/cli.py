@@ -19,7 +19,7 @@ from rich.table import Table
 
 from twin.budget import BudgetRow, error_budget
 from twin.calibration import Calibration
-from twin.compensation import Compensation, Compensator, Options
+from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole
@@ -27,7 +27,7 @@ from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import NAMES, Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
-from twin.nc import dialect_for, find_program, posted
+from twin.nc import dialect_for, find_program, read_program
 from twin.scene import ScenePath, scene_html
 from twin.toolpath import Setup, WordSpace, follow
 
@@ -166,7 +166,8 @@ def compensate(
     source = find_program(program)
     _positive("--tolerance", tolerance)
     _positive("--rotary-limit", rotary_limit)
-    dialect, target = dialect_for(source), dialect_for(output)
+    read, dialect = read_program(source)
+    target = dialect_for(output)
     if target.name != dialect.name and dialect.name != "apt":
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
@@ -188,11 +189,9 @@ def compensate(
     )
     compensator = Compensator(loaded, _calibration(calibration, loaded), options)
     with _progress() as say:
-        read = dialect.read(source.read_bytes(), str(source))
-        result: Compensation = compensator.compensate(read, dialect, say)
-        text = result.text if target.name == dialect.name else posted(read, result, compensator, target.name)
+        result = compensator.compensate(read, dialect, say, into=target)
     account = result.report.to_text()
-    write_whole(output, text.encode("latin-1"))
+    write_whole(output, result.text.encode("latin-1"))
     if json_file is not None:
         write_whole(json_file, json.dumps(result.report.to_dict(), indent=1) + "\n")
     if report_file is not None:
@@ -221,7 +220,7 @@ def scene(
     """
     loaded = Machine.load(machine)
     source = find_program(program)
-    dialect = dialect_for(source)
+    read, dialect = read_program(source)
     check_writable([output])
     if exaggeration is not None:
         _positive("--exaggeration", exaggeration)
@@ -230,7 +229,6 @@ def scene(
     space = WordSpace(loaded, _setup(loaded, work_offset, work_origin), tool_length)
     with _progress() as say:
         say("reading", 0.0)
-        read = dialect.read(source.read_bytes(), str(source))
         path = follow(read, dialect.moves(read, space.axes, tcp=mode is Mode.tcp), space)
         say("running", 0.2)
         run = execute(read, path, space, real)

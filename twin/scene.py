@@ -81,7 +81,7 @@ def scene_html(
         illustrative: say in the page that the calibration is drawn, not measured.
 
     Returns:
-        The page's text, about 1 MB.
+        The page's text, 1 to 3 MB.
 
     Raises:
         InputError: the path does not fit the machine, a number is out of range, or the URDF has shapes that cannot be drawn.
@@ -238,9 +238,17 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
                 value=type(shape).__name__,
             )
         corners = half * _CORNERS
-        colour = tuple(float(part) for part in entry.meshColor)
+        red, green, blue, alpha = (float(part) for part in entry.meshColor)
+        colour = (red, green, blue, alpha)
         visuals.append(
-            _Visual(str(frame.name), geometry, placement @ turn, colour, _moved(placement, edges), _moved(placement, corners))  # type: ignore[arg-type]
+            _Visual(
+                str(frame.name),
+                geometry,
+                placement @ turn,
+                colour,
+                _moved(placement, edges),
+                _moved(placement, corners),
+            )
         )
     return visuals
 
@@ -256,8 +264,9 @@ def _box_edges(half: np.ndarray) -> np.ndarray:
 def _rims(radius: float, half_length: float, count: int = 40) -> np.ndarray:
     angles = 2 * np.pi * np.arange(count + 1) / count
     circle = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(count + 1)])
+    up = np.array([0.0, 0.0, half_length])
     segments = np.stack([circle[:-1], circle[1:]], axis=1).reshape(-1, 3)
-    return np.concatenate([segments + [0, 0, half_length], segments - [0, 0, half_length]])
+    return np.concatenate([segments + up, segments - up])
 
 
 def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) -> np.ndarray:
@@ -267,7 +276,9 @@ def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) 
         pose = poses[:, links.index(visual.link)]
         points.append((np.einsum("nij,kj->nki", pose[:, :3, :3], visual.corners) + pose[:, None, :3, 3]).reshape(-1, 3))
     every = np.concatenate(points)
-    ways = np.array([(x, y, z) for x in (-2, -1, 0, 1, 2) for y in (-2, -1, 0, 1, 2) for z in (-2, -1, 0, 1, 2)], dtype=float)
+    ways = np.array(
+        [(x, y, z) for x in (-2, -1, 0, 1, 2) for y in (-2, -1, 0, 1, 2) for z in (-2, -1, 0, 1, 2)], dtype=float
+    )
     return np.asarray(np.unique(every[np.argmax(every @ ways.T, axis=0)].round(4), axis=0))
 
 
@@ -307,7 +318,8 @@ def _path_commands(
     for name, radius, sides, limit in (("fine", fine, 6, MAX_POINTS), ("bold", bold, 4, MAX_POINTS // 3)):
         if cuts and radius > 0:
             pieces = [
-                tube(shown[run], np.full(len(run), radius), colours[run], sides) for run in thinned(cuts, limit, path.worst)
+                tube(shown[run], np.full(len(run), radius), colours[run], sides)
+                for run in thinned(cuts, limit, path.worst)
             ]
             commands.append(_mesh(joined(pieces), node.append(name)))
     if cuts and fine > 0:
@@ -322,7 +334,12 @@ def _path_commands(
     blocks = [block for block in arrow_blocks(path, vectors) if path.deviation_um[block] > 0]
     if blocks and fine > 0:
         arrows = [
-            arrow(nominal[block], shown[block], (1.3 if block == path.worst else 0.9) * fine, _RED if block == path.worst else _INK)
+            arrow(
+                nominal[block],
+                shown[block],
+                (1.3 if block == path.worst else 0.9) * fine,
+                _RED if block == path.worst else _INK,
+            )
             for block in blocks
         ]
         commands.append(_mesh(joined(arrows), node.append("arrows")))
@@ -356,7 +373,7 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
     floor = NodePath(("floor",))
     thickness = 0.004 * float(np.linalg.norm(span))
     slab = shapes.Box([1.16 * span[0], 1.16 * span[1], thickness])
-    lights = {
+    lights: dict[str, dict[str, Any]] = {
         "AmbientLight": {"intensity": 0.6},
         "FillLight": {"intensity": 0.38, "position": [-2.0, -5.0, 4.0]},
         "PointLightNegativeX": {"visible": False},
@@ -388,7 +405,9 @@ def _mesh(mesh: Mesh, node: NodePath) -> SetObject:
 
 def _lines(segments: np.ndarray, colour: tuple[float, float, float] | None, node: NodePath) -> SetObject:
     """(2k, 3) ends of segments; the colour of edges where none is given."""
-    material = shapes.LineBasicMaterial(color=_EDGE if colour is None else _hex(colour), opacity=0.55 if colour is None else 1.0)
+    material = shapes.LineBasicMaterial(
+        color=_EDGE if colour is None else _hex(colour), opacity=0.55 if colour is None else 1.0
+    )
     return SetObject(shapes.LineSegments(shapes.PointsGeometry(segments.astype(np.float32).T), material), path=node)
 
 

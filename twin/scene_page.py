@@ -19,7 +19,8 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
 #panel header { padding: 9px 14px 7px; background: #ffffff; border: 1px solid #c3cad2; border-radius: 8px 8px 0 0; }
 #panel h2 { margin: 0; font-size: 15px; font-weight: 650; }
 #panel header p { margin: 0; color: #59616b; font-size: 12.5px; }
-#closeup { flex: 1; min-height: 120px; border: 1px solid #c3cad2; border-width: 0 1px; pointer-events: auto; cursor: grab; touch-action: none; }
+#closeup { flex: 1; min-height: 120px; border: 1px solid #c3cad2; border-width: 0 1px;
+  pointer-events: auto; cursor: grab; touch-action: none; }
 #paper { position: fixed; z-index: 0; background: #ffffff; }
 #legend { padding: 10px 14px 11px; background: #ffffff; border: 1px solid #c3cad2; border-radius: 0 0 8px 8px; }
 #colours { height: 13px; border-radius: 3px; background: linear-gradient(to right, $gradient); }
@@ -30,12 +31,14 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
 #figures span { color: #59616b; font-size: 12.5px; }
 #key { margin: 6px 0 0; font-size: 12.5px; color: #444b54; display: flex; flex-wrap: wrap; gap: 0 16px; }
 #key i { display: inline-block; width: 20px; height: 0; border-top: 2px solid; vertical-align: 4px; margin-right: 5px; }
-.notice { margin: 8px 0 0; padding: 5px 9px; background: #fff1cf; border: 1px solid #d9a321; border-radius: 5px; font-weight: 650; font-size: 13px; }
+.notice { margin: 8px 0 0; padding: 5px 9px; background: #fff1cf; border: 1px solid #d9a321; border-radius: 5px;
+  font-weight: 650; font-size: 13px; }
 #callout { display: none; padding: 1px 7px; background: #ffffffee; border: 1px solid #d61a1f; border-radius: 4px; color: #a01014;
   font-size: 12.5px; font-weight: 600; white-space: nowrap; pointer-events: none; }
 #bar { left: 16px; right: 16px; bottom: 14px; min-height: 34px; padding: 8px 12px; display: flex; align-items: center; gap: 14px;
   background: #ffffff; border: 1px solid #c3cad2; border-radius: 8px; }
-#bar button { font: inherit; font-weight: 600; min-width: 84px; padding: 5px 10px; border: 1px solid #97a1ad; border-radius: 6px; background: #f2f5f8; cursor: pointer; white-space: nowrap; }
+#bar button { font: inherit; font-weight: 600; min-width: 84px; padding: 5px 10px; border: 1px solid #97a1ad;
+  border-radius: 6px; background: #f2f5f8; cursor: pointer; white-space: nowrap; }
 #bar button:hover { background: #e3e9ef; }
 #now { font-variant-numeric: tabular-nums; font-size: 13px; display: flex; gap: 12px; white-space: nowrap; }
 #now span { display: inline-block; text-align: right; }
@@ -193,18 +196,30 @@ _SCRIPT = """
     const block = part > 0 ? high : low;
     cells.line.innerHTML = "<em>line</em> " + page.line[block];
     page.axes.forEach((axis, i) => {
-      cells[axis.name].innerHTML = "<em>" + axis.name + "</em> " + between(page.q[low][i], page.q[high][i]).toFixed(axis.unit === "mm" ? 2 : 1) + (axis.unit === "mm" ? "" : "°");
+      const value = between(page.q[low][i], page.q[high][i]);
+      const text = axis.unit === "mm" ? value.toFixed(2) : value.toFixed(1) + "°";
+      cells[axis.name].innerHTML = "<em>" + axis.name + "</em> " + text;
     });
     cells.um.innerHTML = page.cutting[block] ? between(page.um[low], page.um[high]).toFixed(1) + " <em>µm</em>" : "<em>rapid</em>";
     slider.value = Math.round(1000 * share);
   }
   const label = () => { play.textContent = animator.playing ? "❚❚ Pause" : "▶ Play"; };
   function toggle() { if (animator.playing) animator.pause(); else { animator.play(); } label(); }
-  function seek(time) { if (animator.playing) animator.pause(); animator.seek(time); animator.display_progress(time); label(); viewer.set_dirty(); }
+  function seek(time) {
+    if (animator.playing) animator.pause();
+    animator.seek(time);
+    animator.display_progress(time);
+    label();
+    viewer.set_dirty();
+  }
   if (moves) {
     play.addEventListener("click", toggle);
     slider.addEventListener("input", () => seek(page.seconds * slider.value / 1000));
-    window.addEventListener("keydown", event => { if (event.code === "Space" && event.target !== play) { event.preventDefault(); toggle(); } });
+    window.addEventListener("keydown", event => {
+      if (event.code !== "Space" || event.target === play) return;
+      event.preventDefault();
+      toggle();
+    });
     // page.html#t=12.5 opens at that second, paused.
     const wanted = /[#&]t=([0-9.]+)/.exec(location.hash);
     if (wanted) seek(Math.min(page.seconds, Number(wanted[1])));

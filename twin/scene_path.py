@@ -20,19 +20,22 @@ SHOWN_SHARE = 0.08
 """Of the path's extent: how large the largest deviation is shown, about."""
 
 # Viridis (CC0, Smith and van der Walt) at 0, 1/8 … 1: even to the eye and readable without colour vision.
-_VIRIDIS = np.array(
-    [
-        (68, 1, 84),
-        (71, 45, 123),
-        (59, 82, 139),
-        (44, 114, 142),
-        (33, 145, 140),
-        (40, 174, 128),
-        (94, 201, 98),
-        (173, 220, 48),
-        (253, 231, 37),
-    ]
-) / 255.0
+_VIRIDIS = (
+    np.array(
+        [
+            (68, 1, 84),
+            (71, 45, 123),
+            (59, 82, 139),
+            (44, 114, 142),
+            (33, 145, 140),
+            (40, 174, 128),
+            (94, 201, 98),
+            (173, 220, 48),
+            (253, 231, 37),
+        ]
+    )
+    / 255.0
+)
 
 
 @final
@@ -63,13 +66,21 @@ class ScenePath:
         count = len(self.positions)
         if count == 0:
             raise InputError("nothing to show", expected="a program with at least one motion")
-        shapes = {"positions": (count, axes), "nominal_mm": (count, 3), "actual_mm": (count, 3), "cutting": (count,), "lines": (count,)}
+        points = (count, 3)
+        shapes = {
+            "positions": (count, axes),
+            "nominal_mm": points,
+            "actual_mm": points,
+            "cutting": (count,),
+            "lines": (count,),
+        }
         for name, shape in shapes.items():
             array = np.asarray(getattr(self, name))
             if array.shape != shape:
                 raise InputError(f"{name} of the wrong shape", expected=str(shape), value=array.shape)
             if not np.all(np.isfinite(array)):
-                raise InputError(f"{name} with a value that is no number", expected="finite values", value=array[~np.isfinite(array)][0])
+                wrong = array[~np.isfinite(array)][0]
+                raise InputError(f"{name} with a value that is no number", expected="finite values", value=wrong)
 
     @cached_property
     def deviation_um(self) -> np.ndarray:
@@ -147,7 +158,9 @@ def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...])
         moments = np.linspace(0.0, knots[-1], MAX_KEYFRAMES)
     positions = np.column_stack([np.interp(moments, knots, column) for column in path.positions[kept].T])
     following = np.minimum(np.searchsorted(knots, moments, side="left"), len(kept) - 1)
-    return Keyframes(moments / knots[-1], positions, np.interp(moments, knots, path.deviation_um[kept]), kept[following])
+    return Keyframes(
+        moments / knots[-1], positions, np.interp(moments, knots, path.deviation_um[kept]), kept[following]
+    )
 
 
 def chosen_exaggeration(path: ScenePath) -> float:
@@ -265,7 +278,9 @@ def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int)
     vertices = points[:, None] + radii[:, None, None] * circle
     first = (np.arange(len(points) - 1)[:, None] * sides + np.arange(sides)).ravel()
     turned = (np.arange(len(points) - 1)[:, None] * sides + (np.arange(sides) + 1) % sides).ravel()
-    faces = np.concatenate([np.column_stack([first, turned, turned + sides]), np.column_stack([first, turned + sides, first + sides])])
+    faces = np.concatenate(
+        [np.column_stack([first, turned, turned + sides]), np.column_stack([first, turned + sides, first + sides])]
+    )
     return Mesh(vertices.reshape(-1, 3), faces, np.repeat(colours, sides, axis=0))
 
 

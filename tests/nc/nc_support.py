@@ -50,8 +50,6 @@ def rewritten(
     return dialect.rewrite(program, AXES, reading, rewrites), intended
 
 
-
-
 def distinct(rows: list[np.ndarray]) -> list[tuple[float, ...]]:
     """Rows without repetitions, as tuples; unknown as None-like strings so that they compare."""
     result: list[tuple[float, ...]] = []

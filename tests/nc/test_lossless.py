@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program, read_moves
 
+from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program, read_moves
 from twin.errors import InputError
 from twin.nc import dialect_for
 

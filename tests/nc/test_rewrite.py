@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tests.nc.nc_support import (
     AXES,
     NAMES,
@@ -20,7 +21,6 @@ from tests.nc.nc_support import (
     read_moves,
     rewritten,
 )
-
 from twin.nc import dialect_for
 from twin.nc.blocks import Kind, Rewrite
 from twin.nc.text import printed
@@ -115,7 +115,7 @@ def test_every_axis_is_where_it_should_be_plain(rows, text):
     tolerance = HALF_INCH_STEP if "INCH" in text else 1e-6
     moves = read_moves(PLAIN, out).moves
     close([move.position for move in moves], intended, tolerance)
-    modal = [row for row in plain_positions(out)]
+    modal = plain_positions(out)
     for row, move in zip(modal, moves, strict=True):
         known = np.isfinite(move.position)
         np.testing.assert_allclose(np.array(row)[known], np.array(move.position)[known], rtol=0, atol=1e-6)
@@ -128,7 +128,7 @@ def test_every_location_is_where_it_should_be_apt(text):
         return pieces
 
     def tools(move, count):
-        tilted = np.array(move.vector) + [0.01, 0.0, 0.0]
+        tilted = np.add(move.vector, (0.01, 0.0, 0.0))
         return np.array([move.vector, tilted / np.linalg.norm(tilted)])
 
     out, intended = rewritten(APT, text, rows, vectors=tools)
@@ -267,7 +267,7 @@ def test_an_arc_becomes_straight_pieces():
     assert arc.kind is Kind.ARC
     rewrite = Rewrite(arc, np.array([[5.0, 5.0, 0, 0, 0], [10.0, 0.0, 0, 0, 0]]))
     lines = ISO.rewrite(program, AXES, reading, [rewrite]).splitlines()[2:]
-    assert lines == ["G1 X5. Y5 F100", "X10. Y0", "G2 X20. I5. J0", "G1 X0", "Y3"]
+    assert lines == ["G1 X5. Y5. F100", "X10. Y0.", "G2 X20. I5. J0", "G1 X0", "Y3"]
 
 
 def test_a_full_circle_without_words():

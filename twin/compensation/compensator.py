@@ -18,6 +18,7 @@ from twin.compensation.report import Report
 from twin.errors import InputError, OutputError
 from twin.machine import Machine
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
+from twin.nc.post import post
 from twin.toolpath import Path, follow
 
 PRINTED_MM: float = 2e-4
@@ -68,8 +69,17 @@ class Compensator:
     def __init__(self, machine: Machine, calibration: Calibration, options: Options | None = None) -> None:
         self.bench = Bench(machine, calibration, Options() if options is None else options)
 
-    def compensate(self, program: Program, dialect: Dialect, progress: Progress | None = None) -> Compensation:
+    def compensate(
+        self, program: Program, dialect: Dialect, progress: Progress | None = None, *, into: Dialect | None = None
+    ) -> Compensation:
         """Compensate one program.
+
+        Args:
+            program: as read.
+            dialect: its language.
+            progress: called with a stage and the fraction done.
+            into: the language to write; another than the program's own only for cutter locations (APT), which are then
+                posted as axis words.
 
         Raises:
             InputError: the program cannot be read, or something in it must not pass uncompensated.
@@ -84,13 +94,19 @@ class Compensator:
             raise InputError(
                 "no block that moves an axis to a known place", expected="a program with motion", file=program.source
             )
-        pieces = Pieces(self.bench, path, reading, dialect)
+        written = dialect if into is None else into
+        posted = written.name != dialect.name
+        pieces = Pieces(self.bench, path, reading, dialect, posted=posted)
         say("solving", 0.1)
         rows = pieces.solve(say)
         rewrites = _rewrites(pieces, rows)
         say("writing", 0.8)
-        text = dialect.rewrite(program, axes, reading, rewrites)
-        again = dialect.moves(dialect.read(text.encode("latin-1"), program.source), axes, tcp=self.bench.options.tcp)
+        if posted:
+            text = post(program, reading, rewrites, axes, "heidenhain" if written.name == "heidenhain" else "iso")
+        else:
+            text = dialect.rewrite(program, axes, reading, rewrites)
+        tcp = self.bench.options.tcp and not posted
+        again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         _verify(program, reading, rewrites, again)
         say("checking", 0.9)
         report = Account(self.bench, pieces, rows, program).report()
@@ -108,7 +124,7 @@ def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:
     kept = np.zeros(len(pieces.path.motions), dtype=bool)
     kept[rows.motion[rows.untouched]] = True
     for i, motion in enumerate(pieces.path.motions):
-        if kept[i]:
+        if kept[i] and not pieces.posted:
             continue
         part = slice(bounds[i], bounds[i + 1])
         positions = rows.printed[part].copy()

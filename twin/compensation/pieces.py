@@ -59,16 +59,19 @@ class Pieces:
         path: the program as motions.
         reading: the program as read.
         dialect: its language.
+        posted: whether axis words come out whatever went in (cutter locations written for a control).
 
     Attributes:
         count: (motions,) how many pieces each motion is in.
         turns: whether the program moves rotary axes at all.
         scope: what is corrected.
         interpolated: (motions,) whether the control follows a line or arc from a known start.
-        by_vector: (motions,) whether the program gives a tool vector.
+        by_vector: (motions,) whether a tool vector comes out.
+        tcp: (motions,) whether the words that went in are tool-tip coordinates.
+        tcp_out: (motions,) whether those that come out are.
     """
 
-    def __init__(self, bench: Bench, path: Path, reading: Reading, dialect: Dialect) -> None:
+    def __init__(self, bench: Bench, path: Path, reading: Reading, dialect: Dialect, *, posted: bool) -> None:
         self.bench = bench
         self.space = bench.space
         self.path = path
@@ -80,7 +83,9 @@ class Pieces:
         self.start = np.array([motion.start for motion in path.motions])
         self.end = np.array([motion.end for motion in path.motions])
         self.straight = np.array([motion.move.arc is None for motion in path.motions])
-        self.by_vector = np.array([motion.move.vector is not None for motion in path.motions])
+        self.by_vector = np.array([motion.move.vector is not None and not posted for motion in path.motions])
+        self.posted = posted
+        self.tcp_out = self.tcp & (not posted)
         self.interpolated = np.array([motion.interpolated for motion in path.motions])
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
         self.interpolated &= ~self.bench.outside(self.space.commands(self.start, self.tcp))
@@ -120,17 +125,13 @@ class Pieces:
             worst = self.between(candidates, rows)
             stuck = np.zeros(len(everything), dtype=bool)
             stuck[rows.motion[rows.clamped | rows.untouched]] = True
-            failing = (
-                (worst > self.bench.options.tolerance_mm)
-                & ~stuck[candidates]
-                & (self.count[candidates] < LARGEST_SPLIT)
-            )
+            failing = (worst > self.bench.options.tolerance_mm) & ~stuck[candidates]
+            failing &= self.count[candidates] < LARGEST_SPLIT
             candidates = candidates[failing]
             if not candidates.size:
                 break
-            factor = np.sqrt(
-                worst[failing] / self.bench.options.tolerance_mm
-            )  # the error between ends is quadratic in length
+            # The error between ends is quadratic in length.
+            factor = np.sqrt(worst[failing] / self.bench.options.tolerance_mm)
             grown = np.ceil(self.count[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
             self.count[candidates] = np.minimum(grown, LARGEST_SPLIT)
             rows = _replaced(rows, candidates, self._solve(*self._ends(candidates)))
@@ -184,16 +185,14 @@ class Pieces:
             commands, vectors = self._rotary_as_printed(commands, of)
             exact = self._point_inverse.solve(target, commands, rotary=False).positions
         clipped = np.clip(exact, limits[:, 0], limits[:, 1])
-        clamped = (np.abs(clipped - exact) > 0.5 * np.array([axis.increment for axis in self.bench.machine.axes])).any(
-            axis=1
-        )
-        out = self.space.words(clipped, tcp)
+        clamped = (np.abs(clipped - exact)[:, self.space.order] > 0.5 * self.bench.increment).any(axis=1)
+        tcp_out = self.tcp_out[of]
+        out = self.space.words(clipped, tcp_out)
         printed = np.round(out / self.bench.increment) * self.bench.increment
-        printed[np.ix_(self.by_vector[of], range(3, printed.shape[1]))] = out[
-            np.ix_(self.by_vector[of], range(3, printed.shape[1]))
-        ]
-        printed[untouched] = words[untouched]
-        final = self.space.commands(printed, tcp)
+        free = np.ix_(self.by_vector[of], range(3, printed.shape[1]))
+        printed[free] = out[free]
+        printed[untouched] = self.space.words(nominal, tcp_out)[untouched] if self.posted else words[untouched]
+        final = self.space.commands(printed, tcp_out)
         return Rows(
             of,
             fraction,
@@ -234,16 +233,14 @@ class Pieces:
     # --- re-simulation -----------------------------------------------------------------------------------------------
 
     def samples(self, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Motion, fraction and commands really given at dense points of motions, moving straight in printed words.
+        """Dense points inside the pieces of interpolated motions.
 
-        Linear words are taken before rounding, so that splitting is not asked to cure rounding.
+        Returns:
+            (n,) motion, (n,) fraction of it, and (n, 2) piece and fraction within the piece.
         """
-        size = np.abs(
-            self.end[motions] - np.where(np.isfinite(self.start[motions]), self.start[motions], self.end[motions])
-        )
-        spacing = np.maximum(
-            size[:, :3].max(axis=1) / SAMPLE_SPACING[0], size[:, 3:].max(axis=1, initial=0.0) / SAMPLE_SPACING[1]
-        )
+        size = np.abs(self.end[motions] - self.start[motions])
+        linear, turned = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
+        spacing = np.maximum(linear / SAMPLE_SPACING[0], turned / SAMPLE_SPACING[1])
         pieces = self.count[motions]
         each = np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / pieces)).astype(int)
         count = pieces * each
@@ -267,7 +264,7 @@ class Pieces:
             (local[:, 0] == 0)[:, None], self._begin(rows, given, as_run=as_run)[of], given[np.maximum(row - 1, 0)]
         )
         words = begin + local[:, 1][:, None] * (given[row] - begin)
-        return self.space.commands(words, self.tcp[of])
+        return self.space.commands(words, self.tcp_out[of])
 
     def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
         """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
@@ -277,16 +274,18 @@ class Pieces:
         follows = np.zeros(len(begin), dtype=bool)
         follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & (self.start[1:] == self.end[:-1]).all(axis=1)
         apart = np.flatnonzero(~follows & np.isfinite(self.start).all(axis=1))
-        if apart.size and as_run:
-            begin[apart] = self.start[apart]
-        elif apart.size:
-            begin[apart] = self.space.words(self._solve(apart, np.zeros(len(apart))).exact, self.tcp[apart])
+        if apart.size:
+            rows = self._solve(apart, np.zeros(len(apart)))
+            begin[apart] = self.space.words(rows.nominal if as_run else rows.exact, self.tcp_out[apart])
         return begin
 
     def between(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
-        """(motions,) largest distance (mm) of the reached point from the meant one between the ends of each motion."""
+        """(motions,) largest distance (mm) of the reached point from the meant one between the ends of each motion.
+
+        Linear words are taken before rounding, so that splitting is not asked to cure rounding.
+        """
         of, fraction, local = self.samples(motions)
-        given = self.space.words(np.where(np.isfinite(rows.exact), rows.exact, rows.commands), self.tcp[rows.motion])
+        given = self.space.words(rows.exact, self.tcp_out[rows.motion])
         commands = self.path_commands(of, local, rows, given)
         meant = self.space.nominal.reached(
             self.space.commands(self.words_at(of, fraction), self.tcp[of]) * self.bench.machine.scale

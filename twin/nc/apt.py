@@ -313,7 +313,7 @@ class _Reader:
         for field in fields:
             value = number(field.text.replace("D", "E").replace("d", "e"))
             if value != value:
-                raise self.refuse("a coordinate that is not a number", field.text, "a number like 12.5")
+                raise self.refuse("a coordinate that is not a number", field.text or shown, "a number like 12.5")
             values.append(value)
         if len(values) == 6:
             vector, length = unit_vector((values[3], values[4], values[5]))

@@ -164,8 +164,10 @@ def printed(value: float, increment: float, *, inch: bool = False) -> float:
         inch: whether the program is in inches and the axis linear.
 
     Returns:
-        mm or degrees, as the printed word reads back.
+        mm or degrees, as the printed word reads back (NaN stays NaN: nothing is printed).
     """
+    if value != value:
+        return value
     step, decimals, unit = grid(increment, inch)
     return (round(round(value / unit / step) * step, decimals) + 0.0) * unit
 

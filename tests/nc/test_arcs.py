@@ -1,0 +1,110 @@
+"""Circular blocks against a closed form: where the middle of the arc is, whichever way the program says it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.nc.nc_support import read_moves
+from twin.nc import dialect_for
+from twin.nc.blocks import Kind
+
+ISO = dialect_for(Path("a.nc"))
+PLAIN = dialect_for(Path("a.h"))
+
+PLANES = {17: ("X", "Y", "I", "J", (0, 1, 2)), 18: ("Z", "X", "K", "I", (2, 0, 1)), 19: ("Y", "Z", "J", "K", (1, 2, 0))}
+angles = st.integers(-359, 359)
+
+
+def place(move, fraction, start):
+    """A point of an arc from its start, centre and sweep alone."""
+    a, b = start[0] - move.arc.centre_mm[0], start[1] - move.arc.centre_mm[1]
+    turn = fraction * move.arc.angle_rad
+    c, s = math.cos(turn), math.sin(turn)
+    return (move.arc.centre_mm[0] + c * a - s * b, move.arc.centre_mm[1] + s * a + c * b)
+
+
+@given(
+    st.sampled_from([17, 18, 19]), angles, st.integers(1, 359), st.booleans(), st.sampled_from([0, 1, 3]), st.booleans()
+)
+def test_centre_arcs(plane, first, sweep, clockwise, turns, absolute):
+    u, v, i, j, indices = PLANES[plane]
+    radius, centre = 40.0, (7.0, -3.0)
+    signed = -sweep if clockwise else sweep
+    ends = [
+        (centre[0] + radius * math.cos(math.radians(t)), centre[1] + radius * math.sin(math.radians(t)))
+        for t in (first, first + signed)
+    ]
+    offsets = (centre[0] - ends[0][0], centre[1] - ends[0][1])
+    words = (
+        f"{i}=AC({centre[0]:.6f}) {j}=AC({centre[1]:.6f})" if absolute else f"{i}{offsets[0]:.6f} {j}{offsets[1]:.6f}"
+    )
+    turn = f" TURN={turns}" if turns else ""
+    text = (
+        f"G{plane} G0 X0 Y0 Z0 B0 C0\n{u}{ends[0][0]:.6f} {v}{ends[0][1]:.6f}\n"
+        f"G{2 if clockwise else 3} {u}{ends[1][0]:.6f} {v}{ends[1][1]:.6f} {words}{turn}\n"
+    )
+    move = read_moves(ISO, text).moves[-1]
+    assert move.kind is Kind.ARC
+    assert move.arc.plane == indices
+    wanted = math.radians(signed) + math.copysign(2 * math.pi * turns, signed)
+    assert move.arc.angle_rad == pytest.approx(wanted, abs=1e-6)
+    middle = place(move, 1.0, ends[0])
+    assert middle == pytest.approx(ends[1], abs=1e-4)
+
+
+@given(angles, st.integers(1, 359), st.booleans())
+def test_radius_arcs(first, sweep, clockwise):
+    if abs(sweep - 180) < 3:
+        sweep = 90  # near half a circle the radius says nothing about the side
+    radius, centre = 40.0, (7.0, -3.0)
+    signed = -sweep if clockwise else sweep
+    a, b = (
+        (centre[0] + radius * math.cos(math.radians(t)), centre[1] + radius * math.sin(math.radians(t)))
+        for t in (first, first + signed)
+    )
+    word = f"R{radius}" if sweep < 180 else f"R-{radius}"
+    sense = f"G{2 if clockwise else 3}"
+    move = read_moves(ISO, f"G0 X{a[0]:.9f} Y{a[1]:.9f} Z0 B0 C0\n{sense} X{b[0]:.9f} Y{b[1]:.9f} {word}\n").moves[-1]
+    assert move.arc.angle_rad == pytest.approx(math.radians(signed), abs=1e-4)
+    assert move.arc.centre_mm == pytest.approx(centre, abs=1e-3)
+    siemens = word.replace("R", "CR=")
+    again = read_moves(ISO, f"G0 X{a[0]:.9f} Y{a[1]:.9f} Z0 B0 C0\n{sense} X{b[0]:.9f} Y{b[1]:.9f} {siemens}\n").moves[
+        -1
+    ]
+    assert again.arc == move.arc
+    plain = (
+        f"BEGIN PGM A MM\nL X{a[0]:+.9f} Y{a[1]:+.9f} Z+0 B+0 C+0 FMAX\n"
+        f"CR X{b[0]:+.9f} Y{b[1]:+.9f} R{radius if sweep < 180 else -radius:+} DR{'-' if clockwise else '+'}\n"
+    )
+    assert read_moves(PLAIN, plain).moves[-1].arc == move.arc
+
+
+@pytest.mark.parametrize(("sense", "angle"), [("G2", -2 * math.pi), ("G3", 2 * math.pi)])
+def test_full_circles(sense, angle):
+    text = f"G0 X10 Y0 Z0\n{sense} I-10 J0 Z-1\n{sense} X10 Y0 I-10\nG17 {sense} I-10. P3\n"
+    moves = read_moves(ISO, text).moves
+    assert moves[1].arc.angle_rad == pytest.approx(angle)
+    assert moves[1].position[2] == -1.0  # a helix
+    assert moves[2].arc.angle_rad == pytest.approx(angle)
+    assert moves[2].arc.centre_mm == (0.0, 0.0)
+
+
+def test_plain_centre_arcs():
+    text = "BEGIN PGM A MM\nL X+10 Y+0 Z+0\nCC X+0 Y+0\nC X+0 Y+10 DR-\nCC IX+0 IY-10\nC X+0 Y+10 DR+\n"
+    first, second = read_moves(PLAIN, text).moves[1:]
+    assert first.arc.angle_rad == pytest.approx(-1.5 * math.pi)
+    assert second.arc.angle_rad == pytest.approx(2 * math.pi)
+    assert second.arc.centre_mm == (0.0, 0.0)
+
+
+def test_absolute_centres_and_inches():
+    text = "G20 G90.1 G0 X1 Y0 Z0\nG3 X0 Y1 I0 J0\nG91.1 G3 X-1 Y0 I0 J-1\n"
+    moves = read_moves(ISO, text).moves
+    for move in moves[1:]:
+        assert move.arc.centre_mm == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert move.arc.angle_rad == pytest.approx(math.pi / 2)

@@ -1,0 +1,367 @@
+"""What is refused, with the line and the value; what passes; what is noted."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.nc.nc_support import AXES, read_moves
+from twin.errors import InputError
+from twin.nc import dialect_for
+from twin.nc.blocks import Rewrite
+
+ISO = dialect_for(Path("a.nc"))
+PLAIN = dialect_for(Path("a.h"))
+APT = dialect_for(Path("a.cls"))
+
+ISO_START = "G21 G90 G17 G94\nG0 X0 Y0 Z0 B0 C0\n"
+PLAIN_START = "BEGIN PGM A MM\nL X+0 Y+0 Z+0 B+0 C+0 FMAX\n"
+APT_START = "UNITS/MM\nGOTO/0,0,0,0,0,1\n"
+
+
+def refused(dialect, start, block, what, tcp=False):
+    with pytest.raises(InputError) as caught:
+        read_moves(dialect, start + block + "\n", tcp=tcp)
+    error = caught.value
+    assert error.line == start.count("\n") + 1 + block.count("\n")
+    assert error.file == "test"
+    assert what.lower() in str(error).lower()
+    assert error.value
+    assert error.expected
+    assert f"test:{error.line}: " in str(error)
+
+
+@pytest.mark.parametrize(
+    ("block", "what"),
+    [
+        ("G1 X", "'X'"),
+        ("G1 X Y5", "X has no number"),
+        ("G1 Xabc", "'Xabc'"),
+        ("G1 XNAN", "'XNAN'"),
+        ("G1 X1.2.3", "X1.2.3"),
+        ("G1 X.", "X has no number"),
+        ("G1 X--5", "X has no number"),
+        ("G1 X1e999", "not understood"),
+        ("G1 X" + "9" * 400, "X has no number"),
+        ("G1 X5 F", "F has no number"),
+        ("G1 A5", "unknown axis: 'A5'"),
+        ("G1 X5 U1.", "unknown axis"),
+        ("G1 X=5 V=3", "unknown axis"),
+        ("G1 X5 X6", "twice"),
+        ("G0 G1 X5", "modal group"),
+        ("G90 G91 X5", "modal group"),
+        ("G2 X5 Y0", "centre or a radius"),
+        ("G2 X10 Y0 I4 J0", "off its circle"),
+        ("G2 X10 Y0 R2", "too small"),
+        ("G2 X0 Y0 R5", "ends where it starts"),
+        ("G2 X10 I5 K1", "outside the plane"),
+        ("G1 X5 I2", "outside a circular block"),
+        ("CIP X5 Y5 I1=2 J1=3", "curve"),
+        ("CT X5", "curve"),
+        ("G2.2 X5", "curve"),
+        ("G5 X1 Y1 I1 J1 P0 Q0", "curve"),
+        ("BSPLINE X1 Y1", "curve"),
+        ("G33 Z-5 K1", "thread"),
+        ("G76 P1", "cycle"),
+        ("G68.2 X0 Y0 Z0 I0 J0 K0", "transformation"),
+        ("G68 X0 Y0 R30", "transformation"),
+        ("G51 X0 Y0 P2", "transformation"),
+        ("G51.1 X0", "transformation"),
+        ("G52 X5", "transformation"),
+        ("G92 X0", "transformation"),
+        ("G10 L2 P1 X5", "transformation"),
+        ("ROT Z30", "transformation"),
+        ("AROT Z30", "transformation"),
+        ("TRANS X5", "transformation"),
+        ("ATRANS X5", "transformation"),
+        ("MIRROR X0", "transformation"),
+        ("SCALE X2", "transformation"),
+        ('CYCLE800(1,"",0,57,0,0,0,0,0,0,0,0,0,-1)', "transformation"),
+        ("G41 X5 D1", "radius compensation"),
+        ("G42 D1", "radius compensation"),
+        ("G81 X5 Y5 Z-5 R2", "canned cycle G81"),
+        ("G83 X5 Z-5 R2 Q1", "canned cycle"),
+        ("G73 X5 Z-5 R2 Q1", "canned cycle"),
+        ("MCALL CYCLE83(10.,0.,3.,-6.)", "canned cycle"),
+        ("CYCLE81(10.,0.,3.,-6.)", "canned cycle"),
+        ("HOLES1(0,0,0,10,10,5)", "canned cycle"),
+        ("IF R1>5 GOTOF END", "control flow"),
+        ("WHILE TRUE", "control flow"),
+        ("GOTOB START", "control flow"),
+        ("REPEAT LBL P=3", "control flow"),
+        ("O100 call", "control flow"),
+        ("o<sub> call", "control flow"),
+        ("M98 P1000", "subprogram"),
+        ("M198 P1000", "subprogram"),
+        ("G65 P9000 A1", "macro"),
+        ("L100", "subprogram"),
+        ("X=R1", "the value of X"),
+        ("X=_NOWHERE", "the value of X"),
+        ("X#101", "the value of X"),
+        ("X[1+2]", "the value of X"),
+        ("X=5+R1", "the value of X"),
+        ("G1 X5 ,R2", "not understood"),
+        ("G1 X5 RND=2", "rounding"),
+        ("G1 X5 FOO", "not understood"),
+        ("G1 X5 (open", "parenthesis"),
+        ("G1 X5 G777", "not understood"),
+        ("TRAORI\nG1 X1 Y1 Z1 A3=0 B3=0 C3=0", "zero length"),
+        ("G43.5 H1\nX0 Y0 Z0 I0 J0 K0", "zero length"),
+        ("G1 X1 A3=1 B3=0 C3=0", "kinematics are off"),
+        ("TRAORI\nG1 X1 A2=30 B2=0 C2=0", "orientation by A2"),
+        ("TRAORI\nG1 X1 B10 A3=1", "one of them"),
+        ("G28 X0\nG91 X5", "absolute position first"),
+        ("$P_UIFR[1]=CTRANS(X,5)", "transformation"),
+        ("POS[X]=5", "curve"),
+        ("G59 X5 Y5", "transformation"),
+        ("\xe9", "not understood"),
+    ],
+)
+def test_iso(block, what):
+    refused(ISO, ISO_START, block, what)
+
+
+def test_a_second_work_offset_is_refused_where_it_is_chosen():
+    with pytest.raises(InputError, match="second work offset") as caught:
+        read_moves(ISO, "G54\nG0 X0 Y0 Z0\n( )\nG55\nG1 X1\n")
+    assert caught.value.line == 4
+    assert read_moves(ISO, "G55\nG54\nG0 X0\nG500\nSUPA X5\n").moves[-1].machine
+    with pytest.raises(InputError, match="G54.1 P2"):
+        read_moves(ISO, "G54.1 P1\nG0 X0\nG54.1 P2\nX1\n")
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        *(
+            "G69",
+            "G50",
+            "G40",
+            "G80",
+            "CYCLE800()",
+            "CYCLE832(0.02,1,1)",
+            'MSG("X5 (Y6")',
+            "DEF REAL _A, _B=5",
+            "G64 P0.01",
+        ),
+        *(
+            "G61",
+            "G60 G601 FNORM",
+            "COMPOF",
+            "G4 X5",
+            "G4 F2",
+            'T="X5;Y" D1',
+            "T1 M6",
+            "G54",
+            "S1000 M3",
+            "TRANS",
+            "ROT",
+        ),
+        *(
+            "G43 H1",
+            "M8 (X5 Y5)",
+            ";X5",
+            "/M1",
+            "LABEL1:",
+            "R1=5 R2=R1",
+            "#100=5",
+            "#<a>=[1+2]",
+            "SPOS=90",
+            "%",
+            "O1234",
+        ),
+        *("G05.1 Q1", "G5 P10000", "SOFT FFWON", "G25 X0 Y0", "MCALL", "STOPRE", 'T="A"', "_X_HOME=-365. _Y_HOME=224."),
+    ],
+)
+def test_iso_passes(block):
+    reading = read_moves(ISO, f"{ISO_START}{block}\nG91 X1 Y1 Z1 B1 C1\n")
+    assert [move.position for move in reading.moves] == [(0.0,) * 5, (1.0,) * 5]
+    assert reading.notices == ()
+
+
+@pytest.mark.parametrize("block", ["G28 Z0", "G30 P2 Z0", "G38.2 Z-5", "TOOLCHANGE_MACRO", "SPECIAL(1,2)", "G777"])
+def test_iso_notes_what_it_cannot_follow(block):
+    reading = read_moves(ISO, f"{ISO_START}{block}\nX1\n")
+    assert reading.notices[0].line == 2
+    assert math.isnan(reading.moves[-1].position[2])
+
+
+def test_machine_coordinates_and_variables():
+    text = "_XH=-365. R2=7\nSUPA G0 X=_XH Z=_ZH D0\nG0 B0 C=R2\nG53 Y0\nG1 X1 Y1 Z1\n"
+    home, rotary, machine, last = read_moves(ISO, text).moves
+    assert home.machine and home.position[0] == -365.0 and math.isnan(home.position[2])
+    assert home.named == {"X", "Z"}
+    assert not rotary.machine and rotary.position[3:] == (0.0, 7.0) and math.isnan(rotary.position[0])
+    assert machine.machine and machine.position[1] == 0.0
+    assert last.position == (1.0, 1.0, 1.0, 0.0, 7.0)
+
+
+def test_tcp_switches():
+    text = (
+        "G0 X1 Y1 Z1 B5 C6\nG43.4 H1\nX2 Y2\nZ3\nG49\nX1\nM428\nG49\nX1 Y1 Z1\nM429\nX3\nTRAORI(1)\nX1\nTRAFOOF\nZ2\n"
+    )
+    moves = read_moves(ISO, text).moves
+    assert [m.tcp for m in moves] == [False, True, True, False, True, False, True, False]
+    assert math.isnan(moves[1].position[2]) and moves[1].position[3:] == (5.0, 6.0)
+    assert moves[2].position == (2.0, 2.0, 3.0, 5.0, 6.0)
+    assert math.isnan(moves[3].position[1])
+    given = read_moves(ISO, "G0 X1 Y1 Z1\nTRAFOOF\nX2\n", tcp=True)
+    assert [m.tcp for m in given.moves] == [True, False]
+    assert "TRAFOOF" in given.notices[0].text
+
+
+def test_vectors_are_normalised_and_noted():
+    reading = read_moves(ISO, "TRAORI\nG1 X1 Y1 Z1 A3=0 B3=3 C3=4\nX2\nB10 C0\nX3\n")
+    assert [m.vector for m in reading.moves] == [(0.0, 0.6, 0.8), (0.0, 0.6, 0.8), None, None]
+    assert all(math.isnan(v) for v in reading.moves[1].position[3:])
+    assert reading.moves[3].position[3:] == (10.0, 0.0)
+    assert "length 5" in reading.notices[0].text
+
+
+def test_rotary_the_short_way():
+    text = "G0 X0 Y0 Z0 B0 C350\nC=DC(10)\nC=ACN(350)\nC=ACP(10)\nG91 C=AC(5)\n"
+    assert [m.position[4] for m in read_moves(ISO, text).moves] == [350, 370, 350, 370, 5]
+
+
+def test_drilling_written_out():
+    text = ISO_START + "MCALL CYCLE82(10.,0.,3.,-6.,,0.5)\nX5. Y5.\nX9.\nMCALL\nG1 X0.\n"
+    program = ISO.read(text.encode(), "t")
+    reading = ISO.moves(program, AXES, tcp=False)
+    assert [m.position[2] for m in reading.moves] == [0, 0, 3, -6, 10, 10, 3, -6, 10, 10]
+    rewrites = [Rewrite(m, np.array([m.position]) + [0.1, 0, 0, 0, 0]) for m in reading.moves[1:]]
+    lines = ISO.rewrite(program, AXES, reading, rewrites).splitlines()[2:]
+    assert lines == [
+        ";MCALL CYCLE82(10.,0.,3.,-6.,,0.5)",
+        *("X5.1 Y5.", "Z3.", "G1 Z-6.", "G4 F0.5", "G0 Z10."),
+        *("X9.1", "Z3.", "G1 Z-6.", "G4 F0.5", "G0 Z10."),
+        ";MCALL",
+        "G1 X0.1",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("block", "what"),
+    [
+        ("L X", "X has no number"),
+        ("L X+Q7", "the value of X"),
+        ("L X+1.2.3", "X has no number"),
+        ("L A+5", "unknown axis"),
+        ("L X+5 X+6", "twice"),
+        ("L XABC", "X has no number"),
+        ("CT X+5 Y+5", "CT"),
+        ("LP PR+5 PA+30", "LP"),
+        ("CP IPA+30 DR+", "CP"),
+        ("APPR LT X+5 Y+5 LEN10", "APPR"),
+        ("DEP LT LEN10", "DEP"),
+        ("RND R5", "RND"),
+        ("CHF 2", "CHF"),
+        ("FL X+5", "FL"),
+        ("FC DR+ R5", "FC"),
+        ("L X+5 RL F100", "radius compensation"),
+        ("L X+5 RR", "radius compensation"),
+        ("C X+10 Y+0 DR+", "without its centre"),
+        ("CC X+3 Y+0\nC X+10 Y+0 DR+", "off its circle"),
+        ("CC X+5 Y+0\nC X+10 Y+0", "without its sense"),
+        ("CR X+10 Y+0 R+2 DR+", "too small"),
+        ("CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+60", "datum shift"),
+        ("CYCL DEF 8.0 MIRROR IMAGE\nCYCL DEF 8.1 X", "mirror"),
+        ("CYCL DEF 10.0 ROTATION\nCYCL DEF 10.1 ROT+35", "rotation"),
+        ("CYCL DEF 11.0 SCALING\nCYCL DEF 11.1 SCL 0.9", "scaling"),
+        ("CYCL DEF 19.0 WORKING PLANE\nCYCL DEF 19.1 A+30 B+0", "working plane"),
+        ("CYCL DEF 26.1 X1.5", "scaling"),
+        ("PLANE SPATIAL SPA+30 SPB+0 SPC+0 STAY", "PLANE"),
+        ("TRANS DATUM AXIS X+10", "TRANS"),
+        ("CYCL CALL", "cycle call"),
+        ("L X+5 M99", "cycle call M99"),
+        ("L X+5 M89", "cycle call M89"),
+        ("CALL LBL 1 REP 2", "subprogram"),
+        ("CALL PGM SUB", "subprogram"),
+        ("FN 9: IF +Q1 EQU +Q2 GOTO LBL 5", "control flow"),
+        ("FN 12: IF +Q1 LT +Q2 GOTO LBL 5", "control flow"),
+        ("M128\nLN X+1 Y+1 Z+1 TX+0 TY+0 TZ+0", "tool vector of zero length"),
+        ("M128\nLN X+1 Y+1 Z+1 NX+0 NY+0 NZ+0 TX+0 TY+0 TZ+1", "surface normal of zero length"),
+        ("LN X+1 Y+1 Z+1 TX+0 TY+0 TZ+1", "kinematics are off"),
+        ("M140 MB MAX\nL IX+5", "absolute position first"),
+        ("L X+5 WOBBLE", "unknown axis"),
+        ("L X+5 Potato", "not understood"),
+        ("BEGIN PGM B CM", "unit"),
+        ("=", "not understood"),
+    ],
+)
+def test_plain(block, what):
+    refused(PLAIN, PLAIN_START, block, what)
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        *("; X+5", "* - structure", "BLK FORM 0.1 Z X+0 Y+0 Z-20", "TOOL CALL 5 Z S5000", "TOOL DEF 5 L+0 R+5", "STOP"),
+        *(
+            "CYCL DEF 32.0 TOLERANCE\nCYCL DEF 32.1 T0.05",
+            "CYCL DEF 9.0 DWELL TIME\nCYCL DEF 9.1 DWELL 1",
+            "L M30",
+            "M3",
+        ),
+        *("CYCL DEF 200 DRILLING ~\n  Q200=2 ;CLEARANCE ~\n  Q201=-20 ;DEPTH", "Q1 = +5", "FN 0: Q1 = +5", "LBL 0"),
+        *(
+            "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+0\nCYCL DEF 7.2 Y+0",
+            "PLANE RESET STAY",
+            "TRANS DATUM RESET",
+            "M129",
+        ),
+        *("END PGM A MM", "L R0 FMAX M3", "CC X+5 Y+5", "M126"),
+    ],
+)
+def test_plain_passes(block):
+    reading = read_moves(PLAIN, f"{PLAIN_START}{block}\nL IX+1 IY+1 IZ+1 IB+1 IC+1\n")
+    assert [move.position for move in reading.moves] == [(0.0,) * 5, (1.0,) * 5]
+    assert reading.notices == ()
+
+
+def test_plain_parameters_and_machine_blocks():
+    text = "BEGIN PGM A INCH\nQ1 = -2,5\nFN 0: Q2=+30\nL X-Q1 Y+1 Z+0 B+Q2 C0 FMAX\nL Z+0 R0 FMAX M91\nL X+1 M128\n"
+    first, machine, last = read_moves(PLAIN, text).moves
+    assert first.position == (63.5, 25.4, 0.0, 30.0, 0.0)
+    assert machine.machine and math.isnan(machine.position[0])
+    assert last.tcp and math.isnan(last.position[2]) and last.position[3] == 30.0
+
+
+@pytest.mark.parametrize(
+    ("block", "what"),
+    [
+        ("GOTO/1,2", "2 numbers"),
+        ("GOTO/1,2,P3", "not a number"),
+        ("GOTO/1,2,NAN", "not a number"),
+        ("GOTO/1,,3", "not a number"),
+        ("GOTO/1,2,3,0,0,0", "zero length"),
+        ("GODLTA/0,0,5", "GODLTA"),
+        ("CIRCLE/0,0,0,0,0,1,10", "CIRCLE"),
+        ("CYCLE/DRILL,10,FEDTO", "cycle"),
+        ("ROTATE/TABLE,ATANGL,90", "ROTATE"),
+        ("TRANS/1,2,3", "TRANS"),
+        ("COPY/1,SAME,1", "COPY"),
+        ("CUTCOM/LEFT", "CUTCOM"),
+        ("UNITS/CM", "unit"),
+        ("MODE/INCR", "incremental"),
+        ("CALL/SUB", "control flow"),
+    ],
+)
+def test_apt(block, what):
+    refused(APT, APT_START, block, what)
+
+
+def test_apt_modality():
+    text = (
+        "TOOL PATH/A,TOOL,B\nMSYS/0,0,5,1,0,0,0,1,0\nMULTAX/ON\nUNITS/INCHES\nFROM/0,0,1\nRAPID\nGOTO/1,0,0,0,0.6,0.8\n"
+        "FEDRAT/MMPM,500\nGOTO/2,0,0\nGOTO/3,0,$\n0,1,0,0\nCYCLE/OFF\nGOHOME\nWOBBLE/5\nEND-OF-PATH\n"
+    )
+    reading = read_moves(APT, text)
+    assert [m.kind.value for m in reading.moves] == ["rapid", "rapid", "linear", "linear"]
+    assert [m.vector for m in reading.moves] == [(0, 0, 1), (0, 0.6, 0.8), (0, 0.6, 0.8), (1, 0, 0)]
+    assert [m.line for m in reading.moves] == [4, 6, 8, 9]
+    assert reading.moves[3].position[0] == pytest.approx(76.2)
+    assert all(m.tcp and math.isnan(m.position[3]) for m in reading.moves)
+    assert [n.line for n in reading.notices] == [1, 12, 13]
