@@ -8,12 +8,12 @@ import pytest
 from tests.conftest import SHARED
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
+from twin.compensation.thesis import ThesisMethod
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.nc import dialect_for
 from twin.samples.dmu50_calibration import FIGURE_3_11
-from twin.compensation.thesis import ThesisMethod
 
 PROGRAM = "G21 G90 G94\nG0 X0 Y0 Z0 B0 C0\n" + "".join(f"G1 X{x} F1000\n" for x in range(50, 501, 50))
 

@@ -70,6 +70,9 @@ class Kinematics:
         machine, calibration, tool_length_mm: as given.
         chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.symbolic.chain_function`.
         errors: CasADi function q → e of this calibration.
+
+    Raises:
+        InputError: a tool length that is no finite number.
     """
 
     def __init__(
@@ -78,6 +81,8 @@ class Kinematics:
         self.machine = machine
         self.calibration = Calibration.default(machine) if calibration is None else calibration
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        if not np.isfinite(self.tool_length_mm):
+            raise InputError("tool length is no number", expected="a finite number of mm", value=tool_length_mm)
         self.chain = chain_function(machine)
         q = ca.SX.sym("q", len(machine.axes))
         self.errors = ca.Function("errors", [q], [error_vector(machine, self.calibration.effects, q)], ["q"], ["e"])

@@ -270,7 +270,9 @@ def _rims(radius: float, half_length: float, count: int = 40) -> np.ndarray:
 
 
 def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) -> np.ndarray:
-    """(k, 3) points of the machine at all keyframes that lie farthest out, for the camera to keep in view."""
+    """(k, 3) points of the machine, over its motion, that lie farthest out, for the camera to keep in view."""
+    # Some fifty moments are enough to frame a picture.
+    poses = np.concatenate([poses[:: 1 + len(poses) // 50], poses[-1:]])
     points = [poses[:, :, :3, 3].reshape(-1, 3)]
     for visual in visuals:
         pose = poses[:, links.index(visual.link)]

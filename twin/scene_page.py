@@ -151,7 +151,7 @@ _SCRIPT = """
     const callout = element("callout");
     const inside = Math.abs(at.x) < 0.98 && Math.abs(at.y) < 0.98;
     callout.style.display = inside && page.worst.um !== "0" ? "block" : "none";
-    const x = r.x + (at.x + 1) / 2 * r.w + 12, y = r.y + (1 - at.y) / 2 * r.h - 30;
+    const x = r.x + (at.x + 1) / 2 * r.w + 12, y = r.y + (1 - at.y) / 2 * r.h - 40;
     callout.style.left = Math.max(r.x + 4, Math.min(x, r.x + r.w - callout.offsetWidth - 4)) + "px";
     callout.style.top = Math.max(r.y + 4, y) + "px";
   }
@@ -234,6 +234,8 @@ PAGE = Template(
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
+img-src data: blob:">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
 <title>$title</title>

@@ -145,8 +145,9 @@ def test_hostile_input_in_linear_time(dialect, name):
     data = HOSTILE[name].encode("latin-1")
     begin = time.perf_counter()
     run(dialect, data)
-    # 1 s per MB is the rule and a quadratic scan of 200 kB takes minutes; 4 s leaves room for a shared machine.
-    assert time.perf_counter() - begin < 4.0
+    # Reading, splitting every block in two and writing. The rule is 1 s per MB for reading; a quadratic scan of 200 kB
+    # takes minutes, and 10 s leaves room for a loaded machine.
+    assert time.perf_counter() - begin < 10.0
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])

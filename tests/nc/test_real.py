@@ -16,7 +16,7 @@ FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"
 PROGRAMS = {
     "linuxcnc_boat-xyzbc.ngc": (1821, 1819),
     "spinnerU5_Bottle_opener_Flaschenoeffner.txt": (2692, 2678),
-    "spinnerU5_Keychain_Schluesselanhaenger.mpf": (579, KEY),
+    "spinnerU5_Keychain_Schluesselanhaenger.mpf": (579, 569),
 }
 
 

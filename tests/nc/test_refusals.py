@@ -129,7 +129,7 @@ def test_a_second_work_offset_is_refused_where_it_is_chosen():
         read_moves(ISO, "G54\nG0 X0 Y0 Z0\n( )\nG55\nG1 X1\n")
     assert caught.value.line == 4
     assert read_moves(ISO, "G55\nG54\nG0 X0\nG500\nSUPA X5\n").moves[-1].machine
-    with pytest.raises(InputError, match="G54.1 P2"):
+    with pytest.raises(InputError, match=r"G54\.1 P2"):
         read_moves(ISO, "G54.1 P1\nG0 X0\nG54.1 P2\nX1\n")
 
 
@@ -231,7 +231,7 @@ def test_drilling_written_out():
     program = ISO.read(text.encode(), "t")
     reading = ISO.moves(program, AXES, tcp=False)
     assert [m.position[2] for m in reading.moves] == [0, 0, 3, -6, 10, 10, 3, -6, 10, 10]
-    rewrites = [Rewrite(m, np.array([m.position]) + [0.1, 0, 0, 0, 0]) for m in reading.moves[1:]]
+    rewrites = [Rewrite(m, np.add([m.position], (0.1, 0, 0, 0, 0))) for m in reading.moves[1:]]
     lines = ISO.rewrite(program, AXES, reading, rewrites).splitlines()[2:]
     assert lines == [
         ";MCALL CYCLE82(10.,0.,3.,-6.,,0.5)",

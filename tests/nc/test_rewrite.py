@@ -332,6 +332,17 @@ def test_plain_vectors_and_normals():
     ]
 
 
+def test_a_vector_added_to_a_straight_block_makes_it_ln():
+    text = HEAD + "3 M128\n4 LN X+1 Y+2 Z+3 TX+0 TY+0.6 TZ+0.8\n5 L X+5 FMAX\n"
+    lines = piece(text, (5, 2, 3, np.nan, np.nan), dialect=PLAIN, vectors=[(0, 0.8, 0.6)])
+    assert lines == ["5 LN X+5 Y+2 Z+3 TX+0 TY+0.8 TZ+0.6 FMAX"] or lines == ["5 LN X+5 TX+0 TY+0.8 TZ+0.6 FMAX"]
+
+
+@pytest.mark.parametrize(("target", "word"), [(29.999, "DC(29.999)"), (30.001, "DC(30.001)"), (270, "ACP(270.)")])
+def test_no_turn_more_than_was_meant(target, word):
+    assert piece(START + "C30.\nC=ACP(30.)\n", (0, 0, 0, 0, target))[0] == f"C={word}"
+
+
 def test_distinct_is_not_vacuous():
     assert len(distinct([np.zeros(5), np.zeros(5), np.ones(5)])) == 2
 

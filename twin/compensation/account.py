@@ -23,13 +23,15 @@ class Account:
         pieces: the program cut into pieces.
         rows: the commands for their ends.
         program: the program as read.
+        rewritten: how many moves were given new words.
     """
 
-    def __init__(self, bench: Bench, pieces: Pieces, rows: Rows, program: Program) -> None:
+    def __init__(self, bench: Bench, pieces: Pieces, rows: Rows, program: Program, *, rewritten: int) -> None:
         self.bench = bench
         self.pieces = pieces
         self.rows = rows
         self.program = program
+        self.rewritten = rewritten
 
     def report(self) -> Report:
         """Re-simulate densely what was written, beside what was there before."""
@@ -53,6 +55,8 @@ class Account:
         exact = self._left_at_ends(self.rows.exact, good)
         corrections = np.abs(self.rows.commands - self.rows.nominal)[~self.rows.untouched]
         notes = [_note(self.program, notice) for notice in (*self.pieces.reading.notices, *self.pieces.path.passed)]
+        if self.pieces.idle:
+            notes.insert(0, LineNote(1, "the calibration has no error motion in scope: written unchanged"))
         return Report(
             program=self.program.source,
             machine=self.bench.machine.name,
@@ -65,7 +69,7 @@ class Account:
             tolerance_um=self.bench.options.tolerance_mm * 1e3,
             lines=len(self.program.lines),
             moves=len(self.pieces.reading.moves),
-            rewritten=len(np.unique(self.rows.motion[~self.rows.untouched])),
+            rewritten=self.rewritten,
             split=int(np.count_nonzero(self.pieces.count > 1)),
             added=int(np.sum(self.pieces.count - 1)),
             largest_correction={

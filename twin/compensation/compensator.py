@@ -99,7 +99,7 @@ class Compensator:
         pieces = Pieces(self.bench, path, reading, dialect, posted=posted)
         say("solving", 0.1)
         rows = pieces.solve(say)
-        rewrites = _rewrites(pieces, rows)
+        rewrites = [] if pieces.idle else _rewrites(pieces, rows)
         say("writing", 0.8)
         if posted:
             text = post(program, reading, rewrites, axes, "heidenhain" if written.name == "heidenhain" else "iso")
@@ -109,7 +109,7 @@ class Compensator:
         again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         _verify(program, reading, rewrites, again)
         say("checking", 0.9)
-        report = Account(self.bench, pieces, rows, program).report()
+        report = Account(self.bench, pieces, rows, program, rewritten=len(rewrites)).report()
         say("done", 1.0)
         lines = np.array([program.lines[path.motions[m].move.line].number for m in rows.motion])
         return Compensation(

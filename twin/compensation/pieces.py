@@ -28,6 +28,8 @@ LARGEST_SPLIT: Final = 4096
 """Pieces a block may be split into; an error that needs more is not one that splitting cures."""
 VECTOR_DECIMALS: Final = {"apt": 9}
 """Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
+CUTTER_LOCATION_INCREMENT: Final = 1e-5
+"""mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
 
 
 @final
@@ -62,6 +64,7 @@ class Pieces:
         posted: whether axis words come out whatever went in (cutter locations written for a control).
 
     Attributes:
+        idle: whether no error motion is in scope.
         count: (motions,) how many pieces each motion is in.
         turns: whether the program moves rotary axes at all.
         scope: what is corrected.
@@ -85,11 +88,19 @@ class Pieces:
         self.straight = np.array([motion.move.arc is None for motion in path.motions])
         self.by_vector = np.array([motion.move.vector is not None and not posted for motion in path.motions])
         self.posted = posted
+        self.increment = bench.increment.copy()
+        if dialect.name == "apt" and not posted:
+            self.increment[:3] = CUTTER_LOCATION_INCREMENT
         self.tcp_out = self.tcp & (not posted)
         self.interpolated = np.array([motion.interpolated for motion in path.motions])
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
         self.interpolated &= ~self.bench.outside(self.space.commands(self.start, self.tcp))
-        self.count = np.array([chords(motion, bench.options.tolerance_mm) for motion in path.motions])
+        # Nothing to correct: arcs stay arcs, and the program is written as it came.
+        found = self.point.calibration
+        self.idle = not (found.curves or found.squareness or found.location or posted or bench.thesis)
+        self.count = np.array(
+            [1 if self.idle else chords(motion, bench.options.tolerance_mm) for motion in path.motions]
+        )
 
     @cached_property
     def point(self) -> Kinematics:
@@ -115,7 +126,7 @@ class Pieces:
         """Solve all blocks, splitting where the error between two ends exceeds the tolerance."""
         everything = np.arange(len(self.path.motions))
         rows = self._solve(*self._ends(everything))
-        if self.bench.options.method == "thesis":
+        if self.bench.options.method == "thesis" or self.idle:
             return rows
         candidates = everything[self.interpolated]
         step = 0
@@ -188,7 +199,7 @@ class Pieces:
         clamped = (np.abs(clipped - exact)[:, self.space.order] > 0.5 * self.bench.increment).any(axis=1)
         tcp_out = self.tcp_out[of]
         out = self.space.words(clipped, tcp_out)
-        printed = np.round(out / self.bench.increment) * self.bench.increment
+        printed = np.round(out / self.increment) * self.increment
         free = np.ix_(self.by_vector[of], range(3, printed.shape[1]))
         printed[free] = out[free]
         printed[untouched] = self.space.words(nominal, tcp_out)[untouched] if self.posted else words[untouched]
@@ -214,7 +225,7 @@ class Pieces:
         rotary = list(self.bench.machine.rotary)
         commands = np.array(commands)
         offset = self.space.offset[3:]
-        increment = self.bench.increment[3:]
+        increment = self.increment[3:]
         vectors = np.full((len(of), 3), np.nan)
         plain = ~self.by_vector[of]
         words = commands[:, rotary] - offset

@@ -15,7 +15,7 @@ class Said:
     """What the output program last said of every axis, mm and degrees, in its own coordinates.
 
     A value is NaN when unknown (after a reference return, say) and stale when it may not have been said (a block
-    the operator can skip): both make the next rewritten block say it again.
+    the operator can skip): both make the next rewritten block say it again. ``last`` is the number printed last.
     """
 
     def __init__(self, axes: AxisWords) -> None:
@@ -23,7 +23,7 @@ class Said:
         self.linear = len(axes.linear)
         self.value: list[float] = [math.nan] * len(self.names)
         self.stale: list[bool] = [False] * len(self.names)
-        self.vector: Vector | None = None
+        self.last = 0.0
         plain = [grid(axes.increment[name], False) for name in self.names]
         inches = [grid(axes.increment[name], i < self.linear) for i, name in enumerate(self.names)]
         self._grids: tuple[list[Grid], list[Grid]] = (plain, inches)
@@ -45,11 +45,12 @@ class Said:
         if incremental:
             start = self.value[axis]
             value = round((target - start) / unit / step) * step
-            self.value[axis] = start + round(value, decimals) * unit
+            self.value[axis] = start + value * unit
         else:
             value = round(target / unit / step) * step
-            self.value[axis] = round(value, decimals) * unit
+            self.value[axis] = value * unit
         self.stale[axis] = False
+        self.last = value
         return format_number(value, decimals, style)
 
     def heard(self, axis: int, value: float, incremental: bool) -> None:

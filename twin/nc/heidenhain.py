@@ -13,6 +13,8 @@ from twin.nc.iso_block import AxisWord
 from twin.nc.text import Style, apply_edits, ending, newline_of, number, read_lines, style_in, style_of
 
 VECTOR_DECIMALS = 7
+SAME = 1e-10
+"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
 Pieces = tuple[Rewrite, list[list[float]]]
 
 
@@ -130,7 +132,12 @@ class _Writer:
                 self.said.heard(word.axis, word.value, word.incremental)
         added = self._words(block, row, written)
         if vectors is not None:
-            added += self._vector(block, vectors[0], edits)
+            tool = self._vector(block, vectors[0], edits)
+            if tool and keyword.upper() == "L":  # only LN blocks take a vector
+                keyword = "ln" if keyword.islower() else "LN"
+                edits = [edit for edit in edits if edit[:2] != (block.head, block.keyword_end)]
+                edits.append((block.head, block.keyword_end, keyword))
+            added += tool
         elif block.vector_words:
             self._vector_text = None
         if added:
@@ -156,10 +163,12 @@ class _Writer:
         for place in range(1, len(rows)):
             words = self._words(block, rows[place], set())
             if vectors is not None:
+                before = self._vector_text
+                if block.keyword == "LN":
+                    self._vector_text = None  # an LN block says its vectors in full
                 tool = self._vector(block, vectors[place], None)
-                if tool and block.keyword == "LN":
-                    words += block.normal_text
-                words += tool
+                if words or self._vector_text != before:
+                    words += [*block.normal_text, *tool]
             is_last = place == len(rows) - 1
             if words and block.rapid_text:
                 words.append(block.rapid_text)
@@ -184,11 +193,12 @@ class _Writer:
 
     def _replaced(self, block: PathBlock, word: AxisWord, target: float) -> str:
         old = block.text[word.value_start : word.value_end]
-        if number(old) == number(old):
+        value = number(old)
+        if value == value:
             self.style = style_of(old, self.style)._replace(plus=True)
         new = self._say(block, word.axis, target, word.incremental)
-        value = number(old)
-        return old if value == number(new) and old[0] in "+-" and (value != 0.0 or old[0] != "-") else new
+        same = abs(value - self.said.last) < SAME and old[0] in "+-" and (value != 0.0 or old[0] != "-")
+        return old if same else new
 
     def _say(self, block: PathBlock, axis: int, target: float, incremental: bool) -> str:
         inch = block.inch and axis < self.linear

@@ -168,8 +168,6 @@ class Interpreter(Modal):
                 axis = vocabulary.TOOL_AXIS.match(body)
                 if axis is not None:
                     self.plane = _PLANES[axis.group(1).upper()]
-            elif keyword == "LBL" and upper not in ("LBL", "LBL 0"):
-                self.note(f"{upper} is taken as passed through once")
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.refuse("a word without a number", body, f"a number after {keyword}")
         else:

@@ -393,7 +393,8 @@ class Interpreter(Modal):
         position = self.position
         start = position[: self.linear]
         for word in words:
-            position[word.axis] = self._target(word)
+            plain = not (word.incremental or word.form)
+            position[word.axis] = word.value if plain else self._target(word)
         motion = self.motion
         vector = None
         arc: Arc | None = None

@@ -12,6 +12,8 @@ from twin.nc.iso_block import AxisWord, Block, Span
 from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
 
 VECTOR_DECIMALS = 7
+SAME = 1e-10
+"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
 Pieces = tuple[Rewrite, list[list[float]]]
 _CODE = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 
@@ -114,7 +116,10 @@ class Writer:
         row = rows[0]
         for word in block.words:
             if row[word.axis] == row[word.axis]:
-                edits.append((word.value_start, word.value_end, self._replaced(line, block, word, row[word.axis])))
+                head = self._head(block, word, row[word.axis]) if word.form in ("ACP", "ACN") else None
+                start = word.value_start if head is None else word.start
+                new = self._replaced(line, block, word, row[word.axis])
+                edits.append((start, word.value_end, new if head is None else head + new))
             else:
                 self.said.heard(word.axis, word.value, word.incremental)
         added = [
@@ -184,7 +189,7 @@ class Writer:
                 if word is None:
                     words.append(self._added(line, block, axis, value))
                 else:
-                    before = block.text[word.start : word.value_start]
+                    before = self._head(block, word, value)
                     after = block.text[word.value_end : word.end]
                     words.append(f"{before}{self._replaced(line, block, word, value)}{after}")
         return words
@@ -250,16 +255,27 @@ class Writer:
     def _replaced(self, line: int, block: Block, word: AxisWord, target: float) -> str:
         """The value of an axis word for a target."""
         old = block.text[word.value_start : word.value_end]
-        if number(old) == number(old):
+        value = number(old)
+        if value == value:
             self.style = style_of(old, self.style)
         axis = word.axis
         if word.form in ("DC", "ACP", "ACN"):
             self.said.say(axis, target, block.inch, False, self.style)
-            value = self.said.value[axis] % 360.0
-            return format_number(value, 9, self.style._replace(keep=0)) if value < 359.9999999995 else "0"
+            turn = self.said.value[axis] % 360.0
+            return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
         new = self._say(line, axis, target, block.inch, word.incremental)
-        value = number(old)
-        return old if value == number(new) and (value != 0.0 or old[0] != "-") else new
+        return old if abs(value - self.said.last) < SAME and (value != 0.0 or old[0] != "-") else new
+
+    def _head(self, block: Block, word: AxisWord, target: float) -> str:
+        """What stands before an axis word's value; a way round that is no longer needed becomes the short way.
+
+        ``C=ACP(30)`` from 30 stays there, but ``C=ACP(29.999)`` would go round once.
+        """
+        head = block.text[word.start : word.value_start]
+        if word.form in ("ACP", "ACN") and abs(target - self.said.value[word.axis]) <= 180.0:
+            at = head.upper().rindex(word.form)
+            return f"{head[:at]}{'DC' if head[at].isupper() else 'dc'}{head[at + 3 :]}"
+        return head
 
     def _added(self, line: int, block: Block, axis: int, target: float) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]

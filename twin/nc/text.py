@@ -85,9 +85,15 @@ class Style(NamedTuple):
     comma: bool = False
 
 
+_TELLS_NOTHING = frozenset("123456789")
+"""First and last digits of numbers like 12.5, which leave the style open."""
+
+
 def style_of(text: str, base: Style) -> Style:
     """The style of one written number; what it leaves open (``12.5`` does not tell of ``5.``) comes from a base."""
     first = text[:1]
+    if text[-1:] in _TELLS_NOTHING and first in _TELLS_NOTHING and "." in text and not base.plus and not base.comma:
+        return base
     plus = True if first == "+" else base.plus if first == "-" else False
     comma = "," in text
     whole, separator, fraction = text.partition("," if comma else ".")
@@ -174,6 +180,14 @@ def printed(value: float, increment: float, *, inch: bool = False) -> float:
 
 def format_number(value: float, decimals: int, style: Style) -> str:
     """A number in a style, rounded to some decimals; never ``-0``."""
+    point, keep, lead, plus, comma = style
+    if lead and decimals and not (keep or plus or comma):
+        text = f"{value:.{decimals}f}".rstrip("0")
+        if text[-1] != ".":
+            return text
+        if text == "-0.":
+            text = "0."
+        return text if point else text[:-1]
     text = f"{value:.{decimals}f}"
     negative = text[0] == "-"
     if negative:
@@ -203,9 +217,9 @@ def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float,
 
 
 def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
-    """A text with stretches replaced; edits at one place keep their order, none may overlap."""
+    """A text with stretches replaced; none may overlap, and no two may insert at one place."""
     if len(edits) > 1:
-        edits.sort(key=_place)
+        edits.sort()
     parts = []
     at = 0
     for start, end, new in edits:
@@ -214,8 +228,3 @@ def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
         at = end
     parts.append(text[at:])
     return "".join(parts)
-
-
-def _place(edit: tuple[int, int, str]) -> tuple[int, int]:
-    """Insertions come before a stretch that is replaced at the same place."""
-    return edit[0], edit[1]
