@@ -265,8 +265,12 @@ def test_path_hangs_on_the_table_and_is_exaggerated_there(real: Kinematics) -> N
     assert "/meshcat/machine/table/arrows" in drawn and "/meshcat/machine/table/rapids" not in drawn
 
 
-def test_size_of_the_page(page: str) -> None:
+def test_size_of_the_page(real: Kinematics, page: str) -> None:
+    """However long the program, and however often it lifts off."""
     assert len(page) < 3e6
+    long = motion(real, 20_000)
+    assert len(scene_html(real, long, title="t")) < 5e6
+    assert len(scene_html(real, replace(long, cutting=np.arange(20_001) % 5 > 1), title="t")) < 6e6
 
 
 @pytest.mark.parametrize("name", ["trunnion_ac", "xyzbc_trunnion"])

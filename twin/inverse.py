@@ -195,8 +195,9 @@ class Inverse:
     def _repaired_in_part(self, q0: np.ndarray, point: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Rotary axes moved as far as makes sense where the whole orientation cannot be had.
 
-        Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β²/t: continuous at the
-        limit, and gone at the singularity itself, where turning C repairs nothing, so that C stays continuous through it.
+        Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β·(β/t)³: continuous at
+        the limit, and soon gone towards the singularity, where turning C repairs nothing: C stays continuous through it, and
+        a program that stands at B = 0 does not have its C moved for nothing.
         """
         residual, by_position = self._evaluate(q0, point, across)
         reduced, left = self._reduced(residual, by_position)
@@ -205,7 +206,8 @@ class Inverse:
         limit = self.rotary_limit_deg * DEG
         within = np.abs(delta) <= limit * sigma
         needed = np.divide(delta, sigma, out=np.zeros_like(delta), where=within & (sigma > 0.0))
-        damped = np.divide(limit**2 * sigma, delta, out=np.zeros_like(delta), where=~within)
+        reach = np.divide(limit * sigma, delta, out=np.zeros_like(delta), where=~within)  # β/t, signed
+        damped = limit * reach**3
         move = np.einsum("nji,nj->ni", vt, np.where(within, needed, damped))
         q = q0.copy()
         lower, upper = self.kinematics.machine.limits[self._rotary].T

@@ -81,7 +81,7 @@ def scene_html(
         illustrative: say in the page that the calibration is drawn, not measured.
 
     Returns:
-        The page's text, 1 to 3 MB.
+        The page's text, some megabytes.
 
     Raises:
         InputError: the path does not fit the machine, a number is out of range, or the URDF has shapes that cannot be drawn.
@@ -317,22 +317,21 @@ def _path_commands(
     fine = 0.004 * path.extent_mm * MM
     bold = max(fine, 0.0011 * size)
     commands: list[Any] = []
-    for name, radius, sides, limit in (("fine", fine, 6, MAX_POINTS), ("bold", bold, 4, MAX_POINTS // 3)):
-        if cuts and radius > 0:
-            pieces = [
-                tube(shown[run], np.full(len(run), radius), colours[run], sides)
-                for run in thinned(cuts, limit, path.worst)
-            ]
-            commands.append(_mesh(joined(pieces), node.append(name)))
-    if cuts and fine > 0:
-        grey = [
-            tube(nominal[run], np.full(len(run), 0.35 * fine), np.tile(_NOMINAL, (len(run), 1)), 3)
-            for run in thinned(cuts, MAX_POINTS, path.worst)
-        ]
-        commands.append(_mesh(joined(grey), node.append("nominal")))
+    grey, pale = (np.tile(colour, (len(nominal), 1)) for colour in (_NOMINAL, _RAPID))
+    for name, points, tints, radius, sides, limit in (
+        ("fine", shown, colours, fine, 6, MAX_POINTS),
+        ("bold", shown, colours, bold, 4, MAX_POINTS // 3),
+        ("nominal", nominal, grey, 0.35 * fine, 3, MAX_POINTS),
+    ):
+        pieces = thinned(cuts, limit, path.worst)
+        # A program of ten thousand short cuts has too many ends for tubes, in a file and in a browser.
+        if sum(len(piece) for piece in pieces) > 2 * limit:
+            commands.append(_lines(*_pairs(points, tints, pieces), node.append(name)))
+        elif pieces and radius > 0:
+            tubes = [tube(points[piece], np.full(len(piece), radius), tints[piece], sides) for piece in pieces]
+            commands.append(_mesh(joined(tubes), node.append(name)))
     if rapids:
-        pairs = [np.repeat(nominal[run], 2, axis=0)[1:-1] for run in thinned(rapids, MAX_POINTS, path.worst)]
-        commands.append(_lines(np.concatenate(pairs), _RAPID, node.append("rapids")))
+        commands.append(_lines(*_pairs(nominal, pale, thinned(rapids, MAX_POINTS, path.worst)), node.append("rapids")))
     blocks = [block for block in arrow_blocks(path, vectors) if path.deviation_um[block] > 0]
     if blocks and fine > 0:
         arrows = [
@@ -405,12 +404,20 @@ def _mesh(mesh: Mesh, node: NodePath) -> SetObject:
     )
 
 
-def _lines(segments: np.ndarray, colour: tuple[float, float, float] | None, node: NodePath) -> SetObject:
-    """(2k, 3) ends of segments; the colour of edges where none is given."""
-    material = shapes.LineBasicMaterial(
-        color=_EDGE if colour is None else _hex(colour), opacity=0.55 if colour is None else 1.0
-    )
-    return SetObject(shapes.LineSegments(shapes.PointsGeometry(segments.astype(np.float32).T), material), path=node)
+def _lines(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
+    """(2k, 3) ends of segments with their colours; the colour of edges where none are given."""
+    ends = segments.astype(np.float32).T
+    if colours is None:
+        drawn = shapes.PointsGeometry(ends), shapes.LineBasicMaterial(color=_EDGE, opacity=0.55)
+    else:
+        drawn = shapes.PointsGeometry(ends, colours.astype(np.float32).T), shapes.LineBasicMaterial(vertexColors=True)
+    return SetObject(shapes.LineSegments(*drawn), path=node)
+
+
+def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of all segments of all runs, and their colours."""
+    ends = np.concatenate([np.repeat(piece, 2)[1:-1] for piece in pieces])
+    return points[ends], colours[ends]
 
 
 def _packed(command: Any) -> str:

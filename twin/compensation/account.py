@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from twin.compensation.report import ClassShare, Deviation, LineNote, Report
 from twin.iso16907 import BASIC, iso_class
 from twin.kinematics import Poses, angle_between_rad
 from twin.nc.blocks import Notice, Program
+
+CLASS_POSES: Final = 5000
+"""Poses at which the shares of the classes are taken: a share needs no more, the total is over all."""
 
 
 @final
@@ -97,6 +100,10 @@ class Account:
         return np.linalg.norm(point * 1e3 - self.rows.target.point_mm[good], axis=1) * 1e3
 
     def _classes(self, before: np.ndarray, after: np.ndarray, meant: Poses) -> tuple[ClassShare, ...]:
+        if len(before) > CLASS_POSES:
+            some = np.linspace(0, len(before) - 1, CLASS_POSES).astype(int)
+            before, after = before[some], after[some]
+            meant = Poses(meant.point_mm[some], meant.rotation[some])
         shares = []
         reached = self.bench.space.nominal.forward(after)
         for name in BASIC:
@@ -104,8 +111,9 @@ class Account:
             found = alone.calibration
             if not (found.curves or found.squareness or found.location):
                 continue
-            share = np.linalg.norm(alone.forward(before).point_mm - meant.point_mm, axis=1) * 1e3
-            turn = angle_between_rad(alone.forward(before).axis, meant.axis) * 1e6
+            alone_before = alone.forward(before)
+            share = np.linalg.norm(alone_before.point_mm - meant.point_mm, axis=1) * 1e3
+            turn = angle_between_rad(alone_before.axis, meant.axis) * 1e6
             corrected = None if self.bench.options.method == "thesis" else name in self.pieces.scope.classes
             left = np.linalg.norm(alone.forward(after).point_mm - reached.point_mm, axis=1) * 1e3
             shares.append(
