@@ -234,7 +234,7 @@ def copy(tmp_path: Path) -> Path:
         ("joint: c_joint, kind: rotary", "joint: c_joint, kind: linear", "joint c_joint is", "kind: rotary"),
         ("range: [0, 600]", "range: [600, 0]", "empty range", "lower < upper"),
         ("range: [0, 600]", "range: unlimited", "without limits", "[lower, upper] in mm"),
-        ("range: [0, 600]", "range: [0, .nan]", "empty range", "lower < upper"),
+        ("range: [0, 600]", "range: [0, .nan]", "axes.0.range.1", "finite"),
         ("range: [0, 500], increment: 0.001", "range: [0, 500], increment: -1", "does not fit", "greater than 0"),
         ("name: Y,", "name: X,", "given twice", "each axis once"),
         ("origin: {X: 300", "origin: {A: 300", "no linear axis", "linear axes"),
@@ -258,7 +258,7 @@ def test_a_wrong_machine_file_is_told_with_its_line(copy: Path, old: str, new: s
 
 def test_a_urdf_that_is_not_there(copy: Path) -> None:
     copy.with_suffix(".urdf").unlink()
-    with pytest.raises(InputError, match=r"trunnion_ac\.urdf: cannot be read"):
+    with pytest.raises(InputError, match=r"trunnion_ac\.yaml:3: no such URDF"):
         Machine.load(copy)
 
 

@@ -23,7 +23,7 @@ from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.scene import ScenePath, scene_html
-from twin.scene_path import (
+from twin.scene.path import (
     MAX_KEYFRAMES,
     arrow_blocks,
     chosen_exaggeration,

@@ -28,7 +28,6 @@ from twin.iso16907 import NAMES, Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.nc import dialect_for, find_program, read_program
-from twin.scene import ScenePath, scene_html
 from twin.toolpath import Setup, WordSpace, follow
 
 BAD_INPUT = 2
@@ -218,6 +217,8 @@ def scene(
 
     twin scene part.nc -o scene.html --tool-length 120
     """
+    from twin.scene import ScenePath, scene_html  # meshcat takes its time, and only this command needs it
+
     loaded = Machine.load(machine)
     source = find_program(program)
     read, dialect = read_program(source)

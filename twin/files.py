@@ -67,9 +67,10 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
         return schema.model_validate(data), lines
     except ValidationError as error:
         first = error.errors()[0]
-        place = tuple(first["loc"])
+        # pydantic names the member of a union it tried; the file has no such entry.
+        place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
-        expected = str(first.get("ctx", {}).get("expected") or first["msg"])
+        expected = str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
         raise InputError(
             f"`{entry}` does not fit",
             expected=expected,

@@ -84,7 +84,7 @@ class ErrorFrame:
 
 
 class _AxisEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
     joint: str
     kind: Literal["linear", "rotary"]
@@ -94,14 +94,14 @@ class _AxisEntry(BaseModel):
 
 
 class _Frames(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     tool: str
     work: str
     origin: dict[str, float] = {}
 
 
 class _Programs(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     tool_length: float = 0.0
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
@@ -146,6 +146,14 @@ class Machine:
         self.default_calibration = (
             None if entries.calibration is None else (path.parent / entries.calibration).resolve()
         )
+        if not self.urdf.is_file():
+            raise InputError(
+                "no such URDF",
+                expected="a file beside the machine file",
+                file=path,
+                line=lines[("urdf",)],
+                value=entries.urdf,
+            )
         source = _load_urdf(self.urdf)
         _check(entries, source, path, lines)
         self.model, joint_of, self.frames = _with_error_frames(source, entries)

@@ -27,8 +27,8 @@ from meshcat.path import Path as NodePath
 
 from twin.errors import InputError
 from twin.kinematics import Kinematics
-from twin.scene_page import PAGE
-from twin.scene_path import (
+from twin.scene.page import PAGE
+from twin.scene.path import (
     MAX_POINTS,
     Keyframes,
     Mesh,
