@@ -1,0 +1,168 @@
+"""The figures README and the notes quote, measured: run ``python -m tests.benchmarks.figures``.
+
+Agreement of the formulations, what the inverse leaves, the thesis's method beside ours, and the time for 100,000 poses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import root
+
+from tests.errors import random_calibration
+from tests.reference import dmu50_pose, sorby_forward, sorby_inverse
+from tests.test_kinematics import random_commands
+from tests.test_thesis import PROGRAM
+from twin.batch import BatchFunction
+from twin.calibration import Calibration
+from twin.compensation import Compensator, Options
+from twin.inverse import Inverse, Status
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.nc import dialect_for, find_program, read_program
+from twin.nc.blocks import Dialect, Program
+from twin.symbolic import chain_function
+
+
+def agreement(machine: Machine) -> None:
+    """Pinocchio, CasADi and the reference over 10,000 poses, errors to 1 mm and 1 mrad; then the closed form."""
+    n, length = 10_000, 0.123
+    rng = np.random.default_rng(1)
+    q, errors = random_commands(machine, n, rng), rng.uniform(-1e-3, 1e-3, (n, len(machine.frames), 6))
+    rotation, point = BatchFunction(chain_function(machine))(
+        q * machine.scale, errors.reshape(n, -1), np.array([length])
+    )
+    data = machine.model.createData()
+    tip = pin.SE3(np.eye(3), np.array([0.0, 0.0, -length]))
+    worst = np.zeros((2, 2))
+    for i in range(n):
+        pin.framesForwardKinematics(machine.model, data, machine.configuration(q[i] * machine.scale, errors[i]))
+        pose = (data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame]) * tip).homogeneous
+        frames = {
+            ("L_" if frame.role == "location" else "") + frame.axis: errors[i, k] * [1e3, 1e3, 1e3, 1, 1, 1]
+            for k, frame in enumerate(machine.frames)
+        }
+        truth = dmu50_pose(q[i] * [1, 1, 1, np.pi / 180, np.pi / 180], frames, length * 1e3)
+        for k, (turn, mm) in enumerate(
+            ((pose[:3, :3], pose[:3, 3] * 1e3), (rotation[i].reshape(3, 3).T, point[i] * 1e3))
+        ):
+            worst[k] = np.maximum(worst[k], [np.abs(mm - truth[:3, 3]).max(), np.abs(turn - truth[:3, :3]).max()])
+    print(f"agreement with the reference, {n} poses:")
+    for name, (mm, rad) in zip(("Pinocchio", "CasADi"), worst, strict=True):
+        print(f"  {name:10} {mm:.1e} mm  {rad:.1e} rad")
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=0.0)
+    poses = nominal.forward(q)
+    joint = (q - [250, 225, -400, 0, 0]) * [1, 1, 1, np.pi / 180, np.pi / 180]
+    forward = [np.concatenate(sorby_forward(row)) for row in joint]
+    found = np.concatenate([poses.point_mm, poses.axis], axis=1)
+    print(
+        f"  closed form, forward: {np.abs(found - forward)[:, :3].max():.1e} mm, {np.abs(found - forward)[:, 3:].max():.1e} rad"
+    )
+    rows = np.flatnonzero((q[:, 3] > 1) & (q[:, 3] < 179))
+    back = np.array([sorby_inverse(poses.point_mm[i], poses.axis[i])[:3] for i in rows])
+    print(f"  closed form, inverse (1° < B < 179°): {np.abs(back - joint[rows, :3]).max():.1e} mm")
+
+
+def inverse(machine: Machine) -> None:
+    """Residual of the inverse with errors over 10,000 poses."""
+    rng = np.random.default_rng(11)
+    n = 10_000
+    real = Kinematics(machine, random_calibration(machine, rng), tool_length_mm=100.0)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=100.0)
+    q = random_commands(machine, n, rng)
+    q[:, :3] = np.clip(q[:, :3], [8, 8, -392], [492, 442, -8])
+    for rotary, name in ((True, "five axes"), (False, "linear axes only")):
+        solution = Inverse(real).solve(nominal.forward(q), q, rotary=rotary)
+        counts = {status.value: int(solution.where(status).sum()) for status in Status}
+        good = solution.where(Status.CONVERGED)
+        turned = f", {solution.orientation_residual_rad[good].max():.1e} rad" if rotary else ""
+        print(f"inverse, {name}: {solution.point_residual_mm.max():.1e} mm{turned}; {counts}")
+
+
+def timing(machine: Machine, calibration: Calibration) -> None:
+    """100,000 poses, all 30 curves; peer: scipy.optimize.root on Pinocchio's forward kinematics, in the same run."""
+    n = 100_000
+    rng = np.random.default_rng(3)
+    real = Kinematics(machine, calibration, tool_length_mm=100.0)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=100.0)
+    q = random_commands(machine, n, rng)
+    q[:, :4] = np.clip(q[:, :4], [8, 8, -392, 20], [492, 442, -8, 160])
+    meant = nominal.forward(q)
+    solver = Inverse(real)
+    solver.solve(nominal.forward(q[:10]), q[:10])
+    real.forward(q[:10])
+
+    def seconds(work: Callable[[], object]) -> float:
+        best = np.inf
+        for _ in range(3):
+            start = time.perf_counter()
+            work()
+            best = min(best, time.perf_counter() - start)
+        return float(best)
+
+    forward, five, linear = (
+        seconds(work)
+        for work in (
+            lambda: real.forward(q),
+            lambda: solver.solve(meant, q),
+            lambda: solver.solve(meant, q, rotary=False),
+        )
+    )
+    data = machine.model.createData()
+
+    def residual(position: np.ndarray, i: int) -> np.ndarray:
+        errors = np.array(real.errors(position * machine.scale)).reshape(-1, 6)
+        pin.framesForwardKinematics(machine.model, data, machine.configuration(position * machine.scale, errors))
+        pose = data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame])
+        axis = pose.rotation[:, 2]
+        point = (pose.translation - 0.1 * axis) * 1e3
+        return np.concatenate([point - meant.point_mm[i], 1e3 * np.cross(axis, meant.axis[i])[:2]])
+
+    start = time.perf_counter()
+    peers = 100
+    for i in range(peers):
+        root(residual, q[i], args=(i,))
+    peer = (time.perf_counter() - start) / peers
+    print(
+        f"100,000 poses, 30 curves, two cores: forward {forward:.2f} s, inverse five axes {five:.2f} s, linear only {linear:.2f} s"
+    )
+    print(f"  scipy.optimize.root on Pinocchio: {peer * 1e6:.0f} µs a pose, {peer * n / five:.0f} times ours")
+
+
+def methods(machine: Machine, calibration: Calibration) -> None:
+    """The thesis's method beside ours, on the same machine."""
+    figure = dialect_for(find_program("cone_frustum.nc"))
+    # X = 500 at mid-volume asks for a command beyond the axis's range: left out here, listed when it happens.
+    inner = PROGRAM.replace("X0 Y0 Z0", "X50 Y225 Z-200").replace("G1 X500 F1000\n", "")
+    cases: list[tuple[str, Program, Dialect, float]] = [
+        ("X = 50 … 500, Y = Z = 0", figure.read(PROGRAM.encode(), "figure.nc"), figure, 0.0),
+        ("X = 50 … 450, Y 225, Z -200", figure.read(inner.encode(), "inner.nc"), figure, 120.0),
+        ("cone frustum", *read_program("cone_frustum.nc"), 120.0),
+    ]
+    print(f"{'error at the tool, RMS / max µm':34}{'before':>18}{'thesis':>18}{'ours':>18}{'rounding':>12}")
+    for name, program, dialect, length in cases:
+        cells = []
+        for method in ("thesis", "exact"):
+            options = Options(tool_length_mm=length, method="thesis" if method == "thesis" else "exact")
+            report = Compensator(machine, calibration, options).compensate(program, dialect).report
+            if not cells:
+                cells.append(f"{report.before.rms_um:.2f} / {report.before.max_um:.2f}")
+            cells.append(f"{report.after.rms_um:.2f} / {report.after.max_um:.2f}")
+        print(f"{name:34}" + "".join(f"{cell:>18}" for cell in cells) + f"{report.rounding_um:>12.2f}")
+
+
+def main() -> None:
+    """Print all figures."""
+    machine = Machine.load("dmu50")
+    calibration = Calibration.default(machine)
+    agreement(machine)
+    inverse(machine)
+    methods(machine, calibration)
+    timing(machine, calibration)
+
+
+if __name__ == "__main__":
+    main()
