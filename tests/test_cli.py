@@ -148,14 +148,16 @@ def test_bad_calibrations(part: Path, tmp_path: Path, capsys: pytest.CaptureFixt
         assert not out.exists()
 
 
-def test_a_curve_that_ends_short_of_the_program(part: Path, tmp_path: Path) -> None:
-    """Outside its domain a curve says nothing: the block is listed and left as written, and the exit status says so."""
+def test_a_curve_that_ends_short_of_the_program(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Outside its domain a curve says nothing, and `twin` does not guess."""
     short = tmp_path / "short.yaml"
     short.write_text(CALIBRATION + "curves: {E_XX: {unit: um, domain: [0, 110], basis: power, coefficients: [5]}}\n")
-    done = twin("compensate", part, "-o", tmp_path / "out.nc", "--calibration", short)
-    assert done.returncode == 3
-    assert "domain" in done.stdout
-    assert "X120" in (tmp_path / "out.nc").read_text()
+    for command in ("compensate", "scene"):
+        out = tmp_path / ("out.nc" if command == "compensate" else "out.html")
+        message = refused(capsys, command, part, "-o", out, "--calibration", short)
+        for word in ("part.nc:3", "X 120", "0 to 110 mm", "short.yaml"):
+            assert word in message
+        assert not out.exists()
 
 
 def test_bad_arguments(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

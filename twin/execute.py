@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.kinematics import Kinematics
 from twin.nc.blocks import Kind, Program
-from twin.toolpath import Path, WordSpace, along, chords
+from twin.toolpath import Path, WordSpace, along, check_domains, chords, outside_range
 
 SPACING: Final = (5.0, 2.0)
 """mm of linear and degrees of rotary motion between two points, at most."""
@@ -29,7 +29,7 @@ class Execution:
         cutting: (n,) False on rapids.
         ends: (n,) whether the point is the end of a block.
         lines: (n,) program line of each point.
-        left_out: points outside an axis's range or a curve's domain, which nothing is known of.
+        left_out: points outside an axis's range, which nothing is known of.
     """
 
     positions: np.ndarray
@@ -49,6 +49,9 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
         path: its motions (`twin.toolpath.follow`).
         space: words to commands on the machine as drawn.
         real: the machine with errors, same tool length.
+
+    Raises:
+        InputError: a position in the axis's range that its error motions do not cover.
     """
     words, tcp, cutting, ends, lines = [], [], [], [], []
     for motion in path.motions:
@@ -63,9 +66,8 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
         ends += [False] * (len(fractions) - 1) + [True]
         lines += [program.lines[motion.move.line].number] * len(fractions)
     positions = space.commands(np.concatenate(words), np.array(tcp))
-    limits = space.machine.limits / space.machine.scale[:, None]
-    keep = np.isfinite(positions).all(axis=1) & ~real.outside_domain(positions).any(axis=1)
-    keep &= ((positions >= limits[:, 0] - 1e-9) & (positions <= limits[:, 1] + 1e-9)).all(axis=1)
+    check_domains(real, program, np.array(lines)[ends], positions[ends])
+    keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions = positions[keep]
     return Execution(
         positions=positions,

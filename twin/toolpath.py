@@ -227,6 +227,39 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
     return Path(tuple(motions), tuple(passed))
 
 
+def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
+    """(n,) whether commands (mm, degrees) leave an axis's range; NaN does."""
+    limits = machine.limits / machine.scale[:, None]
+    slack = 1e-9
+    return ~((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack)).all(axis=1)
+
+
+def check_domains(real: Kinematics, program: Program, lines: np.ndarray, commands: np.ndarray) -> None:
+    """A position the axis has and its curves do not know is an error, not an extrapolation.
+
+    Args:
+        real: the machine with its calibration.
+        program: for the message.
+        lines: (n,) program line number of each command.
+        commands: (n, axes) mm and degrees; those out of range are somebody else's to report.
+
+    Raises:
+        InputError: with line, value and domain.
+    """
+    outside = real.outside_domain(commands) & ~outside_range(real.machine, commands)[:, None]
+    if np.any(outside):
+        row, column = np.argwhere(outside)[0]
+        lo, hi = real.calibration.domains()[column]
+        axis = real.machine.axes[column]
+        raise InputError(
+            f"{axis.name} outside the domain of its error motions in {real.calibration.path or 'the calibration'}",
+            expected=f"{lo:g} to {hi:g} {axis.unit}",
+            file=program.source,
+            line=int(lines[row]),
+            value=f"{axis.name} {commands[row, column]:.6g}",
+        )
+
+
 def along(motion: Motion, fractions: np.ndarray) -> np.ndarray:
     """(k, axes) words at fractions (0…1] of a motion: straight, or on its arc, rotary words and pitch in proportion."""
     words = motion.start + fractions[:, None] * (motion.end - motion.start)

@@ -141,19 +141,32 @@ class Account:
                 if axis.lower is not None
                 and axis.upper is not None
                 and not axis.lower - 1e-9 <= value <= axis.upper + 1e-9
-            ] or ["outside the domain of an error motion"]
+            ] or ["an axis would leave the domain of its error motions"]
             done = "left as written" if self.rows.untouched[row] else "stopped at the limit"
             notes[number] = LineNote(number, f"{'; '.join(wrong)}: {done}")
         return tuple(notes.values())
 
     def _orientation_left(self) -> tuple[LineNote, ...]:
-        worst: dict[int, float] = {}
+        worst: dict[int, tuple[float, str]] = {}
         for row in np.flatnonzero(self.rows.singular):
             number = self.program.lines[self.pieces.path.motions[self.rows.motion[row]].move.line].number
-            worst[number] = max(worst.get(number, 0.0), float(self.rows.orientation_left[row]))
+            left = float(self.rows.orientation_left[row])
+            if left >= worst.get(number, (0.0, ""))[0]:
+                worst[number] = left, self._why_not(self.rows.commands[row])
         return tuple(
-            LineNote(number, f"{angle * 1e6:.1f} µrad of orientation left: the rotary axes cannot repair it here")
-            for number, angle in worst.items()
+            LineNote(number, f"{left * 1e6:.1f} µrad of orientation left: {why}")
+            for number, (left, why) in worst.items()
+        )
+
+    def _why_not(self, commands: np.ndarray) -> str:
+        """Why the rotary axes cannot repair an orientation at these commands."""
+        for i in self.bench.machine.rotary:
+            axis = self.bench.machine.axes[i]
+            for limit in (axis.lower, axis.upper):
+                if limit is not None and abs(commands[i] - limit) < axis.increment:
+                    return f"{axis.name} stands at its limit of {limit:g}°"
+        return (
+            f"near a singular pose, it would take more than {self.bench.options.rotary_limit_deg:g}° of a rotary axis"
         )
 
     def _not_met(self) -> tuple[LineNote, ...]:

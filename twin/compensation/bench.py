@@ -14,7 +14,7 @@ from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
-from twin.toolpath import Setup, WordSpace
+from twin.toolpath import Setup, WordSpace, outside_range
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the fraction done."""
@@ -58,6 +58,7 @@ class Bench:
         full: the machine with all its errors.
         thesis: the baseline, where it is asked for.
         increment: (axes,) least increments in the order of the words.
+        limits: (axes, 2) mm and degrees that commands keep to: ranges, and domains of curves where those are narrower.
 
     Raises:
         InputError: the machine cannot run programs, or the method does not fit it.
@@ -71,14 +72,15 @@ class Bench:
         self.full = Kinematics(machine, calibration, tool_length_mm=options.tool_length_mm)
         self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
         self.increment = np.array([axis.increment for axis in machine.axes])[self.space.order]
-        self.limits = machine.limits / machine.scale[:, None]
+        ranges, domains = machine.limits / machine.scale[:, None], calibration.domains()
+        self.limits = np.stack(
+            [np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1
+        )
 
     def limited(self, keep: Callable[[str], bool]) -> Kinematics:
         """The machine with only some of its errors."""
         return Kinematics(self.machine, self.calibration.where(keep), tool_length_mm=self.options.tool_length_mm)
 
     def outside(self, commands: np.ndarray) -> np.ndarray:
-        """(n,) whether commands (mm, degrees) leave an axis's range or a curve's domain."""
-        slack = 1e-9
-        inside = ((commands >= self.limits[:, 0] - slack) & (commands <= self.limits[:, 1] + slack)).all(axis=1)
-        return np.asarray(~inside | self.full.outside_domain(commands).any(axis=1))
+        """(n,) whether commands (mm, degrees) leave an axis's range."""
+        return outside_range(self.machine, commands)

@@ -19,7 +19,7 @@ from twin.errors import InputError, OutputError
 from twin.machine import Machine
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
 from twin.nc.post import post
-from twin.toolpath import Path, follow
+from twin.toolpath import Path, check_domains, follow
 
 PRINTED_MM: float = 2e-4
 """What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
@@ -97,6 +97,8 @@ class Compensator:
         written = dialect if into is None else into
         posted = written.name != dialect.name
         pieces = Pieces(self.bench, path, reading, dialect, posted=posted)
+        numbers = np.array([program.lines[motion.move.line].number for motion in path.motions])
+        check_domains(self.bench.full, program, numbers, self.bench.space.commands(pieces.end, pieces.tcp))
         say("solving", 0.1)
         rows = pieces.solve(say)
         rewrites = [] if pieces.idle else _rewrites(pieces, rows)
@@ -111,9 +113,16 @@ class Compensator:
         say("checking", 0.9)
         report = Account(self.bench, pieces, rows, program, rewritten=len(rewrites)).report()
         say("done", 1.0)
-        lines = np.array([program.lines[path.motions[m].move.line].number for m in rows.motion])
         return Compensation(
-            text, report, reading, tuple(rewrites), path, rows.nominal, rows.exact, rows.commands, lines
+            text,
+            report,
+            reading,
+            tuple(rewrites),
+            path,
+            rows.nominal,
+            rows.exact,
+            rows.commands,
+            numbers[rows.motion],
         )
 
 
