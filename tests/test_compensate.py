@@ -229,6 +229,23 @@ def test_work_origin_in_tcp(dmu50: Machine, calibration: Calibration) -> None:
     assert a.exact == pytest.approx(b.exact, abs=1e-8)
 
 
+def test_mode_tcp_is_the_program_switching_it_on(dmu50: Machine, calibration: Calibration) -> None:
+    words = "G0 X50 Y20 Z60 B40 C50\nG1 X40 F300\n"
+    switched = compensate("G43.4 H1\n" + words, dmu50, calibration)
+    told = compensate(words, dmu50, calibration, tcp=True)
+    assert switched.text == "G43.4 H1\n" + told.text
+    assert told.exact == pytest.approx(switched.exact, abs=1e-12)
+
+
+def test_an_offset_without_words_to_add_it_to_is_said(dmu50: Machine, calibration: Calibration) -> None:
+    tip = compensate(
+        "G43.4 H1\nG0 X50 Y20 Z60 B40 C50\n", dmu50, calibration, setup=Setup(work_offset={"X": 5.0, "B": 1.0})
+    )
+    assert any("--work-origin" in note.text for note in tip.report.notes)
+    axis = compensate("G0 X50 Y20 Z-60 B40 C50\n", dmu50, calibration, setup=Setup(work_origin_mm=(5.0, 0.0, 0.0)))
+    assert any("--work-offset" in note.text for note in axis.report.notes)
+
+
 def test_arcs_become_chords(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
     text = "G90 G17\nG0 X200 Y200 Z-100 B20 C10\nG2 X240 Y200 I20 J0 F500\nG1 X250\nG3 X250 Y200 I-10 J0\n"
     result = compensate(text, dmu50, calibration)

@@ -28,6 +28,15 @@ def random_commands(machine: Machine, n: int, rng: np.random.Generator) -> np.nd
     return rng.uniform(lower, upper, (n, len(machine.axes)))
 
 
+def reference_pose(machine: Machine, q: np.ndarray, errors: np.ndarray, length: float) -> np.ndarray:
+    """The reference at commands in mm and degrees, error frames (frames, 6) and tool length in metres and radians."""
+    frames = {
+        ("L_" if frame.role == "location" else "") + frame.axis: errors[k] * [1e3, 1e3, 1e3, 1, 1, 1]
+        for k, frame in enumerate(machine.frames)
+    }
+    return dmu50_pose(q * [1, 1, 1, np.pi / 180, np.pi / 180], frames, length * 1e3)
+
+
 @pytest.fixture(scope="module")
 def cases(dmu50: Machine) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(1)
@@ -48,11 +57,7 @@ def test_three_formulations_agree(dmu50: Machine, cases: tuple[np.ndarray, np.nd
     for i in range(POSES):
         pin.framesForwardKinematics(dmu50.model, data, dmu50.configuration(q[i] * dmu50.scale, errors[i]))
         pinocchio = (data.oMf[dmu50.work_frame].actInv(data.oMf[dmu50.tool_frame]) * tip).homogeneous
-        frames = {
-            ("L_" if frame.role == "location" else "") + frame.axis: errors[i, k] * [1e3, 1e3, 1e3, 1, 1, 1]
-            for k, frame in enumerate(dmu50.frames)
-        }
-        reference = dmu50_pose(q[i] * [1, 1, 1, np.pi / 180, np.pi / 180], frames, length * 1e3)
+        reference = reference_pose(dmu50, q[i], errors[i], length)
         for other_rotation, other_mm in (
             (casadi_rotation[i], point[i] * 1e3),
             (pinocchio[:3, :3], pinocchio[:3, 3] * 1e3),

@@ -13,8 +13,8 @@ import pinocchio as pin
 from scipy.optimize import root
 
 from tests.errors import random_calibration
-from tests.reference import dmu50_pose, sorby_forward, sorby_inverse
-from tests.test_kinematics import random_commands
+from tests.reference import sorby_forward, sorby_inverse
+from tests.test_kinematics import random_commands, reference_pose
 from tests.test_thesis import PROGRAM
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
@@ -41,11 +41,7 @@ def agreement(machine: Machine) -> None:
     for i in range(n):
         pin.framesForwardKinematics(machine.model, data, machine.configuration(q[i] * machine.scale, errors[i]))
         pose = (data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame]) * tip).homogeneous
-        frames = {
-            ("L_" if frame.role == "location" else "") + frame.axis: errors[i, k] * [1e3, 1e3, 1e3, 1, 1, 1]
-            for k, frame in enumerate(machine.frames)
-        }
-        truth = dmu50_pose(q[i] * [1, 1, 1, np.pi / 180, np.pi / 180], frames, length * 1e3)
+        truth = reference_pose(machine, q[i], errors[i], length)
         for k, (turn, mm) in enumerate(
             ((pose[:3, :3], pose[:3, 3] * 1e3), (rotation[i].reshape(3, 3).T, point[i] * 1e3))
         ):

@@ -58,6 +58,7 @@ class Account:
         exact = self._left_at_ends(self.rows.exact, good)
         corrections = np.abs(self.rows.commands - self.rows.nominal)[~self.rows.untouched]
         notes = [_note(self.program, notice) for notice in (*self.pieces.reading.notices, *self.pieces.path.passed)]
+        notes = [*self._unused_setup(), *notes]
         if self.pieces.idle:
             notes.insert(0, LineNote(1, "the calibration has no error motion in scope: written unchanged"))
         return Report(
@@ -90,6 +91,20 @@ class Account:
             notes=tuple(notes),
             orientation_asked=self.pieces.scope.asked and self.pieces.scope.orientation,
         )
+
+    def _unused_setup(self) -> list[LineNote]:
+        """Offsets the user gave that this program has no words for: better said than silently ignored."""
+        setup, axes = self.bench.options.setup, self.bench.space.axes
+        notes = []
+        if self.pieces.tcp.all() and any(setup.work_offset.get(name) for name in axes.linear):
+            notes.append(
+                LineNote(
+                    1, "work offsets of linear axes are not used: the words are tool-tip coordinates (--work-origin)"
+                )
+            )
+        if not self.pieces.tcp.any() and any(setup.work_origin_mm):
+            notes.append(LineNote(1, "the work origin is not used: the words are axis positions (--work-offset)"))
+        return notes
 
     def _left_at_ends(self, commands: np.ndarray, good: np.ndarray) -> np.ndarray:
         """(k,) µm between point and target at piece ends, of what the scope corrects.
