@@ -1,0 +1,449 @@
+"""The measurement table: one row a measured point, checked on the way in (contract §2).
+
+Nothing is dropped in silence: a row that cannot be used stands in `Measurements.set_aside` with its line and reason; a column
+that is not understood, a round that lacks points and the like stand in `Measurements.notices`.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.files import read_text, write_whole
+from twin.machine import Axis, Machine
+
+CARRIERS: Final = ("tool", "work")
+FEWEST_POINTS: Final = 3
+"""Points a station needs before its pose means anything."""
+RANGE_SLACK: Final = 0.5
+"""mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
+
+
+@final
+@dataclass(frozen=True)
+class RowNote:
+    """Something about one line of the file."""
+
+    line: int
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class Measurements:
+    """Measured points and the state of the machine when each was taken; arrays are read-only and n rows long.
+
+    Attributes:
+        source: the file, or where else they come from.
+        lines: (n,) line of each row in the file.
+        positions: (n, axes) commanded, mm and degrees, command order.
+        readback: (n, axes) reported by the control; NaN where not given.
+        target, carrier, station, round: (n,) names; carrier is ``tool`` or ``work``.
+        point_mm: (n, 3) measured coordinates in the station's own frame; NaN for a coordinate that was not measured.
+        u_mm: (n, 3) standard uncertainties; NaN where not given.
+        time_s: (n,) NaN where not given.
+        approach: (n, axes) +1, −1, 0 unknown.
+        temperature_degC: by axis or sensor, (n,) NaN where not given.
+        set_aside: rows that are not among these, and why.
+        notices: what a reader of the result must know.
+    """
+
+    source: str
+    lines: np.ndarray
+    positions: np.ndarray
+    readback: np.ndarray
+    target: np.ndarray
+    carrier: np.ndarray
+    station: np.ndarray
+    round: np.ndarray
+    point_mm: np.ndarray
+    u_mm: np.ndarray
+    time_s: np.ndarray
+    approach: np.ndarray
+    temperature_degC: Mapping[str, np.ndarray]
+    set_aside: tuple[RowNote, ...] = ()
+    notices: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def select(self, rows: np.ndarray) -> Measurements:
+        """Some rows (indices or a mask), everything else as it is."""
+        picked: dict[str, Any] = {
+            field.name: _locked(getattr(self, field.name)[rows])
+            for field in fields(self)
+            if isinstance(getattr(self, field.name), np.ndarray)
+        }
+        temperatures = {name: _locked(values[rows]) for name, values in self.temperature_degC.items()}
+        return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
+
+    def save(self, path: Path, machine: Machine, *, comment: str = "") -> None:
+        """Write the table, whole or not at all; columns without any value are left out."""
+        write_whole(path, self.to_csv(machine, comment=comment))
+
+    def to_csv(self, machine: Machine, *, comment: str = "") -> str:
+        """The table as text; reading it gives the same measurements."""
+        columns: dict[str, Sequence[str]] = {}
+        for i, axis in enumerate(machine.axes):
+            columns[_column(axis)] = _printed(self.positions[:, i])
+        for i, axis in enumerate(machine.axes):
+            if np.isfinite(self.readback[:, i]).any():
+                columns[f"readback_{_column(axis)}"] = _printed(self.readback[:, i])
+        columns |= {"target": list(self.target), "carrier": list(self.carrier)}
+        for i, name in enumerate("xyz"):
+            columns[f"{name}_mm"] = _printed(self.point_mm[:, i])
+        columns |= {"station": list(self.station), "round": list(self.round)}
+        if np.isfinite(self.time_s).any():
+            columns["time_s"] = _printed(self.time_s)
+        for i, axis in enumerate(machine.axes):
+            if np.any(self.approach[:, i]):
+                columns[f"approach_{axis.name}"] = [str(int(value)) for value in self.approach[:, i]]
+        for name, values in self.temperature_degC.items():
+            columns[f"T_{name}_degC"] = _printed(values)
+        for i, name in enumerate("xyz"):
+            if np.isfinite(self.u_mm[:, i]).any():
+                columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
+        text = io.StringIO()
+        text.write("".join(f"# {line}\n" for line in comment.splitlines()))
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        return text.getvalue()
+
+
+def load(path: Path, machine: Machine) -> Measurements:
+    """Read and check a measurement table.
+
+    Raises:
+        InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
+            number, a carrier that is neither side, a target that changes sides.
+    """
+    header, rows = _table(path)
+    axes = machine.axes
+    columns = {name: i for i, name in enumerate(header)}
+    needed = [*(_column(axis) for axis in axes), "target", "carrier", "x_mm", "y_mm", "z_mm"]
+    for name in needed:
+        if name not in columns:
+            close = difflib.get_close_matches(name, header, 1)
+            hint = f" (is it {close[0]!r}?)" if close else ""
+            raise InputError(
+                f"column {name} is missing{hint}",
+                expected=f"columns {', '.join(needed)}",
+                file=path,
+                line=rows[0][0] - 1 if rows else 1,
+            )
+    reader = _Cells(path, columns, rows)
+    n = len(rows)
+    temperatures = {
+        name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
+    }
+    known = {*needed, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
+    known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
+    known |= {f"u_{name}_mm" for name in "xyz"}
+    strange = [name for name in header if name not in known]
+    notices = tuple(_strange(name, sorted(known)) for name in strange)
+    table = Measurements(
+        source=str(path),
+        lines=_locked(np.array([line for line, _ in rows], dtype=int)),
+        positions=_stacked([reader.numbers(_column(axis)) for axis in axes]),
+        readback=_stacked([reader.numbers(f"readback_{_column(axis)}") for axis in axes]),
+        target=reader.words("target", ""),
+        carrier=reader.words("carrier", ""),
+        station=reader.words("station", "1"),
+        round=reader.words("round", "1"),
+        point_mm=_stacked([reader.numbers(f"{name}_mm") for name in "xyz"]),
+        u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
+        time_s=reader.numbers("time_s"),
+        approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
+        temperature_degC=MappingProxyType(temperatures),
+        notices=notices,
+    )
+    if n == 0:
+        raise InputError("no measured point", expected="one row a point below the header", file=path)
+    _check_names(table, path)
+    return _usable(table, machine)
+
+
+def load_export(
+    path: Path,
+    machine: Machine,
+    positions: Any,
+    *,
+    targets: Sequence[str],
+    carrier: str = "tool",
+    round_name: str = "1",
+) -> Measurements:
+    """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines a target, one line a position.
+
+    Args:
+        path: the file; mm, no header.
+        machine: the machine.
+        positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
+        targets: names of the targets in the order of the blocks.
+        carrier: the side they sit on.
+        round_name: the round this file is.
+
+    Raises:
+        InputError: another number of lines than blocks times positions, or a line that is not a name and three numbers.
+    """
+    commands = np.atleast_2d(np.asarray(positions, dtype=float))
+    if commands.shape[1] != len(machine.axes):
+        raise InputError("positions of the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
+    if carrier not in CARRIERS:
+        raise InputError("no such carrier", expected=" or ".join(CARRIERS), value=carrier)
+    lines, points = [], []
+    for number, text in enumerate(read_text(path).splitlines(), start=1):
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in text.split(",")]
+        try:
+            points.append([float(cell) for cell in cells[1:]])
+        except ValueError:
+            points.append([])
+        if len(cells) != 4 or len(points[-1]) != 3:
+            raise InputError("not a measured point", expected="name, x, y, z", file=path, line=number, value=text)
+        lines.append(number)
+    wanted = len(commands) * len(targets)
+    if len(points) != wanted:
+        raise InputError(
+            f"{len(points)} points",
+            expected=f"{wanted}: {len(targets)} targets at {len(commands)} positions",
+            file=path,
+        )
+    n = len(points)
+    nothing = np.full((n, len(machine.axes)), np.nan)
+    table = Measurements(
+        source=str(path),
+        lines=_locked(np.array(lines)),
+        positions=_locked(np.tile(commands, (len(targets), 1))),
+        readback=_locked(nothing),
+        target=_locked(np.repeat(np.array(targets, dtype=object), len(commands))),
+        carrier=_locked(np.full(n, carrier, dtype=object)),
+        station=_locked(np.full(n, "1", dtype=object)),
+        round=_locked(np.full(n, round_name, dtype=object)),
+        point_mm=_locked(np.array(points)),
+        u_mm=_locked(np.full((n, 3), np.nan)),
+        time_s=_locked(np.full(n, np.nan)),
+        approach=_locked(np.zeros((n, len(machine.axes)))),
+        temperature_degC=MappingProxyType({}),
+    )
+    return _usable(table, machine)
+
+
+def joined(tables: Sequence[Measurements]) -> Measurements:
+    """Several tables of one machine as one: the rounds of an export, say. Line numbers are those of each file.
+
+    Raises:
+        InputError: none given.
+    """
+    if not tables:
+        raise InputError("no measurements", expected="at least one table")
+    first = tables[0]
+    merged: dict[str, Any] = {
+        field.name: _locked(np.concatenate([getattr(table, field.name) for table in tables]))
+        for field in fields(first)
+        if isinstance(getattr(first, field.name), np.ndarray)
+    }
+    names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
+    temperatures = {
+        name: _locked(
+            np.concatenate([table.temperature_degC.get(name, np.full(len(table), np.nan)) for table in tables])
+        )
+        for name in names
+    }
+    return replace(
+        first,
+        **merged,
+        source=", ".join(dict.fromkeys(table.source for table in tables)),
+        temperature_degC=MappingProxyType(temperatures),
+        set_aside=tuple(note for table in tables for note in table.set_aside),
+        notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
+    )
+
+
+def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    lines = [
+        (number, text)
+        for number, text in enumerate(read_text(path).splitlines(), start=1)
+        if text.strip() and not text.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise InputError("no header row", expected="a CSV table with a header", file=path)
+    cells = list(csv.reader([text for _, text in lines]))
+    header = [name.strip() for name in cells[0]]
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(
+                "a column given twice", expected="each column once", file=path, line=lines[0][0], value=name
+            )
+    rows = []
+    for (number, _), row in zip(lines[1:], cells[1:], strict=True):
+        if len(row) != len(header):
+            raise InputError(
+                f"{len(row)} cells",
+                expected=f"{len(header)}, as in the header",
+                file=path,
+                line=number,
+                value=",".join(row),
+            )
+        rows.append((number, [cell.strip() for cell in row]))
+    return header, rows
+
+
+@final
+@dataclass(frozen=True)
+class _Cells:
+    path: Path
+    columns: Mapping[str, int]
+    rows: Sequence[tuple[int, list[str]]]
+
+    def numbers(self, name: str) -> np.ndarray:
+        """A column of numbers; NaN where the cell is empty or the column absent."""
+        column = self.columns.get(name)
+        if column is None:
+            return _locked(np.full(len(self.rows), np.nan))
+        values = np.full(len(self.rows), np.nan)
+        for i, (line, row) in enumerate(self.rows):
+            cell = row[column]
+            if cell:
+                try:
+                    values[i] = float(cell)
+                except ValueError:
+                    raise InputError(
+                        f"{name} is no number",
+                        expected="a number with a decimal point, or nothing",
+                        file=self.path,
+                        line=line,
+                        value=cell,
+                    ) from None
+                if np.isnan(values[i]):
+                    values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
+        return _locked(values)
+
+    def words(self, name: str, default: str) -> np.ndarray:
+        column = self.columns.get(name)
+        cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
+        return _locked(np.array(cells, dtype=object))
+
+    def signs(self, name: str) -> np.ndarray:
+        values = np.nan_to_num(self.numbers(name), nan=0.0)
+        wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
+        if np.any(wrong):
+            i = int(np.flatnonzero(wrong)[0])
+            raise InputError(
+                f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
+            )
+        return _locked(values)
+
+
+def _check_names(table: Measurements, path: Path) -> None:
+    for line, target, carrier in zip(table.lines, table.target, table.carrier, strict=True):
+        if carrier not in CARRIERS:
+            raise InputError(
+                "no such carrier", expected=" or ".join(CARRIERS), file=path, line=int(line), value=carrier
+            )
+        if not target:
+            raise InputError("a point without a target", expected="the reflector's name", file=path, line=int(line))
+    for target in dict.fromkeys(table.target):
+        sides = table.carrier == "tool"
+        of = table.target == target
+        if np.any(sides[of]) and not np.all(sides[of]):
+            line = int(table.lines[of][sides[of] != sides[of][0]][0])
+            raise InputError(
+                "a target on both sides", expected="one carrier a target", file=path, line=line, value=target
+            )
+
+
+def _usable(table: Measurements, machine: Machine) -> Measurements:
+    """Set aside what cannot be used, with its reason."""
+    reasons: dict[int, str] = {}
+
+    def aside(rows: np.ndarray, reason: str) -> None:
+        for row in np.flatnonzero(rows):
+            reasons.setdefault(int(row), reason)
+
+    finite = np.isfinite(table.positions)
+    aside(~finite.all(axis=1), "a commanded position that is no finite number")
+    aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate that is no finite number")
+    aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
+    aside(np.any(table.u_mm <= 0.0, axis=1), "a standard uncertainty that is not positive")
+    for i, axis in enumerate(machine.axes):
+        if axis.lower is not None and axis.upper is not None:
+            q = table.positions[:, i]
+            beyond = (q < axis.lower - RANGE_SLACK) | (q > axis.upper + RANGE_SLACK)
+            aside(beyond, f"{axis.name} is commanded outside its range {axis.lower:g} … {axis.upper:g} {axis.unit}")
+    seen: dict[bytes, int] = {}
+    for row in range(len(table)):
+        if row in reasons:
+            continue
+        names = f"{table.target[row]}|{table.station[row]}|{table.round[row]}".encode()
+        key = names + table.positions[row].tobytes() + table.point_mm[row].tobytes() + table.time_s[row].tobytes()
+        if key in seen:
+            reasons[row] = f"the same as line {table.lines[seen[key]]}, to the last digit"
+        else:
+            seen[key] = row
+    keep = np.array([row not in reasons for row in range(len(table))])
+    for station in dict.fromkeys(table.station):
+        of = keep & (table.station == station)
+        if 0 < np.count_nonzero(of) < FEWEST_POINTS:
+            aside(of, f"station {station} has fewer than {FEWEST_POINTS} usable points")
+    keep = np.array([row not in reasons for row in range(len(table))])
+    notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
+    if not np.any(keep):
+        first = notes[0]
+        raise InputError(f"no usable row: {first.text}", expected="measured points", file=table.source, line=first.line)
+    left = replace(table.select(keep), set_aside=notes)
+    return replace(left, notices=(*left.notices, *_missing_rounds(left)))
+
+
+def _missing_rounds(table: Measurements) -> list[str]:
+    """Rounds that lack points the other rounds of the same target have."""
+    points: dict[tuple[str, str], set[bytes]] = {}
+    for row in range(len(table)):
+        points.setdefault((table.target[row], table.round[row]), set()).add(table.positions[row].tobytes())
+    notices = []
+    for target in dict.fromkeys(table.target):
+        of = {name: found for (other, name), found in points.items() if other == target}
+        if len(of) < 2:
+            continue
+        everything = set.union(*of.values())
+        for name, found in of.items():
+            missing = len(everything) - len(found)
+            if missing and all(len(found & other) > len(everything) // 2 for other in of.values()):
+                notices.append(f"target {target}: round {name} lacks {missing} of {len(everything)} positions")
+    for name in dict.fromkeys(table.round):
+        absent = [target for target in dict.fromkeys(table.target) if (target, name) not in points]
+        if absent and len(dict.fromkeys(table.round)) > 1:
+            notices.append(f"round {name} has no target {', '.join(absent)}")
+    return notices
+
+
+def _strange(name: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, known, 1)
+    return f"column {name} is not understood and not used" + (f" (is it {close[0]}?)" if close else "")
+
+
+def _column(axis: Axis) -> str:
+    return f"{axis.name}_{axis.unit}"
+
+
+def _printed(values: np.ndarray) -> list[str]:
+    return ["" if np.isnan(value) else repr(float(value)) for value in values]
+
+
+def _stacked(columns: Sequence[np.ndarray]) -> np.ndarray:
+    return _locked(np.stack(columns, axis=1))
+
+
+def _locked(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
