@@ -1,0 +1,11 @@
+"""Instruments: what each reads of a point, and how well."""
+
+from twin.instruments.base import Instrument
+from twin.instruments.interferometer import TrackingInterferometer
+from twin.instruments.refraction import Air, refractive_index
+from twin.instruments.tracker import LaserTracker
+
+INSTRUMENTS: tuple[Instrument, ...] = (LaserTracker(), LaserTracker(absolute=True), TrackingInterferometer())
+"""By name: ``tracker`` (AT960, interferometer), ``tracker-absolute``, ``interferometer``."""
+
+__all__ = ["INSTRUMENTS", "Air", "Instrument", "LaserTracker", "TrackingInterferometer", "refractive_index"]
