@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -23,11 +24,14 @@ from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole
+from twin.instruments import INSTRUMENTS
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import NAMES, Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.measurement import load as load_measurements
 from twin.nc import dialect_for, find_program, read_program
+from twin.simulate import simulate as run_simulation
 from twin.toolpath import Setup, WordSpace, follow
 
 BAD_INPUT = 2
@@ -247,6 +251,50 @@ def scene(
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
     print(f"written: {output}{left}")
     if run.left_out:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+@app.command()
+def simulate(
+    plan: Annotated[
+        Path, typer.Argument(help="What to measure: a measurement table; its coordinates are not looked at.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The measured data.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    instrument: Annotated[
+        str, typer.Option("--instrument", help=", ".join(one.name for one in INSTRUMENTS))
+    ] = "tracker",
+    seed: Annotated[int, typer.Option("--seed", help="Of the noise, and of stations and targets nobody placed.")] = 0,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+) -> None:
+    """Measure a plan on the machine with the errors of a calibration, as an instrument would.
+
+    twin simulate plan.csv -o measured.csv --instrument tracker --seed 7
+    """
+    loaded = Machine.load(machine)
+    reader = next((one for one in INSTRUMENTS if one.name == instrument), None)
+    if reader is None:
+        raise InputError(
+            "no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=instrument
+        )
+    if seed < 0:
+        raise InputError("--seed is negative", expected="0 or more", value=seed)
+    check_writable([output])
+    truth = _calibration(calibration, loaded)
+    planned = load_measurements(plan, loaded, plan=True)
+    measured, setting = run_simulation(planned, loaded, truth, reader, np.random.default_rng(seed), noise=noise)
+    comment = (
+        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, instrument {reader.name}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise\n{setting.describe()}"
+    )
+    measured.save(output, loaded, comment=comment)
+    print(f"written: {output}, {len(measured)} points")
+    for note in planned.set_aside:
+        print(f"  line {note.line} set aside: {note.text}")
+    for notice in planned.notices:
+        print(f"  {notice}")
+    if planned.set_aside:
         raise typer.Exit(NOT_ALL_MET)
 
 

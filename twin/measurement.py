@@ -22,6 +22,7 @@ from twin.files import read_text, write_whole
 from twin.machine import Axis, Machine
 
 CARRIERS: Final = ("tool", "work")
+POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
 RANGE_SLACK: Final = 0.5
@@ -120,8 +121,13 @@ class Measurements:
         return text.getvalue()
 
 
-def load(path: Path, machine: Machine) -> Measurements:
+def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     """Read and check a measurement table.
+
+    Args:
+        path: the file.
+        machine: the machine it was measured on.
+        plan: whether it says what to measure only: the coordinates may be left out, and are not looked at.
 
     Raises:
         InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
@@ -130,7 +136,7 @@ def load(path: Path, machine: Machine) -> Measurements:
     header, rows = _table(path)
     axes = machine.axes
     columns = {name: i for i, name in enumerate(header)}
-    needed = [*(_column(axis) for axis in axes), "target", "carrier", "x_mm", "y_mm", "z_mm"]
+    needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
     for name in needed:
         if name not in columns:
             close = difflib.get_close_matches(name, header, 1)
@@ -146,7 +152,7 @@ def load(path: Path, machine: Machine) -> Measurements:
     temperatures = {
         name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
     }
-    known = {*needed, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
+    known = {*needed, *POINT_COLUMNS, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
     known |= {f"u_{name}_mm" for name in "xyz"}
     strange = [name for name in header if name not in known]
@@ -160,7 +166,7 @@ def load(path: Path, machine: Machine) -> Measurements:
         carrier=reader.words("carrier", ""),
         station=reader.words("station", "1"),
         round=reader.words("round", "1"),
-        point_mm=_stacked([reader.numbers(f"{name}_mm") for name in "xyz"]),
+        point_mm=_locked(np.zeros((n, 3))) if plan else _stacked([reader.numbers(name) for name in POINT_COLUMNS]),
         u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
         time_s=reader.numbers("time_s"),
         approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
@@ -386,7 +392,8 @@ def _usable(table: Measurements, machine: Machine) -> Measurements:
         if row in reasons:
             continue
         names = f"{table.target[row]}|{table.station[row]}|{table.round[row]}".encode()
-        key = names + table.positions[row].tobytes() + table.point_mm[row].tobytes() + table.time_s[row].tobytes()
+        state = (table.positions, table.approach, table.point_mm, table.time_s)
+        key = names + b"".join(column[row].tobytes() for column in state)
         if key in seen:
             reasons[row] = f"the same as line {table.lines[seen[key]]}, to the last digit"
         else:
