@@ -1,9 +1,9 @@
 """The thesis's identification: six error motions from three reflectors, position by position (Zhang and Hu 2011).
 
-A reflector at p on a carrier that errs by (e, ω) moves by Δ = e + ω × p (thesis eq. 30). Three reflectors give nine equations for six
 A reflector at p on a carrier that errs by (e, ω) moves by Δ = e + ω × p (thesis eq. 30). Three reflectors give nine equations for
 six unknowns (eq. 31, 35; 3.5 for a rotary axis, p turned with it); the thesis picks six of them (eq. 32, 36, 37, 3.6). Both are here:
 the six as the baseline to compare with, and all nine by least squares. Neither knows noise, stations or repeats: `identify` will.
+"""
 
 from __future__ import annotations
 
