@@ -150,6 +150,71 @@ def test_hostile_input_in_linear_time(dialect, name):
     assert time.perf_counter() - begin < 10.0
 
 
+BOUND_SIZE = 300_000
+SECONDS_PER_MB = 1.0
+ALLOWANCE = 3.0
+"""For a machine that is slower than ours, or busy."""
+
+
+def repeated(head, *blocks):
+    """A program of numbered variations of some blocks, of about `BOUND_SIZE` bytes."""
+    parts = [head]
+    size = len(head)
+    index = 0
+    while size < BOUND_SIZE:
+        parts.append(blocks[index % len(blocks)].replace("#", str(index % 90)))
+        size += len(parts[-1])
+        index += 1
+    return "".join(parts)
+
+
+ISO_START = "G21 G90\nG0 X0 Y0 Z0 B0 C0\n"
+ORDINARY = {
+    "nine bytes": ("a.nc", repeated(ISO_START, "G1 X#.5\n")),
+    "five axes": ("a.nc", repeated(ISO_START, "N#0 G1 X#.125 Y-#.375 Z1.# B0.# C#.5 F500\n")),
+    "modal": ("a.nc", repeated(ISO_START, "X#.125 Y-#.375\n", "Z1.#\n", "N5 M8\n", "G1 F500 (feed)\n", "G0 Z5. M9\n")),
+    "incremental": ("a.nc", repeated(ISO_START + "G91\n", "G1 X0.# Y-0.#\n")),
+    "arcs": ("a.nc", repeated(ISO_START, "G2 X10 Y0 I5 J0\n", "G1 X0 Y0 Z#\n")),
+    "vectors": ("a.nc", repeated(ISO_START + "G43.5\n", "X#.1 Y1 Z1 I0 J0.6 K0.8\n")),
+    "siemens": ("a.nc", repeated(ISO_START + "TRAORI\n", "N# X#.1 Y1 Z1 A3=0 B3=0.6 C3=0.8\n")),
+    "plain language": ("a.h", repeated("BEGIN PGM A MM\n", "# L X+#.125 Y-#,375 R0 F500\n", "L Z+# FMAX M3\n")),
+    "short plain language": ("a.h", repeated("BEGIN PGM A MM\n", "L X+#.5\n")),
+    "LN": ("a.h", repeated("BEGIN PGM A MM\nM128\n", "LN X+# Y+1 Z+1 NX+0 NY+0 NZ+1 TX+0 TY+0.6 TZ+0.8\n")),
+    "locations": ("a.cls", repeated("UNITS/MM\n", "GOTO/#.1234,2.5,3.75,0.0,0.6,0.8\n", "FEDRAT/MMPM,500.\n")),
+    "short locations": ("a.cls", repeated("UNITS/MM\n", "GOTO/#,2,3\n")),
+}
+HOSTILE_BOUND = {
+    f"{name} as {dialect}": (dialect, (text * (BOUND_SIZE // len(text) + 1))[:BOUND_SIZE])
+    for name, text in HOSTILE.items()
+    for dialect in DIALECTS
+}
+
+
+def reading_time(dialect, data):
+    """Process time of reading and interpreting, and the moves (None: refused)."""
+    begin = time.process_time()
+    moves = None
+    try:
+        moves = dialect.moves(dialect.read(data, "fuzz"), AXES, tcp=False).moves
+    except InputError as error:
+        assert error.expected
+    return time.process_time() - begin, moves
+
+
+@pytest.mark.parametrize("name", [*ORDINARY, *HOSTILE_BOUND])
+def test_a_megabyte_is_read_in_a_second(name):
+    dialect, text = (ORDINARY | HOSTILE_BOUND)[name]
+    data = text.encode("latin-1")
+    bound = ALLOWANCE * SECONDS_PER_MB * len(data) / 1e6
+    for _ in range(3):  # the best of three: others use this machine
+        spent, moves = reading_time(DIALECTS[dialect], data)
+        if spent <= bound:
+            break
+    assert spent <= bound
+    if name in ORDINARY:
+        assert moves is not None and len(moves) > 1000
+
+
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
 def test_mutated_real_programs(suffix):
     folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, final
 
 from twin.errors import InputError
 from twin.nc.blocks import AxisWords, Dialect, Kind, Move, Notice, Program, Reading, Rewrite
 from twin.nc.emit import Vector, pieces_of, vector_texts
+from twin.nc.plain import NOTHING, VALUE
 from twin.nc.text import (
+    BLANK,
     BOM,
     MM_PER_INCH,
     Style,
-    apply_edits,
     ending,
     format_number,
     newline_of,
@@ -27,8 +28,11 @@ from twin.nc.text import (
 POSITION_DECIMALS = 5
 VECTOR_DECIMALS = 9
 _STATEMENT = re.compile(r"[ \t\f\x1a]*+([A-Za-z][A-Za-z0-9_ -]*+)(?:(/)(.*))?", re.ASCII | re.DOTALL)
-_FIELD = re.compile(r"[^,]+|(?<=,)(?=,)|(?<=,)$")
 _CONTINUED = re.compile(r"\$[ \t]*(?:\r\n|\n|\r)")
+_NUMBER = rf"[ \t]*+({VALUE})[ \t]*+"
+_THREE = f"{_NUMBER},{_NUMBER},{_NUMBER}"
+_PLAIN = re.compile(rf"[ \t]*+GOTO[ \t]*+/{_THREE}(?:,{_THREE})?+[\r\n]*+", re.ASCII | re.IGNORECASE)
+"""A location on one line, without exponents."""
 _EXPONENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.ASCII)
 
 _PASSED = frozenset(
@@ -38,6 +42,8 @@ _PASSED = frozenset(
     UNLOAD AIR MCHFIN NOPOST ARCSLP RESET PROGRAM TOOLPATH ENDOFPATH CATPROCESS TLAXIS REMARK BREAK PLABEL ISTOP
     CONTRL DATE TIME VERSION OPERATION PROCESS""".split()
 )
+_LOOKED_AT = frozenset("RAPID FEDRAT MSYS INSERT UNITS CUTCOM CYCLE ORIGIN MODE".split())
+"""Statements that pass, if they say nothing that changes what locations mean."""
 _REFUSED: dict[str, tuple[str, str]] = {
     "GODLTA": ("incremental GODLTA", "absolute GOTO statements"),
     **{
@@ -61,7 +67,7 @@ _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
 class Field(NamedTuple):
-    """One argument of a statement: its text without spaces around it, and where that stands in the raw text."""
+    """One argument of a statement: where it stands in the raw text, without spaces around it, and its text."""
 
     start: int
     end: int
@@ -75,30 +81,58 @@ class Statement(NamedTuple):
         line: 0-based index of its first line.
         raw: its lines as they are.
         word: its major word in capitals, spaces removed; empty for comments and blank lines.
-        fields: its arguments.
+        at: where its arguments begin in the raw text.
+        arguments: what they are, joined into one line.
     """
 
     line: int
     raw: str
     word: str
-    fields: tuple[Field, ...]
+    at: int = 0
+    arguments: str = ""
+
+    @property
+    def texts(self) -> list[str]:
+        """Its arguments."""
+        return [field.strip() for field in self._pieces()]
+
+    @property
+    def fields(self) -> list[Field]:
+        """Its arguments, with their places."""
+        found = []
+        at = self.at + (1 if self.arguments.startswith(",") else 0)
+        for piece in self._pieces():
+            bare = piece.strip()
+            start = at + len(piece) - len(piece.lstrip())
+            found.append(Field(start, start + len(bare), bare))
+            at += len(piece) + 1
+        return found
+
+    def _pieces(self) -> list[str]:
+        arguments = self.arguments
+        return arguments.removeprefix(",").split(",") if arguments else []
 
 
 def statements(program: Program) -> Iterator[Statement]:
     """The statements of a program, in order; together their raw texts are the program."""
-    lines = program.lines
     index = 0
-    while index < len(lines):
-        first = index
-        text = lines[index].text
+    while index < len(program.texts):
+        statement, index = statement_at(program.texts, index)
+        yield statement
+
+
+def statement_at(texts: Sequence[str], first: int) -> tuple[Statement, int]:
+    """The statement that begins at a line, and the index of the line after it."""
+    raw = text = texts[first]
+    index = first + 1
+    if "$" in text:
         parts = [text]
-        if "$" in text:
-            while _continues(text) and index + 1 < len(lines):
-                index += 1
-                text = lines[index].text
-                parts.append(text)
-        index += 1
-        yield _statement(first, "".join(parts) if len(parts) > 1 else parts[0])
+        while _continues(text) and index < len(texts):
+            text = texts[index]
+            parts.append(text)
+            index += 1
+        raw = "".join(parts)
+    return _statement(first, raw), index
 
 
 def _continues(text: str) -> bool:
@@ -116,18 +150,11 @@ def _statement(line: int, raw: str) -> Statement:
         text = text.split("$$", 1)[0].rstrip("\r\n\t $")
     found = _STATEMENT.match(text)
     if found is None:
-        return Statement(line, raw, text.strip(" \t\r\n\f\x1a%") and "?", ())
+        return Statement(line, raw, text.strip(" \t\r\n\f\x1a%") and "?")
     word = found.group(1).upper().replace(" ", "").replace("-", "")
     if found.group(2) is None:
-        return Statement(line, raw, word, ())
-    at = found.start(3)
-    fields = []
-    for match in _FIELD.finditer(found.group(3).rstrip()):
-        piece = match.group()
-        bare = piece.strip()
-        start = at + match.start() + (len(piece) - len(piece.lstrip()))
-        fields.append(Field(start, start + len(bare), bare))
-    return Statement(line, raw, word, tuple(fields))
+        return Statement(line, raw, word)
+    return Statement(line, raw, word, found.start(3), found.group(3).rstrip())
 
 
 @final
@@ -143,88 +170,153 @@ class Apt(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """Interpret a program; see `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
-        reader = _Reader(program.source, axes)
-        for statement in statements(program):
-            reader.step(statement)
-        return Reading(tuple(reader.moves), tuple(reader.notices))
+        return self._moves(program, axes)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """The text with moves replaced; see `Dialect.rewrite`."""
+        return self._rewrite(program, axes, reading, rewrites)
+
+    def _moves(self, program: Program, axes: AxisWords, *, short_way: bool = True) -> Reading:
+        """As `moves`; tests read every statement the general way and compare."""
+        reader = _Reader(program.source, axes)
+        match = (_PLAIN if short_way else NOTHING).fullmatch
+        texts = program.texts
+        index = 0
+        while index < len(texts):
+            text = texts[index]
+            found = match(text)
+            if found is not None:
+                reader.plain(index, found)
+                index += 1
+            elif text in BLANK:
+                index += 1
+            else:
+                statement, index = statement_at(texts, index)
+                reader.step(statement)
+        return Reading(tuple(reader.moves), tuple(reader.notices))
+
+    def _rewrite(
+        self,
+        program: Program,
+        axes: AxisWords,
+        reading: Reading,
+        rewrites: Iterable[Rewrite],
+        *,
+        short_way: bool = True,
+    ) -> str:
+        """As `rewrite`; tests write every statement the general way and compare."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text
-        newline = newline_of(program)
         reader = _Reader(program.source, axes)
-        said: tuple[str, str, str] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
-        out: list[str] = []
-        for statement in statements(program):
+        writer = _Writer(newline_of(program))
+        match = (_PLAIN if short_way else NOTHING).fullmatch
+        texts = program.texts
+        index = 0
+        while index < len(texts):
+            text = texts[index]
+            pieces = by_line.get(index)
+            found = match(text)
+            if found is not None:
+                if pieces is None:
+                    reader.plain(index, found)
+                    writer.keep(text, tilts=found.lastindex == 6)
+                else:
+                    fields = [Field(*found.span(group), found[group]) for group in range(1, (found.lastindex or 0) + 1)]
+                    writer.location(text, "GOTO", fields, *pieces[0], reader.unit)
+                    reader.rapid = False
+                index += 1
+                continue
             before = len(reader.moves)
+            statement, index = statement_at(texts, index)
             reader.step(statement)
-            pieces = by_line.get(statement.line)
             if len(reader.moves) == before:
-                out.append(statement.raw)
+                writer.keep(statement.raw, tilts=False)
             elif pieces is None:
-                out.append(statement.raw)
-                if len(statement.fields) >= 6:
-                    said = None
+                writer.keep(statement.raw, tilts=len(statement.texts) == 6)
             else:
-                rewrite, rows = pieces[0]
-                said = _rewritten(statement, rewrite, rows, reader.unit, said, newline, out)
-        return "".join(out)
+                writer.location(statement.raw, statement.word, statement.fields, *pieces[0], reader.unit)
+        return "".join(writer.out)
 
 
-def _rewritten(
-    statement: Statement,
-    rewrite: Rewrite,
-    rows: list[list[float]],
-    unit: float,
-    said: tuple[str, str, str] | None,
-    newline: str,
-    out: list[str],
-) -> tuple[str, str, str] | None:
-    """Write the pieces of one location; the vector said last."""
-    raw, fields = statement.raw, statement.fields
-    end = ending(raw)
-    vectors: list[list[float]] | None = None if rewrite.vectors is None else rewrite.vectors.tolist()
-    style = Style()
-    edits: list[tuple[int, int, str]] = []
-    decimals = [POSITION_DECIMALS] * 3
-    for index, field in enumerate(fields[:3]):
-        value = rows[0][index] / unit
-        decimals[index] = max(POSITION_DECIMALS, _decimals(field.text))
-        if value == value:
-            style = style_of(field.text, style)._replace(keep=decimals[index], comma=False)
-            edits.append((field.start, field.end, format_number(value, decimals[index], style)))
-    if vectors is not None:
-        texts = vector_texts(vectors[0], VECTOR_DECIMALS, False)
-        if len(fields) >= 6:
-            for field, text in zip(fields[3:6], texts, strict=True):
-                edits.append((field.start, field.end, text))
-        elif texts != said:
-            edits.append((fields[2].end, fields[2].end, "," + ",".join(texts)))
-        said = texts
-    elif len(fields) >= 6:
-        said = None
-    first = apply_edits(raw, edits)
-    many = len(rows) > 1
-    out.append(first if end or not many else first + newline)
-    head = raw[: fields[0].start]
-    for place in range(1, len(rows)):
-        numbers = [
-            format_number(rows[place][i] / unit, decimals[i], style._replace(keep=decimals[i])) for i in range(3)
-        ]
+@final
+class _Writer:
+    """Writes statements, remembering the vector said last."""
+
+    def __init__(self, newline: str) -> None:
+        self.newline = newline
+        self.out: list[str] = []
+        self._said: tuple[str, str, str] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
+
+    def keep(self, raw: str, *, tilts: bool) -> None:
+        """A statement that stays as it is; ``tilts``: it says a tool vector."""
+        self.out.append(raw)
+        if tilts:
+            self._said = None
+
+    def location(
+        self, raw: str, word: str, fields: list[Field], rewrite: Rewrite, rows: list[list[float]], unit: float
+    ) -> None:
+        """The pieces of a location.
+
+        Args:
+            raw: the statement's text.
+            word: its major word.
+            fields: its numbers, three or six.
+            rewrite: what replaces it.
+            rows: its positions, as lists.
+            unit: mm per program unit.
+        """
+        end = ending(raw)
+        vectors: list[list[float]] | None = None if rewrite.vectors is None else rewrite.vectors.tolist()
+        style = Style()
+        decimals = [POSITION_DECIMALS] * 3
+        parts = []
+        at = 0
+        for index in range(3):
+            start, stop, text = fields[index]
+            decimals[index] = max(POSITION_DECIMALS, _decimals(text))
+            value = rows[0][index] / unit
+            if value == value:
+                style = style_of(text, style)
+                if style.keep != decimals[index] or style.comma:
+                    style = style._replace(keep=decimals[index], comma=False)
+                parts.append(raw[at:start])
+                parts.append(format_number(value, decimals[index], style))
+                at = stop
         if vectors is not None:
-            texts = vector_texts(vectors[place], VECTOR_DECIMALS, False)
-            if texts != said:
-                numbers += texts
-            said = texts
-        if rewrite.move.kind is Kind.RAPID:
-            out.append(f"RAPID{end or newline}")
-        goto = head if "$" not in head and statement.word == "GOTO" else "GOTO/"
-        out.append(f"{goto}{','.join(numbers)}{end or newline}")
-    if not end:
-        out[-1] = out[-1].removesuffix(newline)
-    return said
+            texts = vector_texts(vectors[0], VECTOR_DECIMALS, False)
+            if len(fields) == 6:
+                for (start, stop, _), text in zip(fields[3:], texts, strict=True):
+                    parts.append(raw[at:start])
+                    parts.append(text)
+                    at = stop
+            elif texts != self._said:
+                parts.append(f"{raw[at : fields[2].end]},{','.join(texts)}")
+                at = fields[2].end
+            self._said = texts
+        elif len(fields) == 6:
+            self._said = None
+        parts.append(raw[at:])
+        if len(rows) > 1 and not end:
+            parts.append(self.newline)
+        self.out += parts
+        head = raw[: fields[0].start]
+        goto = head if "$" not in head and word == "GOTO" else "GOTO/"
+        for place in range(1, len(rows)):
+            numbers = [
+                format_number(rows[place][i] / unit, decimals[i], style._replace(keep=decimals[i])) for i in range(3)
+            ]
+            if vectors is not None:
+                texts = vector_texts(vectors[place], VECTOR_DECIMALS, False)
+                if texts != self._said:
+                    numbers += texts
+                self._said = texts
+            if rewrite.move.kind is Kind.RAPID:
+                self.out.append(f"RAPID{end or self.newline}")
+            self.out.append(f"{goto}{','.join(numbers)}{end or self.newline}")
+        if not end:
+            self.out[-1] = self.out[-1].removesuffix(self.newline)
 
 
 def _decimals(text: str) -> int:
@@ -267,6 +359,8 @@ class _Reader:
             self._goto(statement, self.rapid)
             self.rapid = False
             return
+        if word in _PASSED and word not in _LOOKED_AT:
+            return
         shown = statement.raw.strip()
         if word == "FROM":
             self._goto(statement, True)
@@ -275,7 +369,7 @@ class _Reader:
         elif word == "FEDRAT":
             self.rapid = False
         elif word == "UNITS":
-            unit = statement.fields[0].text.upper() if statement.fields else ""
+            unit = statement.texts[0].upper() if statement.arguments else ""
             if unit not in ("MM", "INCHES", "INCH"):
                 raise self.refuse("a unit that is not one", shown, "UNITS/MM or UNITS/INCHES")
             self.unit = 1.0 if unit == "MM" else MM_PER_INCH
@@ -284,7 +378,7 @@ class _Reader:
         elif word == "INSERT":
             self.note("INSERT passes text to the control that is not understood here")
         elif word == "MSYS" or word == "ORIGIN":
-            values = [number(field.text) for field in statement.fields]
+            values = [number(text) for text in statement.texts]
             identity = _IDENTITY[: len(values)] if word == "MSYS" else [0.0] * len(values)
             if values != identity:
                 if word == "ORIGIN":
@@ -293,42 +387,53 @@ class _Reader:
         elif word in _REFUSED:
             raise self.refuse(_REFUSED[word][0], shown, _REFUSED[word][1])
         elif word == "CYCLE":
-            if not statement.fields or statement.fields[0].text.upper() not in ("OFF", "NOMORE"):
+            if not statement.arguments or statement.texts[0].upper() not in ("OFF", "NOMORE"):
                 raise self.refuse("canned cycle", shown, "the cycle expanded into GOTO statements")
         elif word == "CUTCOM":
-            if any(field.text.upper() in ("LEFT", "RIGHT", "ON") for field in statement.fields):
+            if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
                 raise self.refuse("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
         elif word == "MODE":
-            if any(field.text.upper().startswith("INCR") for field in statement.fields):
+            if any(text.upper().startswith("INCR") for text in statement.texts):
                 raise self.refuse("incremental MODE", shown, "absolute GOTO statements")
         elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
             self.note(f"a statement that is not understood passes through: {shown[:60]}")
 
+    def plain(self, line: int, match: re.Match[str]) -> None:
+        """Take a location on one line, as `step` does."""
+        self._line = line
+        values = [float(text) for text in match.groups() if text is not None]
+        self._location(values, self.rapid, match.string)
+        self.rapid = False
+
     def _goto(self, statement: Statement, rapid: bool) -> None:
-        fields = statement.fields
+        texts = statement.texts
         shown = statement.raw.strip()
-        if len(fields) not in (3, 6):
-            raise self.refuse(f"a location with {len(fields)} numbers", shown, "x,y,z or x,y,z,i,j,k")
+        if len(texts) not in (3, 6):
+            raise self.refuse(f"a location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
         values = []
-        for field in fields:
-            value = number(field.text.replace("D", "E").replace("d", "e"))
+        for text in texts:
+            value = number(text.replace("D", "E").replace("d", "e"))
             if value != value:
-                raise self.refuse("a coordinate that is not a number", field.text or shown, "a number like 12.5")
+                raise self.refuse("a coordinate that is not a number", text or shown, "a number like 12.5")
             values.append(value)
+        self._location(values, rapid, shown)
+
+    def _location(self, values: list[float], rapid: bool, shown: str) -> None:
         if len(values) == 6:
             vector, length = unit_vector((values[3], values[4], values[5]))
             if length == 0.0:
-                raise self.refuse("tool vector of zero length", shown, "a direction")
+                raise self.refuse("tool vector of zero length", shown.strip(), "a direction")
             if abs(length - 1.0) > 1e-3:
                 self.note(f"tool vector of length {length:.6g} is taken as a direction")
             self.vector = vector
-        x, y, z = (value * self.unit for value in values[:3])
+        unit = self.unit
+        position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
         self.moves.append(
             Move(
-                line=statement.line,
+                line=self._line,
                 kind=Kind.RAPID if rapid else Kind.LINEAR,
                 tcp=True,
-                position=(x, y, z, *self.rotary),
+                position=position,
                 named=self.names,
                 vector=self.vector,
             )

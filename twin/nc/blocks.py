@@ -4,6 +4,9 @@ Data flows one way: text -> `Program` (a dialect's `read`) -> `Move`s (`moves`) 
 positions -> `Rewrite`s -> text (`rewrite`). The dialect knows words and modality; it knows no kinematics.
 
 Units: mm and degrees, whatever the program's own (`G20` programs are converted on the way in and out).
+
+`Move` and `Notice` are tuples because a program has hundreds of thousands of them: a frozen dataclass takes
+three times as long to make.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import final
+from typing import NamedTuple, final, overload
 
 import numpy as np
 
@@ -43,8 +46,7 @@ class AxisWords:
 
 
 @final
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line of a program: 1-based number and its text with its own line ending."""
 
     number: int
@@ -52,18 +54,51 @@ class Line:
 
 
 @final
+class Lines(Sequence[Line]):
+    """The lines of a program, each made when it is asked for: most of them nobody asks for."""
+
+    __slots__ = ("_texts",)
+
+    def __init__(self, texts: tuple[str, ...]) -> None:
+        self._texts = texts
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+    @overload
+    def __getitem__(self, index: int) -> Line: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Line]: ...
+    def __getitem__(self, index: int | slice) -> Line | list[Line]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self._texts)))]
+        return Line(index % len(self._texts) + 1, self._texts[index])
+
+
+@final
 @dataclass(frozen=True)
 class Program:
-    """A program as read: its lines hold every byte (decoded as latin-1, so that any byte survives)."""
+    """A program as read: its lines hold every byte (decoded as latin-1, so that any byte survives).
+
+    Attributes:
+        source: its name.
+        dialect: the name of its language.
+        texts: its lines' texts, each with its own line ending.
+    """
 
     source: str
     dialect: str
-    lines: tuple[Line, ...]
+    texts: tuple[str, ...]
+
+    @property
+    def lines(self) -> Lines:
+        """The lines, numbered."""
+        return Lines(self.texts)
 
     @property
     def text(self) -> str:
         """The whole text."""
-        return "".join(line.text for line in self.lines)
+        return "".join(self.texts)
 
 
 @final
@@ -93,8 +128,7 @@ class Arc:
 
 
 @final
-@dataclass(frozen=True)
-class Move:
+class Move(NamedTuple):
     """One block that moves axes, with everything modal made explicit.
 
     Attributes:
@@ -124,8 +158,7 @@ class Move:
 
 
 @final
-@dataclass(frozen=True)
-class Notice:
+class Notice(NamedTuple):
     """Something in the program a reader of the report must know: a line passed through, a word not understood."""
 
     line: int

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from twin.nc.blocks import AxisWords, Move, Reading, Rewrite
-from twin.nc.text import Grid, Style, format_number, grid
+from twin.nc.text import Grid, Style, format_number, grid, number
 
 Vector = tuple[float, float, float]
+SAME = 1e-10
+"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
+_BARE = Style()
+_SIGNED = Style(plus=True)
 
 
 class Said:
     """What the output program last said of every axis, mm and degrees, in its own coordinates.
 
     A value is NaN when unknown (after a reference return, say) and stale when it may not have been said (a block
-    the operator can skip): both make the next rewritten block say it again. ``last`` is the number printed last.
+    the operator can skip): both make the next rewritten block say it again.
     """
 
     def __init__(self, axes: AxisWords) -> None:
@@ -23,24 +28,12 @@ class Said:
         self.linear = len(axes.linear)
         self.value: list[float] = [math.nan] * len(self.names)
         self.stale: list[bool] = [False] * len(self.names)
-        self.last = 0.0
         plain = [grid(axes.increment[name], False) for name in self.names]
         inches = [grid(axes.increment[name], i < self.linear) for i, name in enumerate(self.names)]
         self._grids: tuple[list[Grid], list[Grid]] = (plain, inches)
 
-    def differs(self, axis: int, target: float, inch: bool) -> bool:
-        """Whether a word is needed for the axis to be at a target: it prints differently from what was last said."""
-        said = self.value[axis]
-        if said != said or self.stale[axis]:
-            return True
-        if said == target:
-            return False
-        step, _, unit = self._grids[inch][axis]
-        scale = step * unit
-        return round(target / scale) != round(said / scale)
-
-    def say(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
-        """The number that takes the axis to a target, as printed; what it leaves said is remembered."""
+    def _step(self, axis: int, target: float, inch: bool, incremental: bool) -> tuple[float, int]:
+        """Take an axis to a target: the number that says so, and its decimals."""
         step, decimals, unit = self._grids[inch][axis]
         if incremental:
             start = self.value[axis]
@@ -50,13 +43,49 @@ class Said:
             value = round(target / unit / step) * step
             self.value[axis] = value * unit
         self.stale[axis] = False
-        self.last = value
+        return value, decimals
+
+    def say(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
+        """The number that takes the axis to a target, as printed; what it leaves said is remembered."""
+        value, decimals = self._step(axis, target, inch, incremental)
         return format_number(value, decimals, style)
+
+    def replace(self, axis: int, old: str, target: float, inch: bool, incremental: bool, style: Style) -> str:
+        """As `say`, in place of a number: that stays as it is where it says the same."""
+        value, decimals = self._step(axis, target, inch, incremental)
+        if -SAME < number(old) - value < SAME:
+            unsigned = old[0] not in "+-"
+            if not (number(old) == 0.0 and old[0] == "-") and not (unsigned and style.plus):
+                return old
+        return format_number(value, decimals, style)
+
+    def value_of(self, axis: int, text: str, inch: bool) -> float:
+        """What a written number means, mm or degrees."""
+        return number(text) * self._grids[inch][axis].unit
 
     def heard(self, axis: int, value: float, incremental: bool) -> None:
         """A word of a block that passes through said this (mm, degrees; NaN: something unknown)."""
         self.value[axis] = self.value[axis] + value if incremental else value
         self.stale[axis] = False
+
+    def missing(self, row: Sequence[float], written: Container[int], inch: bool) -> list[int]:
+        """The axes that need a word to be where they should be (a row of targets, NaN: anywhere)."""
+        grids = self._grids[inch]
+        found = []
+        for axis, target in enumerate(row):
+            said = self.value[axis]
+            if target != target or axis in written or (target == said and not self.stale[axis]):
+                continue
+            if said == said and not self.stale[axis]:
+                scale = grids[axis].step * grids[axis].unit
+                if round(target / scale) == round(said / scale):
+                    continue
+            found.append(axis)
+        return found
+
+    def knows_all(self) -> bool:
+        """Whether every axis is known."""
+        return not any(map(math.isnan, self.value))
 
     def forget(self, which: Iterable[int]) -> None:
         """Make axes unknown."""
@@ -78,40 +107,45 @@ def pieces_of(
         ValueError: a rewrite of a move that is not in the reading, two of one move, or a wrong shape: errors of the
             caller, not of the user.
     """
-    place: dict[int, tuple[int, int]] = {}
-    count: dict[int, int] = {}
-    for move in reading.moves:
-        place[id(move)] = (move.line, count.get(move.line, 0))
-        count[move.line] = count.get(move.line, 0) + 1
+    moves = reading.moves
+    count = Counter([move.line for move in moves])
+    ordinals = dict.fromkeys(map(id, moves), 0)
+    if len(count) < len(moves):
+        seen: Counter[int] = Counter()
+        for move in moves:
+            ordinals[id(move)] = seen[move.line]
+            seen[move.line] += 1
     width = len(axes.names)
     result: dict[int, dict[int, tuple[Rewrite, list[list[float]]]]] = {}
     for rewrite in rewrites:
-        found = place.get(id(rewrite.move)) or _twin_of(rewrite.move, count)
+        move = rewrite.move
+        ordinal = ordinals.get(id(move), -1)
+        if ordinal < 0:
+            ordinal = _twin_of(move, count)
         shape = rewrite.positions.shape
         if len(shape) != 2 or shape[1] != width or shape[0] < 1:
             raise ValueError(f"positions of shape {shape}; expected (pieces, {width})")
         if rewrite.vectors is not None and rewrite.vectors.shape != (shape[0], 3):
             raise ValueError(f"vectors of shape {rewrite.vectors.shape}; expected ({shape[0]}, 3)")
-        line, ordinal = found
         rows: list[list[float]] = rewrite.positions.tolist()
-        at = result.setdefault(line, {})
+        at = result.setdefault(move.line, {})
         if ordinal in at:
-            raise ValueError(f"two rewrites of the move of line index {line}")
-        if rewrite.move.machine:
-            raise ValueError(f"a rewrite of the machine-coordinate block of line index {line}")
+            raise ValueError(f"two rewrites of the move of line index {move.line}")
+        if move.machine:
+            raise ValueError(f"a rewrite of the machine-coordinate block of line index {move.line}")
         at[ordinal] = (rewrite, rows)
     return result
 
 
-def _twin_of(move: Move, count: dict[int, int]) -> tuple[int, int]:
+def _twin_of(move: Move, count: Mapping[int, int]) -> int:
     """The place of an equal move when the very object is not in the reading (it was pickled, say)."""
     if count.get(move.line) == 1:
-        return (move.line, 0)
+        return 0
     raise ValueError(f"a rewrite of a move of line index {move.line} that is not in the reading")
 
 
 def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[str, str, str]:
     """The components of a tool vector as printed."""
-    style = Style(plus=plus)
-    x, y, z = (format_number(component, decimals, style) for component in vector)
-    return x, y, z
+    style = _SIGNED if plus else _BARE
+    x, y, z = vector
+    return format_number(x, decimals, style), format_number(y, decimals, style), format_number(z, decimals, style)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Container, Iterable
 from typing import final
 
 from twin.nc.blocks import AxisWords, Dialect, Kind, Move, Program, Reading, Rewrite
@@ -10,11 +11,10 @@ from twin.nc.emit import Said, pieces_of, vector_texts
 from twin.nc.heidenhain_state import Interpreter, PathBlock
 from twin.nc.heidenhain_words import HEAD
 from twin.nc.iso_block import AxisWord
-from twin.nc.text import Style, apply_edits, ending, newline_of, number, read_lines, style_in, style_of
+from twin.nc.plain import NOTHING, kept, other_places, places, plain_language, replaced
+from twin.nc.text import BLANK, Style, apply_edits, ending, newline_of, number, read_lines, style_in, style_of
 
 VECTOR_DECIMALS = 7
-SAME = 1e-10
-"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
 Pieces = tuple[Rewrite, list[list[float]]]
 
 
@@ -31,23 +31,50 @@ class Heidenhain(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """Interpret a program; see `Dialect.moves`."""
-        interpreter = Interpreter(program.source, axes, tcp=tcp)
-        moves: list[Move] = []
-        for index, line in enumerate(program.lines):
-            block = interpreter.step(index, line.text)
-            if block.move is not None:
-                moves.append(block.move)
-        return Reading(tuple(moves), tuple(interpreter.notices))
+        return self._moves(program, axes, tcp=tcp)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """The text with moves replaced; see `Dialect.rewrite`."""
+        return self._rewrite(program, axes, reading, rewrites)
+
+    def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
+        """As `moves`; tests read every block the general way and compare."""
+        interpreter = Interpreter(program.source, axes, tcp=tcp)
+        match = (plain_language(axes.names).pattern if short_way else NOTHING).fullmatch
+        plain, step = interpreter.plain, interpreter.step
+        moves: list[Move] = []
+        for index, text in enumerate(program.texts):
+            if text in BLANK and not interpreter.continued:
+                continue
+            found = match(text)
+            move = None if found is None else plain(index, found)
+            if move is None:
+                move = step(index, text).move
+            if move is not None:
+                moves.append(move)
+        return Reading(tuple(moves), tuple(interpreter.notices))
+
+    def _rewrite(
+        self,
+        program: Program,
+        axes: AxisWords,
+        reading: Reading,
+        rewrites: Iterable[Rewrite],
+        *,
+        short_way: bool = True,
+    ) -> str:
+        """As `rewrite`; tests write every block the general way and compare."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text
         interpreter = Interpreter(program.source, axes, tcp=reading.moves[0].tcp)
         writer = _Writer(axes, newline_of(program), style_in(program, Style(plus=True)))
-        for index, line in enumerate(program.lines):
-            writer.block(interpreter.step(index, line.text), by_line.get(index))
+        match = (plain_language(axes.names).pattern if short_way else NOTHING).fullmatch
+        for index, text in enumerate(program.texts):
+            pieces = by_line.get(index)
+            found = match(text)
+            if found is None or not writer.plain(index, found, interpreter, pieces):
+                writer.block(interpreter.step(index, text), pieces)
         return writer.text()
 
 
@@ -65,6 +92,7 @@ class _Writer:
         self.out: list[str] = []
         self.numbered: list[bool] = []
         self.inserted = False
+        self._plain = plain_language(self.names)
         self._vector_text: tuple[str, str, str] | None = None
 
     def text(self) -> str:
@@ -83,6 +111,67 @@ class _Writer:
             new = str(following).zfill(len(old)) if old[0] == "0" else str(following)
             parts.append(f"{text[: head.start(1)]}{new}{text[head.end(1) :]}")
         return "".join(parts)
+
+    def plain(self, line: int, match: re.Match[str], state: Interpreter, pieces: dict[int, Pieces] | None) -> bool:
+        """Write a plain block as `block` does; false (and nothing done) where only `block` will do.
+
+        Args:
+            line: 0-based index of its line.
+            match: of `plain_language`.
+            state: before the block; afterwards it is behind it.
+            pieces: what replaces its move.
+        """
+        inch = state.inch
+        text = match.string
+        words = places(match, self._plain)
+        head = match[1]
+        numbered = head[0].isdigit()
+        if pieces is None:
+            if state.plain(line, match) is None:
+                return False
+            rotary = kept(text, words, self.said, inch=inch, incremental=False)
+            if rotary or any(which >= 3 for which, _, _ in other_places(match, self._plain)):
+                self._vector_text = None
+            self._put(text, numbered)
+            return True
+        rewrite, rows = pieces[0]
+        others = other_places(match, self._plain)
+        tool = [place for place in others if place[0] >= 3]
+        many = len(rows) > 1
+        if (others and many) or len(tool) != (0 if rewrite.vectors is None else 3):
+            return False
+        if rewrite.move.kind is Kind.ARC or (others and head[-1] not in "nN"):
+            return False
+        if not state.follow(rewrite.move):
+            return False
+        self.lower = text[words[-1][1] - 1].islower()
+        new, self.style = replaced(
+            text, words, rows[0], self.said, self.style, inch=inch, incremental=False, signed=True
+        )
+        if len(words) < len(self.names):
+            for word in self._words(rows[0], [axis for axis, _, _ in words], inch):
+                new += f" {word}"
+        end = ending(text) or self.newline
+        at = words[-1][2]
+        if rewrite.vectors is not None:
+            texts = self._printed(rewrite.vectors[0].tolist())
+            self._vector_text = texts
+            for which, start, stop in tool:
+                new += text[at:start] + texts[which - 3]
+                at = stop
+        new += text[at:]
+        self._put(new if ending(text) or not many else new + end, numbered)
+        if many:
+            feed = match.group(match.re.groups)
+            rapid = [feed] if feed is not None and feed[-1] in "xX" else []
+            for row in rows[1:]:
+                added = self._words(row, (), inch)
+                if added:
+                    self._put(f"{text[: match.end(1)]} {' '.join(added + rapid)}{end}", numbered)
+                    self.inserted = True
+            if not ending(text):
+                self.out[-1] = self.out[-1].removesuffix(end)
+        return True
 
     def block(self, block: PathBlock, pieces: dict[int, Pieces] | None) -> None:
         """Write one block, its move replaced if there are pieces."""
@@ -130,7 +219,7 @@ class _Writer:
                 edits.append((word.value_start, word.value_end, self._replaced(block, word, value)))
             else:
                 self.said.heard(word.axis, word.value, word.incremental)
-        added = self._words(block, row, written)
+        added = self._words(row, written, block.inch)
         if vectors is not None:
             tool = self._vector(block, vectors[0], edits)
             if tool and keyword.upper() == "L":  # only LN blocks take a vector
@@ -161,7 +250,7 @@ class _Writer:
             return
         indent = text[: block.head] if block.numbered or not text[: block.head].strip() else ""
         for place in range(1, len(rows)):
-            words = self._words(block, rows[place], set())
+            words = self._words(rows[place], (), block.inch)
             if vectors is not None:
                 before = self._vector_text
                 if block.keyword == "LN":
@@ -181,14 +270,12 @@ class _Writer:
         if not end:
             self.out[-1] = self.out[-1].removesuffix(self.newline)
 
-    def _words(self, block: PathBlock, row: list[float], written: set[int]) -> list[str]:
+    def _words(self, row: list[float], written: Container[int], inch: bool) -> list[str]:
         """Words for the axes that are not where they should be."""
         words = []
-        for axis, value in enumerate(row):
-            if axis in written or value != value or not self.said.differs(axis, value, block.inch):
-                continue
+        for axis in self.said.missing(row, written, inch):
             name = self.names[axis].lower() if self.lower else self.names[axis]
-            words.append(f"{name}{self._say(block, axis, value, False)}")
+            words.append(f"{name}{self.said.say(axis, row[axis], inch, False, self.style)}")
         return words
 
     def _replaced(self, block: PathBlock, word: AxisWord, target: float) -> str:
@@ -196,20 +283,18 @@ class _Writer:
         value = number(old)
         if value == value:
             self.style = style_of(old, self.style)._replace(plus=True)
-        new = self._say(block, word.axis, target, word.incremental)
-        same = abs(value - self.said.last) < SAME and old[0] in "+-" and (value != 0.0 or old[0] != "-")
-        return old if same else new
-
-    def _say(self, block: PathBlock, axis: int, target: float, incremental: bool) -> str:
-        inch = block.inch and axis < self.linear
-        if incremental and self.said.value[axis] != self.said.value[axis]:
+        if word.incremental and self.said.value[word.axis] != self.said.value[word.axis]:
             raise ValueError("an incremental word of an axis whose position is unknown")  # the reader refuses these
-        return self.said.say(axis, target, inch, incremental, self.style)
+        return self.said.replace(word.axis, old, target, block.inch, word.incremental, self.style)
+
+    def _printed(self, vector: list[float]) -> tuple[str, str, str]:
+        """The components of a tool vector as this program writes them."""
+        x, y, z = vector_texts(vector, VECTOR_DECIMALS, True)
+        return (x.replace(".", ","), y.replace(".", ","), z.replace(".", ",")) if self.style.comma else (x, y, z)
 
     def _vector(self, block: PathBlock, vector: list[float], edits: list[tuple[int, int, str]] | None) -> list[str]:
         """Words of a tool vector: replaced where the block has them (edits), the others returned."""
-        x, y, z = vector_texts(vector, VECTOR_DECIMALS, True)
-        texts = (x, y, z) if not self.style.comma else (x.replace(".", ","), y.replace(".", ","), z.replace(".", ","))
+        texts = self._printed(vector)
         written = block.vector_words if edits is not None else {}
         if texts == self._vector_text and not written:
             return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import final
 
 from twin.errors import InputError
@@ -11,6 +12,7 @@ from twin.nc.arcs import Misfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso_block import AxisWord, Span
 from twin.nc.modal import Modal
+from twin.nc.plain import plain_language
 from twin.nc.text import MM_PER_INCH, number
 
 _PLANES = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
@@ -92,7 +94,47 @@ class Interpreter(Modal):
         self.plane = _PLANES["Z"]
         self.centre: dict[int, float] = {}
         self.variables: dict[str, float] = {}
-        self._continued = False
+        self.continued = False
+        self._plain = plain_language(self.names)
+
+    def plain(self, line: int, match: re.Match[str]) -> Move | None:
+        """The move of a plain block, as `step` reads it; None (and nothing done) where only `step` will do.
+
+        Args:
+            line: 0-based index of its line.
+            match: of `plain_language`.
+        """
+        if self.continued:
+            return None
+        axes = self._plain.axes
+        groups = match.groups()
+        first = len(axes) + 2
+        last = match.lastindex or 0
+        others = groups[first - 1 : -1] if last >= first else ()
+        if any(others) and groups[0][-1] not in "nN":
+            return None
+        seen = self.plain_words(groups[1:], axes, False, MM_PER_INCH if self.inch else 1.0)
+        if seen >> self.linear:
+            self.vector = None
+        normal: tuple[float, float, float] | None = None
+        if any(others):
+            self._line = line
+            shown = match.string.strip()
+            if any(others[3:]):
+                self._turn_to([number(text or "0") for text in others[3:]], seen, shown)
+            if any(others[:3]):
+                normal = self.direction("surface normal", [number(text or "0") for text in others[:3]], shown)
+        feed = groups[-1]
+        kind = Kind.RAPID if feed is not None and feed[-1] in "xX" else Kind.LINEAR
+        return Move(line, kind, self.tcp, tuple(self.position), self.named(seen), False, self.vector, normal)
+
+    def follow(self, move: Move) -> bool:
+        """Be where a plain block's move, read before, has led; whether that can be."""
+        if self.continued:
+            return False
+        self.position = list(move.position)
+        self.vector = move.vector
+        return True
 
     def step(self, line: int, text: str) -> PathBlock:
         """Interpret one line.
@@ -109,9 +151,9 @@ class Interpreter(Modal):
         begin = head.end() if head else 0
         block = PathBlock(text, begin, head is not None and head.group(1) is not None, self.inch)
         body = text[begin:].strip(" \t\r\n\f\x1a")
-        if self._continued:
+        if self.continued:
             block.continued, block.numbered = True, False
-            self._continued = body.endswith("~")
+            self.continued = body.endswith("~")
             self._assignments(body)
             return block
         if not body or body[0] in ";*%":
@@ -130,7 +172,7 @@ class Interpreter(Modal):
         elif keyword == "M" or (keyword[0] == "M" and len(keyword) <= 2):
             self._path(block, "", begin)
         else:
-            self._continued = body.endswith("~")
+            self.continued = body.endswith("~")
             self._statement(block, keyword, body)
         return block
 
@@ -360,7 +402,7 @@ class Interpreter(Modal):
         normal: list[float] | None,
     ) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
-        names = self.named(block.words)
+        names = self.named(seen)
         if machine:
             if block.keyword in ("C", "CR", "LN"):
                 raise self.refuse("machine coordinates in an arc", block.text.strip(), "an L block")
@@ -375,20 +417,8 @@ class Interpreter(Modal):
             if word.incremental and last != last:
                 raise self.no_position(word.axis)
             position[word.axis] = last + word.value if word.incremental else word.value
-        vector = None
         if block.vector_words:
-            vector = self.direction("tool vector", tool, block.text.strip())
-            if not self.tcp:
-                raise self.refuse(
-                    "a tool vector while the control's kinematics are off",
-                    block.text.strip(),
-                    "M128 or FUNCTION TCPM first",
-                )
-            if seen >> self.linear:
-                raise self.refuse("a tool vector and rotary axes in one block", block.text.strip(), "one of them")
-            self.vector = vector
-            for i in range(self.linear, len(position)):
-                position[i] = math.nan
+            self._turn_to(tool, seen, block.text.strip())
         elif seen >> self.linear:
             self.vector = None
         arc: Arc | None = None
@@ -407,6 +437,19 @@ class Interpreter(Modal):
             normal=None if normal is None else self.direction("surface normal", normal, block.text.strip()),
             arc=arc,
         )
+
+    def _turn_to(self, tool: list[float], seen: int, shown: str) -> None:
+        """Take a tool vector: where the rotary axes are is then the control's business."""
+        vector = self.direction("tool vector", tool, shown)
+        if not self.tcp:
+            raise self.refuse(
+                "a tool vector while the control's kinematics are off", shown, "M128 or FUNCTION TCPM first"
+            )
+        if seen >> self.linear:
+            raise self.refuse("a tool vector and rotary axes in one block", shown, "one of them")
+        self.vector = vector
+        for i in range(self.linear, len(self.position)):
+            self.position[i] = math.nan
 
     def _arc(self, block: PathBlock, start: list[float], clockwise: bool | None, radius: float | None) -> Arc:
         shown = block.text.strip()

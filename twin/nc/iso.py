@@ -7,9 +7,10 @@ from typing import final
 
 from twin.nc.blocks import AxisWords, Dialect, Move, Program, Reading, Rewrite
 from twin.nc.emit import pieces_of
-from twin.nc.iso_state import Interpreter
+from twin.nc.iso_plain import PlainInterpreter
 from twin.nc.iso_write import Writer
-from twin.nc.text import Style, newline_of, read_lines, style_in
+from twin.nc.plain import NOTHING, iso_plain
+from twin.nc.text import BLANK, Style, newline_of, read_lines, style_in
 
 
 @final
@@ -25,31 +26,65 @@ class Iso(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """Interpret a program; see `Dialect.moves`."""
-        interpreter = Interpreter(program.source, axes, tcp=tcp)
+        return self._moves(program, axes, tcp=tcp)
+
+    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+        """The text with moves replaced; see `Dialect.rewrite`."""
+        return self._rewrite(program, axes, reading, rewrites)
+
+    def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
+        """As `moves`; tests read every block the general way and compare."""
+        interpreter = PlainInterpreter(program.source, axes, tcp=tcp)
+        match = (iso_plain(axes.names).pattern if short_way else NOTHING).fullmatch
+        plain, step = interpreter.plain, interpreter.step
         moves: list[Move] = []
-        for index, line in enumerate(program.lines):
-            block = interpreter.step(index, line.text)
+        for index, text in enumerate(program.texts):
+            if text in BLANK:
+                continue
+            found = match(text)
+            if found is not None:
+                move = plain(index, found)
+                if move is not None:
+                    moves.append(move)
+                    continue
+            block = step(index, text)
             if block is not None and block.moves:
                 moves += block.moves
         return Reading(tuple(moves), tuple(interpreter.notices))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with moves replaced; see `Dialect.rewrite`."""
+    def _rewrite(
+        self,
+        program: Program,
+        axes: AxisWords,
+        reading: Reading,
+        rewrites: Iterable[Rewrite],
+        *,
+        short_way: bool = True,
+    ) -> str:
+        """As `rewrite`; tests write every block the general way and compare."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text
         strokes = any(place > 0 for places in by_line.values() for place in places)
         # A switch of kinematics before the first move makes the start irrelevant, else the first move shows it.
-        interpreter = Interpreter(program.source, axes, tcp=reading.moves[0].tcp)
+        interpreter = PlainInterpreter(program.source, axes, tcp=reading.moves[0].tcp)
         cycles = {move.line for move in reading.moves}
         drilled = len(cycles) != len(reading.moves) and (strokes or _touches_cycle(reading, by_line))
         writer = Writer(
             program.source, axes, newline_of(program), style_in(program, Style(point=True)), expand_cycles=drilled
         )
+        match = (iso_plain(axes.names).pattern if short_way else NOTHING).fullmatch
         out: list[str] = []
-        for index, line in enumerate(program.lines):
-            block = interpreter.step(index, line.text)
-            out.append(line.text if block is None else writer.block(index, block, by_line.get(index)))
+        for index, text in enumerate(program.texts):
+            pieces = by_line.get(index)
+            found = match(text)
+            if found is not None:
+                new = writer.plain(index, found, interpreter, pieces)
+                if new is not None:
+                    out.append(new)
+                    continue
+            block = interpreter.step(index, text)
+            out.append(text if block is None else writer.block(index, block, pieces))
         return "".join(out)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import final
 
 from twin.errors import InputError
 from twin.nc import iso_words as vocabulary
@@ -24,7 +23,6 @@ Late = tuple[str, int, int, int, int, str]
 """A word whose meaning waits for the rest of its block: name, start, end, value start, value end, value."""
 
 
-@final
 class Interpreter(Modal):
     """Reads blocks in order, keeping the modal state."""
 
@@ -124,7 +122,8 @@ class Interpreter(Modal):
             elif kind == "skip":
                 if started:
                     raise self.refuse("a slash inside a block", stripped, "block skip at the start of a block")
-                block.skip = match["skip"]
+                skips = match["skip"]
+                block.skip = skips[skips.rindex("/") :]
                 block.head = match.end()
             elif kind == "main":
                 if names and len(names) == 1 and not axis_words and not others and not codes and match["main"] == ":":
@@ -388,7 +387,7 @@ class Interpreter(Modal):
             seen |= bit
             words.append(word)
         if machine:
-            self._machine_move(block, centre)
+            self._machine_move(block, centre, seen)
             return
         position = self.position
         start = position[: self.linear]
@@ -425,11 +424,7 @@ class Interpreter(Modal):
                 )
             self.used_offset = self.offset
         if vector is not None:
-            if seen >> self.linear:
-                raise self.refuse("a tool vector and rotary axes in one block", block.text.strip(), "one of them")
-            self.vector = vector
-            for i in range(self.linear, len(position)):
-                position[i] = math.nan
+            self._turn_to(block, vector, seen)
         elif seen >> self.linear:
             self.vector = None
         if self.vector is not None:
@@ -442,13 +437,21 @@ class Interpreter(Modal):
                 kind=kind,
                 tcp=self.tcp,
                 position=tuple(position),
-                named=self.named(words),
+                named=self.named(seen),
                 vector=self.vector,
                 arc=arc,
             )
         )
         if self.cycle is not None:
             self._drill(block, self.cycle)
+
+    def _turn_to(self, block: Block, vector: tuple[float, float, float] | None, seen: int) -> None:
+        """Take a tool vector: where the rotary axes are is then the control's business."""
+        if seen >> self.linear:
+            raise self.refuse("a tool vector and rotary axes in one block", block.text.strip(), "one of them")
+        self.vector = vector
+        for i in range(self.linear, len(self.position)):
+            self.position[i] = math.nan
 
     def _target(self, word: AxisWord) -> float:
         last = self.position[word.axis]
@@ -466,7 +469,7 @@ class Interpreter(Modal):
             return round(last + turn, 9)
         return value
 
-    def _machine_move(self, block: Block, centre: list[Late]) -> None:
+    def _machine_move(self, block: Block, centre: list[Late], seen: int) -> None:
         if centre or self.cycle is not None:
             raise self.refuse("machine coordinates in an arc or a cycle", block.text.strip(), "a straight move")
         position = self.machine_position(block.words, block)
@@ -476,7 +479,7 @@ class Interpreter(Modal):
                 kind=Kind.RAPID if self.motion == 0 else Kind.LINEAR,
                 tcp=self.tcp,
                 position=position,
-                named=self.named(block.words),
+                named=self.named(seen),
                 machine=True,
             )
         )

@@ -21,7 +21,7 @@ TOKEN = re.compile(
     | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
     | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
-    | (?P<skip>/\d?)
+    | (?P<skip>(?:/\d?+)++)
     | (?P<main>:\d*+)
     | (?P<bad>\S)
     )""",

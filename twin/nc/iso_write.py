@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Container
 from typing import final
 
 from twin.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.emit import Said, vector_texts
 from twin.nc.iso_block import AxisWord, Block, Span
+from twin.nc.iso_plain import MOTION, PlainInterpreter
+from twin.nc.plain import ISO_WORDS, iso_plain, kept, other_places, places, replaced
 from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
 
 VECTOR_DECIMALS = 7
-SAME = 1e-10
-"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
 Pieces = tuple[Rewrite, list[list[float]]]
+_COMPONENT = {ISO_WORDS.index(name): i % 3 for i, name in enumerate(("I", "J", "K", "A3", "B3", "C3"))}
 _CODE = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 
 
@@ -39,8 +42,8 @@ class Writer:
         self.spaced = True
         self.lower = False
         self.wide = False
+        self._plain = iso_plain(self.names)
         self._vector_text: tuple[str, str, str] | None = None
-        self._in_cycle = False
 
     def block(self, line: int, block: Block, pieces: dict[int, Pieces] | None) -> str:
         """The output for one block.
@@ -76,6 +79,90 @@ class Writer:
         elif len(moves) > 1:
             self.said.heard(2, moves[-1].position[2], False)
         return text
+
+    # ------------------------------------------------------------------ plain
+
+    def plain(
+        self, line: int, match: re.Match[str], state: PlainInterpreter, pieces: dict[int, Pieces] | None
+    ) -> str | None:
+        """The output for a plain block, as `block` writes it; None (and nothing done) where only `block` will do.
+
+        Args:
+            line: 0-based index of its line.
+            match: of `iso_plain`.
+            state: before the block; afterwards it is behind it.
+            pieces: what replaces its move.
+        """
+        code = match.group(1)
+        motion = state.motion if code is None else MOTION[code]
+        inch, incremental = state.inch, state.incremental
+        text = match.string
+        if pieces is None:
+            if motion is None or (code is None and self.motion != motion) or state.plain(line, match) is None:
+                return None
+            self.motion = motion
+            others = other_places(match, self._plain)
+            rotary = kept(text, places(match, self._plain), self.said, inch=inch, incremental=incremental)
+            if rotary or (others and motion < 2):
+                self._vector_text = None
+            return text
+        if motion is None or len(pieces) > 1 or 0 not in pieces:
+            return None
+        rewrite, rows = pieces[0]
+        move = rewrite.move
+        many = len(rows) > 1
+        written = min(motion, 1)
+        if (code is None and self.motion != written) or _CODE[move.kind] != written:
+            return None
+        if (move.kind is Kind.ARC) != (motion > 1) or (many and state.feed_mode == "93"):
+            return None
+        if incremental and not self.said.knows_all():
+            return None
+        others = other_places(match, self._plain)
+        if rewrite.vectors is None:
+            if others and motion < 2:
+                return None
+        elif many or motion > 1 or len(others) != 3 or not all(which in _COMPONENT for which, _, _ in others):
+            return None  # a vector written in part, or in a block that has none
+        if not state.follow(move, motion):
+            return None
+        self.motion = written
+        if code is not None:
+            self.wide = len(code) > 1
+            if motion > 1:
+                at = match.end(1)
+                text = f"{text[: at - 1]}1{text[at:]}"
+        words = places(match, self._plain)
+        first = words[0][1] - 1
+        second = words[1][1] - 1 if len(words) > 1 else -1
+        self._see(text, first, second, code is not None or text[:first].strip() != "")
+        new, self.style = replaced(
+            text, words, rows[0], self.said, self.style, inch=inch, incremental=incremental, signed=False
+        )
+        separator = " " if self.spaced else ""
+        if len(words) < len(self.names):
+            for word in self._missing(line, rows[0], [axis for axis, _, _ in words], inch, incremental):
+                new += separator + word
+        at = words[-1][2]
+        if rewrite.vectors is not None:
+            self._vector_text = texts = vector_texts(rewrite.vectors[0].tolist(), VECTOR_DECIMALS, False)
+            for which, start, stop in others:
+                new += text[at:start] + texts[_COMPONENT[which]]
+                at = stop
+        elif others:
+            at = others[-1][2]
+        new += text[at:]
+        if not many:
+            return new
+        end = ending(text) or self.newline
+        out = [new if ending(text) else new + end]
+        for row in rows[1:]:
+            added = self._missing(line, row, (), inch, incremental)
+            if added:
+                out.append(separator.join(added) + end)
+        if not ending(text):
+            out[-1] = out[-1].removesuffix(end)
+        return "".join(out)
 
     # ------------------------------------------------------------------ kept
 
@@ -122,11 +209,7 @@ class Writer:
                 edits.append((start, word.value_end, new if head is None else head + new))
             else:
                 self.said.heard(word.axis, word.value, word.incremental)
-        added = [
-            self._added(line, block, axis, row[axis])
-            for axis in range(len(row))
-            if axis not in by_axis and row[axis] == row[axis] and self.said.differs(axis, row[axis], block.inch)
-        ]
+        added = self._missing(line, row, by_axis, block.inch, block.incremental)
         if vectors is not None and block.vector_names is not None:
             added += self._vector(block, vectors[0], edits)
         elif block.vector_words:
@@ -183,15 +266,14 @@ class Writer:
     def _later(self, line: int, block: Block, row: list[float], move: Move) -> list[str]:
         forms = {word.axis: word for word in block.words if word.form}
         words = []
-        for axis, value in enumerate(row):
-            if value == value and self.said.differs(axis, value, block.inch):
-                word = forms.get(axis)
-                if word is None:
-                    words.append(self._added(line, block, axis, value))
-                else:
-                    before = self._head(block, word, value)
-                    after = block.text[word.value_end : word.end]
-                    words.append(f"{before}{self._replaced(line, block, word, value)}{after}")
+        for axis in self.said.missing(row, (), block.inch):
+            word = forms.get(axis)
+            if word is None:
+                words.append(self._added(line, axis, row[axis], block.inch, block.incremental))
+            else:
+                before = self._head(block, word, row[axis])
+                after = block.text[word.value_end : word.end]
+                words.append(f"{before}{self._replaced(line, block, word, row[axis])}{after}")
         return words
 
     def _strokes(self, line: int, block: Block, pieces: dict[int, Pieces], text: str) -> str:
@@ -203,9 +285,7 @@ class Writer:
             given = pieces.get(place)
             rows = [list(move.position)] if given is None else given[1]
             for row in rows:
-                words = [
-                    self._added(line, block, a, v) for a, v in enumerate(row) if self.said.differs(a, v, block.inch)
-                ]
+                words = self._missing(line, row, (), block.inch, block.incremental)
                 code = _CODE[move.kind]
                 if words and self.motion != code:
                     words.insert(0, self._g(code))
@@ -224,15 +304,26 @@ class Writer:
     def _habits(self, block: Block) -> None:
         """How this program spaces words and writes letters."""
         words = block.words
-        text = block.text
-        if len(words) > 1:
-            self.spaced = text[words[1].start - 1] in " \t"
-        elif words and words[0].start > 0 and (block.motion_word is not None or block.head):
-            self.spaced = text[words[0].start - 1] in " \t"
         if words:
-            self.lower = text[words[0].start].islower()
+            second = words[1].start if len(words) > 1 else -1
+            self._see(block.text, words[0].start, second, block.motion_word is not None or block.head > 0)
         elif block.motion_word is not None:
-            self.lower = text[block.motion_word.start] == "g"
+            self.lower = block.text[block.motion_word.start] == "g"
+
+    def _see(self, text: str, first: int, second: int, headed: bool) -> None:
+        """Habits from the axis words of a block.
+
+        Args:
+            text: of the line.
+            first: where the first axis word begins,
+            second: where the next one does (-1: there is none).
+            headed: whether another word stands before the first.
+        """
+        if second >= 0:
+            self.spaced = text[second - 1] in " \t"
+        elif first > 0 and headed:
+            self.spaced = text[first - 1] in " \t"
+        self.lower = text[first].islower()
 
     def _g(self, code: int) -> str:
         return f"{'g' if self.lower else 'G'}{'0' if self.wide else ''}{code}"
@@ -263,8 +354,8 @@ class Writer:
             self.said.say(axis, target, block.inch, False, self.style)
             turn = self.said.value[axis] % 360.0
             return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
-        new = self._say(line, axis, target, block.inch, word.incremental)
-        return old if abs(value - self.said.last) < SAME and (value != 0.0 or old[0] != "-") else new
+        self._check(line, axis, word.incremental)
+        return self.said.replace(axis, old, target, block.inch, word.incremental, self.style)
 
     def _head(self, block: Block, word: AxisWord, target: float) -> str:
         """What stands before an axis word's value; a way round that is no longer needed becomes the short way.
@@ -277,12 +368,20 @@ class Writer:
             return f"{head[:at]}{'DC' if head[at].isupper() else 'dc'}{head[at + 3 :]}"
         return head
 
-    def _added(self, line: int, block: Block, axis: int, target: float) -> str:
+    def _missing(
+        self, line: int, row: list[float], written: Container[int], inch: bool, incremental: bool
+    ) -> list[str]:
+        """Words for the axes that are not where they should be."""
+        axes = self.said.missing(row, written, inch)
+        return [self._added(line, axis, row[axis], inch, incremental) for axis in axes]
+
+    def _added(self, line: int, axis: int, target: float, inch: bool, incremental: bool) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]
         separator = "=" if len(name) > 1 else ""
-        return f"{name}{separator}{self._say(line, axis, target, block.inch, block.incremental)}"
+        self._check(line, axis, incremental)
+        return f"{name}{separator}{self.said.say(axis, target, inch, incremental, self.style)}"
 
-    def _say(self, line: int, axis: int, target: float, inch: bool, incremental: bool) -> str:
+    def _check(self, line: int, axis: int, incremental: bool) -> None:
         if incremental and self.said.value[axis] != self.said.value[axis]:
             raise InputError(
                 f"{self.names[axis]} is incremental where its position is unknown",
@@ -291,8 +390,6 @@ class Writer:
                 line=line + 1,
                 value=self.names[axis],
             )
-        inch = inch and axis < self.linear
-        return self.said.say(axis, target, inch, incremental, self.style)
 
     def _vector(self, block: Block, vector: list[float], edits: list[tuple[int, int, str]] | None) -> list[str]:
         """Words of a tool vector: replaced where the block has them (edits), the others returned."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from twin.errors import InputError
 from twin.nc.blocks import AxisWords, Notice
 from twin.nc.iso_block import AxisWord
-from twin.nc.text import unit_vector
+from twin.nc.text import number, unit_vector
 
 
 class Forgetful(Protocol):
@@ -38,7 +38,7 @@ class Modal:
         self.notices: list[Notice] = []
         self.tcp = tcp
         self._line = 0
-        self._named: dict[tuple[int, ...], frozenset[str]] = {}
+        self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
 
     def refuse(self, what: str, value: object, expected: str, line: int | None = None) -> InputError:
@@ -55,17 +55,48 @@ class Modal:
 
     def forget(self, block: Forgetful, which: Iterable[int]) -> None:
         """Make axes unknown after a block."""
-        axes = list(which)
-        block.forgets = tuple(sorted({*block.forgets, *axes}))
+        axes = tuple(which)
+        block.forgets = tuple(sorted({*block.forgets, *axes})) if block.forgets else axes
         for axis in axes:
             self.position[axis] = math.nan
 
-    def named(self, words: list[AxisWord]) -> frozenset[str]:
-        """The names of the axes a block wrote."""
-        key = tuple([word[0] for word in words])
-        names = self._named.get(key)
+    def plain_words(self, values: Sequence[str | None], axes: Sequence[int], incremental: bool, unit: float) -> int:
+        """Take the words of a plain block to the position; the set of their axes as bits.
+
+        Args:
+            values: plain numbers, None for an axis that has no word.
+            axes: their axes.
+            incremental: whether they count from the last position.
+            unit: mm per program unit.
+
+        Returns:
+            The set; empty (and nothing is taken) if a word counts from a position that is not known.
+        """
+        position = self.position.copy()
+        seen = 0
+        for axis, text in zip(axes, values, strict=False):
+            if text is None:
+                continue
+            try:
+                value = float(text)
+            except ValueError:  # a decimal comma
+                value = number(text)
+            if axis < self.linear:
+                value *= unit
+            if incremental:
+                value = position[axis] + value
+                if value != value:
+                    return 0
+            position[axis] = value
+            seen |= 1 << axis
+        self.position = position
+        return seen
+
+    def named(self, bits: int) -> frozenset[str]:
+        """The names of a set of axes given as bits."""
+        names = self._named.get(bits)
         if names is None:
-            names = self._named[key] = frozenset(self.names[i] for i in key)
+            names = self._named[bits] = frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
         return names
 
     def direction(self, what: str, components: list[float], shown: str) -> tuple[float, float, float]:

@@ -51,7 +51,7 @@ def post(
                 writer.move(row, move.kind is Kind.RAPID)
                 count += 1
         elif statement.word == "UNITS":
-            unit = MM_PER_INCH if statement.fields and statement.fields[0].text.upper().startswith("INCH") else 1.0
+            unit = MM_PER_INCH if statement.arguments and statement.texts[0].upper().startswith("INCH") else 1.0
         elif statement.word == "FEDRAT":
             writer.feed = _feed(statement, unit, writer.feed)
             if not writer.feed_is_per_minute(statement):
@@ -68,8 +68,8 @@ def _shown(statement: Statement) -> str:
 
 def _feed(statement: Statement, unit: float, last: float) -> float:
     """The feed of a ``FEDRAT`` in mm/min; what is not per minute leaves the last one."""
-    words = {field.text.upper() for field in statement.fields}
-    values = [v for v in (number(field.text) for field in statement.fields) if math.isfinite(v) and v > 0]
+    words = {text.upper() for text in statement.texts}
+    values = [v for v in (number(text) for text in statement.texts) if math.isfinite(v) and v > 0]
     if not values or words & {"MMPR", "IPR", "PERREV", "INVERS"}:
         return last
     if "IPM" in words:
@@ -90,16 +90,17 @@ class _Writer:
 
     def feed_is_per_minute(self, statement: Statement) -> bool:
         """Whether a ``FEDRAT`` could be taken over."""
-        words = {field.text.upper() for field in statement.fields}
+        words = {text.upper() for text in statement.texts}
         return not words & {"MMPR", "IPR", "PERREV", "INVERS"}
 
     def words(self, row: list[float]) -> list[str]:
         """Axis words of the axes that change."""
-        return [
-            f"{name}{'=' if len(name) > 1 else ''}{self.said.say(axis, row[axis], False, False, self.style)}"
-            for axis, name in enumerate(self.names)
-            if self.said.differs(axis, row[axis], False)
-        ]
+        words = []
+        for axis in self.said.missing(row, (), False):
+            name = self.names[axis]
+            number_text = self.said.say(axis, row[axis], False, False, self.style)
+            words.append(f"{name}{'=' if len(name) > 1 else ''}{number_text}")
+        return words
 
     def start(self, source: str) -> None:
         """The head of the program."""

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from twin.errors import InputError
-from twin.nc.blocks import Line, Program
+from twin.nc.blocks import Program
 
 MM_PER_INCH = 25.4
 LARGEST = 1e9
@@ -18,6 +18,8 @@ _LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14") + b"\x7f"
 _SPACES = re.compile(r"[ \t]+")
 BOM = "\xef\xbb\xbf"
+BLANK = frozenset({"\n", "\r\n", "\r"})
+"""Lines with nothing on them: skipped before anything is made of them."""
 
 
 def read_lines(data: bytes, source: str, dialect: str) -> Program:
@@ -35,8 +37,7 @@ def read_lines(data: bytes, source: str, dialect: str) -> Program:
     text = data.decode("latin-1")
     if not text.removeprefix(BOM).strip(" \t\r\n\f\x1a"):
         raise InputError("empty program", expected="at least one block", file=source)
-    lines = tuple(Line(number, part) for number, part in enumerate(_LINE.findall(text), start=1))
-    return Program(source=source, dialect=dialect, lines=lines)
+    return Program(source=source, dialect=dialect, texts=tuple(_LINE.findall(text)))
 
 
 def ending(text: str) -> str:
@@ -48,7 +49,7 @@ def ending(text: str) -> str:
 
 def newline_of(program: Program) -> str:
     """The line ending a program uses (that of its first line; a newline if it has only one)."""
-    return ending(program.lines[0].text) or "\n"
+    return ending(program.texts[0]) or "\n"
 
 
 def number(text: str) -> float:
@@ -92,8 +93,12 @@ _TELLS_NOTHING = frozenset("123456789")
 def style_of(text: str, base: Style) -> Style:
     """The style of one written number; what it leaves open (``12.5`` does not tell of ``5.``) comes from a base."""
     first = text[:1]
-    if text[-1:] in _TELLS_NOTHING and first in _TELLS_NOTHING and "." in text and not base.plus and not base.comma:
-        return base
+    if text[-1:] in _TELLS_NOTHING and "." in text and not base.comma:
+        if first in _TELLS_NOTHING:
+            if not base.plus:
+                return base
+        elif text[1:2] in _TELLS_NOTHING and "," not in text and (first == "-" or (first == "+" and base.plus)):
+            return base
     plus = True if first == "+" else base.plus if first == "-" else False
     comma = "," in text
     whole, separator, fraction = text.partition("," if comma else ".")
@@ -117,8 +122,8 @@ def style_in(program: Program, base: Style) -> Style:
     """The style of a program's axis words, as far as its first ones tell."""
     style = base
     seen = 0
-    for line in program.lines:
-        for text in _AXIS_NUMBER.findall(line.text):
+    for line in program.texts:
+        for text in _AXIS_NUMBER.findall(line):
             if text.strip("+-.,"):
                 style = style_of(text, style)
                 seen += 1
@@ -178,34 +183,32 @@ def printed(value: float, increment: float, *, inch: bool = False) -> float:
     return (round(round(value / unit / step) * step, decimals) + 0.0) * unit
 
 
+_BARE = tuple(f"%.{decimals}f" for decimals in range(16))
+_SIGNED = tuple(f"%+.{decimals}f" for decimals in range(16))
+
+
 def format_number(value: float, decimals: int, style: Style) -> str:
     """A number in a style, rounded to some decimals; never ``-0``."""
     point, keep, lead, plus, comma = style
-    if lead and decimals and not (keep or plus or comma):
-        text = f"{value:.{decimals}f}".rstrip("0")
-        if text[-1] != ".":
-            return text
-        if text == "-0.":
-            text = "0."
-        return text if point else text[:-1]
-    text = f"{value:.{decimals}f}"
-    negative = text[0] == "-"
-    if negative:
-        text = text[1:]
-    whole, _, fraction = text.partition(".")
-    fraction = fraction.rstrip("0")
-    zero = not fraction and whole == "0"
-    if style.keep > len(fraction):
-        fraction = fraction.ljust(style.keep, "0")
-    if whole == "0" and not zero and not style.lead:
-        whole = ""
-    if fraction or style.point:
-        whole = f"{whole}{',' if style.comma else '.'}{fraction}"
-    if zero:
-        return f"+{whole}" if style.plus else whole
-    if negative:
-        return f"-{whole}"
-    return f"+{whole}" if style.plus else whole
+    text = (_SIGNED if plus else _BARE)[decimals] % value
+    if text[0] == "-" and text[1] == "0" and not text.strip("-0."):
+        text = f"+{text[1:]}" if plus else text[1:]
+    if decimals > keep:
+        if text[-1] == "0":
+            text = text.rstrip("0")
+            if keep:
+                text = text.ljust(text.index(".") + 1 + keep, "0")
+            elif text[-1] == "." and not point:
+                text = text[:-1]
+    elif keep > decimals:
+        text = f"{text if decimals else text + '.'}{'0' * (keep - decimals)}"
+    elif not decimals and point:
+        text += "."
+    if not lead:
+        at = 1 if text[0] in "+-" else 0
+        if text[at : at + 2] == "0." and text[at:].strip("0."):
+            text = text[:at] + text[at + 1 :]
+    return text.replace(".", ",") if comma else text
 
 
 def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float, float], float]:

@@ -1,0 +1,331 @@
+"""Plain blocks take a short way: it reads and writes exactly what the general way does."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
+from twin.errors import InputError
+from twin.nc import dialect_for
+from twin.nc.blocks import AxisWords, Rewrite
+from twin.nc.plain import iso_plain, plain_language
+
+ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
+FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"
+SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
+LONG = AxisWords(("X", "Y", "Z"), ("B1", "C"), dict.fromkeys(("X", "Y", "Z", "B1", "C"), 0.001))
+ODD = AxisWords(("X", "Y", "Z"), ("N",), dict.fromkeys("XYZN", 0.001))
+
+GOOD = st.one_of(
+    st.integers(-99999, 99999).map(lambda v: f"{v / 1000:.3f}"),
+    st.integers(-9999, 9999).map(lambda v: f"{v / 100:g}"),
+    st.sampled_from(["0", "-0", "+5", "5.", "00.5", "0.120", "-0.0004", "12.34567", "007", "-0.5", "+0."]),
+)
+BAD = st.sampled_from(["1234567890", "1.2.3", ".", "", "- 5", "+ 1.5", "5,5", "1e3", ".5", "-.5", "1000000000.5", "+"])
+EOL = st.sampled_from(["\n", "\r\n", "\r"])
+
+
+def rarely(draw, chances=12):
+    return draw(st.integers(1, chances)) == chances
+
+
+@st.composite
+def axis_words(draw, names, *, glue=("", " ", "  ", "\t"), plus=False):
+    """Axis words, mostly in the usual order and well written, sometimes not."""
+    chosen = draw(st.lists(st.sampled_from(names), min_size=1, max_size=5, unique=not rarely(draw, 30)))
+    if not rarely(draw):
+        chosen = sorted(chosen, key="XYZABCUVW".find)
+    numbers = [draw(BAD if rarely(draw, 60) else GOOD) for _ in chosen]
+    if plus:
+        numbers = [text if text[:1] in ("-", "+") or rarely(draw, 6) else f"+{text}" for text in numbers]
+    return draw(st.sampled_from(glue)).join(name + text for name, text in zip(chosen, numbers, strict=True))
+
+
+ISO_MODES = {
+    "absolute": ("", [""]),
+    "incremental": ("G91", [""]),
+    "inches": ("G20", [""]),
+    "inverse time": ("G93", [" F5", " F.5"]),
+    "spindle vectors": ("TRAORI\nG1 X1 Y1 Z1", [" A3=0 B3=0 C3=1", " A3=0B3=0.6C3=.8", " B3=1 F5", " C3=2", ""]),
+    "vectors": ("G43.5 H1\nG1 X1 Y1 Z1", [" I0 J0 K1", " I0J0.6K.8", " I0 J0 K2 F5", " I1", ""]),
+}
+ISO_SPECIAL = [
+    *("G91", "G90", "G20", "G21", "G94", "G49", "G54", "G53 G0 Z0", "SUPA G0 X1", "G28 Z0", "/X1", "(c)", "G17", "N5"),
+    *("G1 F100", "G0", "G1", "%", "", "  ", ";x", "R1=5", "X=R1", "C=DC(10)", "C=ACP(10)", "X=IC(1)", "G4 X1", "M30"),
+    *("G1 X1 Y2 M5", "X1 (a)", "G1 X1 S5", "G0 X0 Y0 Z0 B0 C0", "G90 G0 X0 Y0 Z0", "O5", "G1 X1 F5 M8"),
+    *("G90 G1 X0 Y0\nG3 X10 Y0 I5 J0\nX0 Y0 I-5 J0", "G2 Z1 I5 J0", "G03 Z2 I0 J3 F5\nZ1 I1 J1", "G3 Z2 I3 J0 TURN=2"),
+    *("G90 G1 X0 Y0\nG3 X10 Y1 R20\nX1 Y1 CR=9 F7", "G2 X500 Y3 R-400", "g2 x-5 y3 r400"),
+]
+ISO_STRANGE = [
+    *(
+        "G43.4",
+        "TRAORI",
+        "TRAFOOF",
+        "M428",
+        "M429",
+        "G55",
+        "G28",
+        "MCALL CYCLE81(10,0,1,-5)\nX5 Y6\nX7",
+        "MCALL",
+        "G18",
+    ),
+    *(
+        "X1 A3=0 B3=0 C3=1",
+        "X1 =5",
+        "N1 N2",
+        "FOO",
+        "G2 X9 Y9 I1 J1",
+        "X1 R5",
+        "G3 X1",
+        "X1 I0 J0 K1",
+        "G43.5",
+        "G2 B5 R3",
+    ),
+]
+
+
+def lines_of(draw, plain, special, strange, most=20):
+    """Lines of a program: plain ones, those that are not, and a few strange ones."""
+    lines = []
+    for _ in range(draw(st.integers(1, most))):
+        if rarely(draw, 60):
+            lines.append(draw(st.sampled_from(strange)))
+        else:
+            lines.append(draw(st.sampled_from(special)) if rarely(draw, 5) else plain())
+    return lines
+
+
+@st.composite
+def mixed_iso(draw, names=AXES.names):
+    """Plain blocks among those that are not, and modal words that change what plain blocks mean."""
+    mode = draw(st.sampled_from(sorted(ISO_MODES)))
+    setting, tails = ISO_MODES[mode]
+    upright = names[:3] if "vectors" in mode else names
+    spaced = draw(st.sampled_from([(" ",), ("",), ("", " ", "\t")]))
+    tail = st.sampled_from([*tails, *tails, " F500", "F.5", " F1.5", "\t"])
+
+    def plain():
+        head = draw(st.sampled_from(["", "", "N10 ", "N10", "n7\t", " "]))
+        code = draw(st.sampled_from(["", "", "G1", "G0 ", "G01 ", "g1", "G00"]))
+        text = head + code + draw(axis_words(upright, glue=spaced)) + draw(tail)
+        return text.lower() if rarely(draw) else text
+
+    start = [f"G0 X0 Y0 Z0{''.join(f' {name}0' for name in names[3:])}"]
+    lines = lines_of(draw, plain, ISO_SPECIAL, ISO_STRANGE)
+    eol = draw(EOL)
+    text = eol.join([*([] if rarely(draw) else start), setting, *lines]) + draw(st.sampled_from([eol, ""]))
+    return text
+
+
+PLAIN_SPECIAL = [
+    *("L Z+0 R0 FMAX M91", "CC X+0 Y+0", "L M30", "X+5", "; c", "Q1 = +5", "L X+Q1", "CYCL DEF 32.0 ~", "", "M140"),
+    *("L X+1 M5", "L X+1 ; c", "CYCL DEF 200 ~\nQ1=+1", "END PGM a MM", "TOOL CALL 1 Z", "L IX+1 Y+2", "L F500"),
+    *("L X+0 Y+0 Z+0 B+0 C+0 FMAX", "L X+0 Y+0\nCC X+5 Y+0\nC X+10 Y+0 DR+", "CR X+1 Y+1 R+400 DR-", "L X+1 F1.2.3"),
+    "LN X+1 NX+0 NY+0 NZ+2",
+]
+PLAIN_STRANGE = [
+    "M128",
+    "M129",
+    "FOO",
+    "L X+1 Y+2 RL F100",
+    "C X+5 Y+5 DR+",
+    "FUNCTION RESET TCPM",
+    "LX+1",
+    "L X+1 TX+1",
+]
+
+
+@st.composite
+def mixed_plain(draw):
+    """The same in plain language."""
+    tcp = draw(st.booleans())
+    comma = draw(st.booleans())
+    tilts = ["", " TX+0 TY+0.6 TZ+0.8", " NX+0 NY+0 NZ+1 TX+0 TY+0 TZ+1", " NZ-2", " TX+1", " TY-1 TZ+2"]
+
+    def plain():
+        tilt = draw(st.sampled_from(tilts)) if tcp and draw(st.booleans()) else ""
+        keyword = draw(st.sampled_from(["LN ", "ln ", "LN\t"] if tilt else ["L ", "L ", "l ", "L\t"]))
+        tail = draw(st.sampled_from(["", " R0", " R0 FMAX", " F500", "F MAX", " fmax", " F1.5", " R0F50", " R0 F5."]))
+        names = AXES.names[:3] if tilt else AXES.names
+        text = keyword + draw(axis_words(names, glue=(" ", " ", "", "\t"), plus=True)) + tilt + tail
+        return text.replace(".", ",") if comma or rarely(draw) else text
+
+    start = [
+        "BEGIN PGM a " + draw(st.sampled_from(["MM", "INCH"])),
+        *(["M128"] if tcp else []),
+        "L X+1 Y+1 Z+1 B+1 C+1",
+    ]
+    lines = [*([] if rarely(draw) else start), *lines_of(draw, plain, PLAIN_SPECIAL, PLAIN_STRANGE)]
+    if draw(st.booleans()):
+        lines = [f"{i} {text}" for i, text in enumerate(lines)]
+    eol = draw(EOL)
+    return eol.join(lines) + draw(st.sampled_from([eol, ""]))
+
+
+APT_SPECIAL = [
+    *("RAPID", "UNITS/INCHES", "UNITS/MM", "$$ c", "", "GOTO/1,2,$\n3", "GOTO/1,2,3 $$ c", "FROM/1,2,3", "FEDRAT/500"),
+    *("GOTO/1E2,2,3", "PAINT/A,$", "MULTAX/ON", "FOO/1", "GOTO 1,2,3", "  ", "CYCLE/OFF,", "goto/1,2,3", "GO TO/1,2,3"),
+    *("MSYS/0,0,0,1,0,0,0,1,0", "MSYS/1", "CUTCOM/OFF", "GOHOME", "GOTO/1,2,3,0,0,1 $$ c", "FROM/1,2,3,0,0.6,0.8"),
+]
+APT_STRANGE = [
+    "GOTO/1,2",
+    "GOTO/1,2,3,0,0,0",
+    "GOTO/,1,2,3",
+    "GOTO/1,,3",
+    "GOTO/",
+    "GOTO/1,2,3,4",
+    "GOTO/1,2,3,",
+    "ARC",
+]
+
+
+@st.composite
+def mixed_apt(draw):
+    """The same in cutter locations."""
+
+    def plain():
+        tail = draw(st.sampled_from(["", "", ",0,0,1", ",0,0.6,0.8", ",0,0,2"]))
+        numbers = ",".join([draw(BAD if rarely(draw, 60) else GOOD) for _ in range(3)]) + tail
+        return draw(st.sampled_from(["GOTO/", "GOTO / ", " goto/"])) + numbers.replace(
+            ",", draw(st.sampled_from([",", ", ", " ,\t"]))
+        )
+
+    eol = draw(EOL)
+    return eol.join(lines_of(draw, plain, APT_SPECIAL, APT_STRANGE)) + draw(st.sampled_from([eol, ""]))
+
+
+def shown(reading):
+    """A reading in a form that compares (NaN is NaN, sets have no order)."""
+    return [repr(move._replace(named=tuple(sorted(move.named)))) for move in reading.moves], repr(reading.notices)
+
+
+def outcome(work):
+    """What comes of some work: its result, or its error."""
+    try:
+        return work()
+    except InputError as error:
+        return f"refused: {error}"
+
+
+def new_positions(reading, seed, width):
+    """Rewrites of most moves: shifted or not, whole or in pieces, with tool vectors or without."""
+    choice = random.Random(seed)
+    tilted = choice.random() < 0.7
+    most = choice.choice([1, 1, 2, 3])
+    rewrites = []
+    for move in reading.moves:
+        if move.machine or choice.random() < 0.15:
+            continue
+        size = choice.choice([0.0, 0.0004, 0.05, 7.0])
+        pieces = choice.randint(1, most)
+        rows = np.array([[v + size * choice.uniform(-1, 1) for v in move.position] for _ in range(pieces)])
+        if choice.random() < 0.05:
+            rows[:, choice.randrange(width)] = np.nan
+        vectors = None
+        if move.vector is not None and tilted:
+            vectors = np.array([move.vector] * pieces) + 0.01 * choice.randint(0, 1)
+            vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+        rewrites.append(Rewrite(move, rows, vectors))
+    return rewrites
+
+
+def check(dialect, text, seed, axes=AXES, *, tcp=False):
+    program = dialect.read(text.encode("latin-1"), "test")
+    given_tcp = {} if dialect is APT else {"tcp": tcp}
+    ways = [outcome(lambda way=way: dialect._moves(program, axes, short_way=way, **given_tcp)) for way in (True, False)]
+    if isinstance(ways[0], str) or isinstance(ways[1], str):
+        assert ways[0] == ways[1]
+        return
+    assert shown(ways[0]) == shown(ways[1])
+    reading = ways[0]
+    rewrites = new_positions(reading, seed, len(axes.names))
+    short, general = (
+        outcome(lambda way=way: dialect._rewrite(program, axes, reading, rewrites, short_way=way))
+        for way in (True, False)
+    )
+    assert short == general
+
+
+SEED = st.integers(0, 10**6)
+MANY = settings(max_examples=400)
+
+
+@MANY
+@given(text=st.one_of(mixed_iso(), iso_program()), seed=SEED, tcp=st.booleans())
+@example(text="G0 X0 Y0 Z0\nMCALL CYCLE81(10,0,1,-5)\nX5 Y5\n", seed=1, tcp=False)
+def test_iso(text, seed, tcp):
+    if text.strip():
+        check(ISO, text, seed, tcp=tcp)
+
+
+@MANY
+@given(data=st.data(), seed=SEED, axes=st.sampled_from([SWAPPED, LONG, ODD]))
+def test_iso_on_other_machines(data, seed, axes):
+    text = data.draw(mixed_iso(names=("X", "Y", "Z", *(name for name in axes.rotary if len(name) == 1))))
+    if text.strip():
+        check(ISO, text, seed, axes)
+
+
+@MANY
+@given(text=st.one_of(mixed_plain(), plain_program()), seed=SEED, tcp=st.booleans())
+def test_plain_language(text, seed, tcp):
+    if text.strip():
+        check(PLAIN, text, seed, tcp=tcp)
+
+
+@MANY
+@given(text=st.one_of(mixed_apt(), apt_program()), seed=SEED)
+def test_apt(text, seed):
+    if text.strip():
+        check(APT, text, seed)
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
+def test_programs_of_others(suffix):
+    if not FOLDER.is_dir():
+        pytest.skip("the real programs of others (shared/data/programs) are not beside this checkout")
+    (path,) = FOLDER.glob(f"*{suffix}")
+    for seed in range(3):
+        check(ISO, path.read_bytes().decode("latin-1"), seed)
+
+
+@pytest.mark.parametrize(
+    ("plain", "yes", "no"),
+    [
+        (
+            iso_plain(AXES.names),
+            ["G1 X1.5\n", "X1", "N10G01X-.5Y+5.F500\r\n", "x1 c2", "G2 X1 Y1 I5 J0", "G1 X1 TURN=1", "X1 I0 J0 K1"],
+            [
+                "\n",
+                "G1",
+                "F5",
+                "X",
+                "X1.2.3",
+                "X1 X2",
+                "Y1 X1",
+                "X1 M3",
+                "X1 (c)",
+                "/X1",
+                "X 1",
+                "G91 X1",
+                "X1234567890",
+            ],
+        ),
+        (
+            plain_language(AXES.names),
+            ["L X+1\n", "10 L X+1,5 Y-2 R0 FMAX", "l c+5 F500", "LN X+1 TX+0 TY+0 TZ+1"],
+            ["L", "L F5", "LX+1", "L IX+1", "L X+1 M3", "L X+Q1", "C X+1 DR+", "L X+1 RL", "X+1", "L X+1 ~"],
+        ),
+    ],
+    ids=["iso", "plain language"],
+)
+def test_what_is_plain(plain, yes, no):
+    """The short way is taken at all: a pattern that never matched would pass every other test here."""
+    assert [text for text in yes if not plain.pattern.fullmatch(text)] == []
+    assert [text for text in no if plain.pattern.fullmatch(text)] == []
