@@ -218,9 +218,11 @@ def new_positions(reading, seed, width):
     choice = random.Random(seed)
     tilted = choice.random() < 0.7
     most = choice.choice([1, 1, 2, 3])
+    kept = choice.choice([0.0, 0.15, 0.5])
+    lean = choice.choice([0, 0, 1])
     rewrites = []
     for move in reading.moves:
-        if move.machine or choice.random() < 0.15:
+        if move.machine or choice.random() < kept:
             continue
         size = choice.choice([0.0, 0.0004, 0.05, 7.0])
         pieces = choice.randint(1, most)
@@ -229,7 +231,7 @@ def new_positions(reading, seed, width):
             rows[:, choice.randrange(width)] = np.nan
         vectors = None
         if move.vector is not None and tilted:
-            vectors = np.array([move.vector] * pieces) + 0.01 * choice.randint(0, 1)
+            vectors = np.array([move.vector] * pieces) + 0.01 * choice.randint(0, lean)
             vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
         rewrites.append(Rewrite(move, rows, vectors))
     return rewrites
@@ -284,6 +286,44 @@ def test_plain_language(text, seed, tcp):
 def test_apt(text, seed):
     if text.strip():
         check(APT, text, seed)
+
+
+HANDED_ON = {
+    "motion words and their width": (
+        ISO,
+        "G00 X0 Y0 Z0 B0 C0\nG02 X9 Y0 R9\nX0 R9\nX9 R9\nG01 X1\nX2\nG3 X5 R7\nX0 R9\n",
+    ),
+    "short motion words": (ISO, "g0 x0 y0 z0 b0 c0\ng2 x9 y0 r9\nx0 r9\nx9 r9\ng1 x1\nx2 (c)\ng3 x5 r7\nx0 r9\n"),
+    "spaces": (ISO, "G0X0Y0Z0B0C0\nG1 X1 Y2\nG1X3\nN5 M3\nX4\nN6X5 (c)\nN7 X4 (c)\nN8Y5\n"),
+    "styles": (ISO, "G0 X0. Y0 Z0 B0 C0\nX1.50\nY.5 (c)\nX+2\nZ3 (c)\nX4\nY5. (c)\nX-.5\nZ1 (c)\nX1.25\n"),
+    "a second work offset": (ISO, "G54 G0 X0 Y0 Z0 B0 C0\nG55\nX1\nX2\n"),
+    "a work offset, then another": (ISO, "G0 X0 Y0 Z0 B0 C0\nG54\nX1\nX2\nG55\nX2 (c)\n"),
+    "vectors": (ISO, "G43.5 G1 X0 Y0 Z0\n" + "X1 I0 J0 K1\nX2\nX3 I0 J0 K1\nX4 I0 J0 K1 (c)\nX5\n" * 3),
+    "vectors and rotary axes": (
+        ISO,
+        "G43.5 G1 X0 Y0 Z0\n" + "X1 I0 J0 K1\nX2\nX3 B0 C0\nX3 I0 J0 K1\nX5 B0 C0 (c)\n" * 3,
+    ),
+    "spindle vectors": (ISO, "TRAORI\nG1 X0 Y0 Z0\n" + "X1 A3=0 B3=0 C3=1\nX2\nX3 A3=0 B3=0 C3=1\nX4 (c)\nX5 C0\n" * 3),
+    "drilling": (ISO, "G0 X0 Y0 Z20\nMCALL CYCLE81(10,0,1,-5)\nX5 Y5\nX6\nMCALL\nX7 Y7 Z7\nX8\n"),
+    "inverse time": (ISO, "G0 X0 Y0 Z0 B0 C0\nG93\nG1 X5 F3\nX6 F4\nG94\nX7 F500\nX8\n"),
+    "incremental": (ISO, "G0 X0 Y0\nG91 G1 X1\nX.0004\nY.0004\nX.0004 (c)\nX1\nG90 X1\nX2\n"),
+    "skipped blocks": (ISO, "G0 X0 Y0 Z0 B0 C0\nG1 X1\n/X2\nX3\nX4\n/G0 X5\nX6\n"),
+    "tool vectors": (
+        PLAIN,
+        "M128\n" + "LN X+1 TX+0 TY+0 TZ+1\nL X+2\nL X+3 B+1\nLN X+1 TX+0 TY+0 TZ+1 M8\nL X+4\n" * 3,
+    ),
+    "renumbering": (PLAIN, "0 L X+0 Y+0 Z+0\n1 L X+5 FMAX\n2 L X+7 M3\n; c\n3 L Y+5,5\n"),
+    "letters": (PLAIN, "l x+0 y+0 z+0\nL X+5\nl x+7 m3\nL Y+5\nL X+1 M8\n"),
+    "locations": (APT, "GOTO/1,2,3,0,0,1\nGOTO/2,3,4\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/3,4,5 $$ c\nGOTO/3,4,6\n" * 3),
+}
+
+
+@pytest.mark.parametrize("name", HANDED_ON)
+def test_what_one_way_leaves_to_the_other(name):
+    """Modal habits of program and output go from plain blocks to others and back."""
+    dialect, text = HANDED_ON[name]
+    for seed in range(60):
+        check(dialect, text, seed)
 
 
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
