@@ -146,3 +146,33 @@ def test_upright_tool_keeps_c(dmu50: Machine) -> None:
     assert found == pytest.approx([0.0, 417.0], abs=1e-6)
     below = branches.all(np.array([[0.0, 0.6, -0.8]]))[0]
     assert branches.nearest(below, np.zeros(2)) is None
+
+
+def test_both_branches_exist_and_each_is_kept() -> None:
+    """On a trunnion whose B tilts both ways every pose is reached twice; the solver stays where it starts."""
+    machine = Machine.load("xyzbc_trunnion")
+    rng = np.random.default_rng(15)
+    real = Kinematics(machine, random_calibration(machine, rng, size=100.0), tool_length_mm=60.0)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=60.0)
+    branches = Branches(nominal)
+    rotary, linear = list(machine.rotary), list(machine.linear)
+    q = np.zeros((300, 5))
+    q[:, linear] = rng.uniform([-60, -60, 140], [60, 60, 260], (300, 3))
+    q[:, rotary] = np.column_stack([rng.uniform(20, 60, 300) * rng.choice([-1, 1], 300), rng.uniform(-170, 170, 300)])
+    target = nominal.forward(q)
+    solutions = branches.all(target.axis)
+    for k in range(2):
+        start = q.copy()
+        start[:, rotary] = solutions[:, k]
+        # The same point with the rotary axes on this branch: the nominal linear axes for it.
+        start = Inverse(nominal).solve(target, start, rotary=False).positions.copy()
+        solution = Inverse(real).solve(target, start)
+        inside = (
+            (start >= machine.limits[:, 0] / machine.scale) & (start <= machine.limits[:, 1] / machine.scale)
+        ).all(axis=1)
+        assert np.count_nonzero(inside) > 50
+        assert np.all(solution.where(Status.CONVERGED)[inside])
+        assert np.abs(solution.positions - start)[inside][:, rotary].max() < 0.5
+        assert np.abs(real.forward(solution.positions[inside]).point_mm - target.point_mm[inside]).max() <= 1e-9
+    apart = np.abs(solutions[:, 0, 0] - solutions[:, 1, 0])
+    assert apart.min() > 30.0
