@@ -239,8 +239,7 @@ def new_positions(reading, seed, width):
 
 def check(dialect, text, seed, axes=AXES, *, tcp=False):
     program = dialect.read(text.encode("latin-1"), "test")
-    given_tcp = {} if dialect is APT else {"tcp": tcp}
-    ways = [outcome(lambda way=way: dialect._moves(program, axes, short_way=way, **given_tcp)) for way in (True, False)]
+    ways = [outcome(lambda way=way: dialect._moves(program, axes, tcp=tcp, short_way=way)) for way in (True, False)]
     if isinstance(ways[0], str) or isinstance(ways[1], str):
         assert ways[0] == ways[1]
         return

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, final
 
 from twin.errors import InputError
-from twin.nc.blocks import AxisWords, Dialect, Kind, Move, Notice, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, Notice, Program, Reading, Rewrite
+from twin.nc.dialect import TextDialect
 from twin.nc.emit import Vector, pieces_of, vector_texts
 from twin.nc.plain import NOTHING, VALUE
 from twin.nc.text import (
@@ -20,7 +21,6 @@ from twin.nc.text import (
     format_number,
     newline_of,
     number,
-    read_lines,
     style_of,
     unit_vector,
 )
@@ -158,26 +158,14 @@ def _statement(line: int, raw: str) -> Statement:
 
 
 @final
-class Apt(Dialect):
+class Apt(TextDialect):
     """APT cutter locations."""
 
     name = "apt"
     suffixes = (".cls", ".apt")
 
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines; see `Dialect.read`."""
-        return read_lines(data, source, self.name)
-
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """Interpret a program; see `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
-        return self._moves(program, axes)
-
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with moves replaced; see `Dialect.rewrite`."""
-        return self._rewrite(program, axes, reading, rewrites)
-
-    def _moves(self, program: Program, axes: AxisWords, *, short_way: bool = True) -> Reading:
-        """As `moves`; tests read every statement the general way and compare."""
+    def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
+        """See `TextDialect._moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
         reader = _Reader(program.source, axes)
         match = (_PLAIN if short_way else NOTHING).fullmatch
         texts = program.texts
@@ -204,7 +192,7 @@ class Apt(Dialect):
         *,
         short_way: bool = True,
     ) -> str:
-        """As `rewrite`; tests write every statement the general way and compare."""
+        """See `TextDialect._rewrite`."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text

@@ -6,39 +6,28 @@ import re
 from collections.abc import Container, Iterable
 from typing import final
 
-from twin.nc.blocks import AxisWords, Dialect, Kind, Move, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, Program, Reading, Rewrite
+from twin.nc.dialect import TextDialect
 from twin.nc.emit import Said, pieces_of, vector_texts
 from twin.nc.heidenhain_state import Interpreter, PathBlock
 from twin.nc.heidenhain_words import HEAD
 from twin.nc.iso_block import AxisWord
 from twin.nc.plain import NOTHING, kept, other_places, places, plain_language, replaced
-from twin.nc.text import BLANK, Style, apply_edits, ending, newline_of, number, read_lines, style_in, style_of
+from twin.nc.text import BLANK, Style, apply_edits, ending, newline_of, number, style_in, style_of
 
 VECTOR_DECIMALS = 7
 Pieces = tuple[Rewrite, list[list[float]]]
 
 
 @final
-class Heidenhain(Dialect):
+class Heidenhain(TextDialect):
     """Heidenhain plain language."""
 
     name = "heidenhain"
     suffixes = (".h",)
 
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines; see `Dialect.read`."""
-        return read_lines(data, source, self.name)
-
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """Interpret a program; see `Dialect.moves`."""
-        return self._moves(program, axes, tcp=tcp)
-
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with moves replaced; see `Dialect.rewrite`."""
-        return self._rewrite(program, axes, reading, rewrites)
-
     def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
-        """As `moves`; tests read every block the general way and compare."""
+        """See `TextDialect._moves`."""
         interpreter = Interpreter(program.source, axes, tcp=tcp)
         match = (plain_language(axes.names).pattern if short_way else NOTHING).fullmatch
         plain, step = interpreter.plain, interpreter.step
@@ -63,7 +52,7 @@ class Heidenhain(Dialect):
         *,
         short_way: bool = True,
     ) -> str:
-        """As `rewrite`; tests write every block the general way and compare."""
+        """See `TextDialect._rewrite`."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text

@@ -5,35 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import final
 
-from twin.nc.blocks import AxisWords, Dialect, Move, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
+from twin.nc.dialect import TextDialect
 from twin.nc.emit import pieces_of
 from twin.nc.iso_plain import PlainInterpreter
 from twin.nc.iso_write import Writer
 from twin.nc.plain import NOTHING, iso_plain
-from twin.nc.text import BLANK, Style, newline_of, read_lines, style_in
+from twin.nc.text import BLANK, Style, newline_of, style_in
 
 
 @final
-class Iso(Dialect):
+class Iso(TextDialect):
     """G-code."""
 
     name = "iso"
     suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
 
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines; see `Dialect.read`."""
-        return read_lines(data, source, self.name)
-
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """Interpret a program; see `Dialect.moves`."""
-        return self._moves(program, axes, tcp=tcp)
-
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with moves replaced; see `Dialect.rewrite`."""
-        return self._rewrite(program, axes, reading, rewrites)
-
     def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
-        """As `moves`; tests read every block the general way and compare."""
+        """See `TextDialect._moves`."""
         interpreter = PlainInterpreter(program.source, axes, tcp=tcp)
         match = (iso_plain(axes.names).pattern if short_way else NOTHING).fullmatch
         plain, step = interpreter.plain, interpreter.step
@@ -61,7 +50,7 @@ class Iso(Dialect):
         *,
         short_way: bool = True,
     ) -> str:
-        """As `rewrite`; tests write every block the general way and compare."""
+        """See `TextDialect._rewrite`."""
         by_line = pieces_of(reading, rewrites, axes)
         if not by_line:
             return program.text

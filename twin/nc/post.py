@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Literal
 
@@ -77,7 +78,7 @@ def _feed(statement: Statement, unit: float, last: float) -> float:
     return values[0] * (1.0 if "MMPM" in words else unit)
 
 
-class _Writer:
+class _Writer(ABC):
     """What both languages share: which words a block needs."""
 
     def __init__(self, axes: AxisWords, style: Style) -> None:
@@ -102,21 +103,21 @@ class _Writer:
             words.append(f"{name}{'=' if len(name) > 1 else ''}{number_text}")
         return words
 
+    @abstractmethod
     def start(self, source: str) -> None:
         """The head of the program."""
-        raise NotImplementedError
 
+    @abstractmethod
     def comment(self, text: str) -> None:
         """A comment."""
-        raise NotImplementedError
 
+    @abstractmethod
     def move(self, row: list[float], rapid: bool) -> None:
         """A move to a position."""
-        raise NotImplementedError
 
+    @abstractmethod
     def finish(self) -> None:
         """The end of the program."""
-        raise NotImplementedError
 
 
 class _Iso(_Writer):
