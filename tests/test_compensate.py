@@ -178,6 +178,10 @@ def test_scope_decides_what_is_corrected_and_where(
     some_um, _, done = left("L-POS", "L-STR")
     assert 10.0 < some_um
     assert np.abs(done - meant)[:, 3:].max() == 0.0
+    turned_um, turned_urad, done = left("FOR")  # the orientation alone: the rotary axes move, the point keeps its error
+    assert turned_urad <= ROUNDING_URAD
+    assert turned_um > 10.0
+    assert np.abs(done - meant)[:, 3:].max() > 0.0
     only = compensate(text, dmu50, calibration, scope=Scope.parse(["L-POS"])).report
     assert {share.name: share.corrected for share in only.classes}["L-POS"] is True
     assert {share.name: share.corrected for share in only.classes}["L-ANG"] is False

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
+from twin.arrays import locked
 from twin.curves import BASES, basis_named
 from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError
@@ -202,6 +203,16 @@ class Calibration:
             location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
         )
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is named: the machine as drawn."""
+        return not (self.curves or self.squareness or self.location)
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether any of its error motions is drawn, not measured."""
+        return any(curve.illustrative for curve in self.curves.values())
+
     def domains(self) -> np.ndarray:
         """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
         bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))
@@ -288,8 +299,7 @@ class _Check:
                 "no negative eigenvalue",
                 f"smallest eigenvalue {eigenvalues[0]:.3g}",
             )
-        matrix.flags.writeable = False
-        return matrix
+        return locked(matrix)
 
 
 def _bases() -> str:

@@ -243,9 +243,12 @@ def scene(
             )
         say("drawing", 0.5)
         drawn = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
-        illustrative = any(curve.illustrative for curve in errors.curves.values())
         html = scene_html(
-            real, drawn, title=f"{source.name} on {loaded.name}", exaggeration=exaggeration, illustrative=illustrative
+            real,
+            drawn,
+            title=f"{source.name} on {loaded.name}",
+            exaggeration=exaggeration,
+            illustrative=errors.illustrative,
         )
     write_whole(output, html)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""

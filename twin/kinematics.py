@@ -13,6 +13,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from twin.arrays import locked
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
 from twin.errors import InputError
@@ -132,7 +133,7 @@ class Kinematics:
         """
         q = self.check(positions)
         rotation, point = self.reached(q * self.machine.scale)
-        return Poses(_locked(point / MM), _locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
+        return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
     def error_frames(self, positions: Any) -> np.ndarray:
         """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
@@ -142,7 +143,7 @@ class Kinematics:
         """
         q = self.check(positions)
         (errors,) = BatchFunction(self.errors)(q * self.machine.scale)
-        return _locked(errors.reshape(len(q), -1, 6))
+        return locked(errors.reshape(len(q), -1, 6))
 
     def sensitivities(self, positions: Any) -> Sensitivities:
         """Derivatives of the pose with respect to commands and to every error motion.
@@ -154,7 +155,7 @@ class Kinematics:
         command, error = self._sensitivities(q * self.machine.scale)
         shape = (len(q), -1, 6)
         return Sensitivities(
-            _locked(command.reshape(shape).transpose(0, 2, 1)), _locked(error.reshape(shape).transpose(0, 2, 1))
+            locked(command.reshape(shape).transpose(0, 2, 1)), locked(error.reshape(shape).transpose(0, 2, 1))
         )
 
     def check(self, positions: Any) -> np.ndarray:
@@ -213,8 +214,3 @@ def _twist(rotation: Any, point: Any, variables: Any) -> Any:
         # ω_k = [dR Rᵀ]_ij: row i of dR with row j of R.
         rows.append(sum(rotation[j, k] * columns[3 * k + i, :] for k in range(3)))
     return ca.vertcat(*rows)
-
-
-def _locked(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array

@@ -23,6 +23,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field
 
+from twin.arrays import locked
 from twin.errors import InputError
 from twin.files import Place, line_of, load_yaml, read_text
 from twin.units import DEG, MM
@@ -185,7 +186,7 @@ class Machine:
     @cached_property
     def scale(self) -> np.ndarray:
         """(axes,) metres a millimetre or radians a degree, in command order."""
-        return _read_only(np.array([axis.scale for axis in self.axes]))
+        return locked(np.array([axis.scale for axis in self.axes]))
 
     @cached_property
     def limits(self) -> np.ndarray:
@@ -196,7 +197,7 @@ class Machine:
             else (axis.lower * axis.scale, axis.upper * axis.scale)
             for axis in self.axes
         ]
-        return _read_only(np.array(rows))
+        return locked(np.array(rows))
 
     @property
     def linear(self) -> tuple[int, ...]:
@@ -466,8 +467,3 @@ def _unit(vector: np.ndarray) -> tuple[float, float, float]:
     unit = vector / np.linalg.norm(vector)
     clean = np.where(np.abs(unit - np.round(unit)) < 1e-12, np.round(unit), unit) + 0.0
     return float(clean[0]), float(clean[1]), float(clean[2])
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array

@@ -17,6 +17,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin.arrays import locked
 from twin.errors import InputError
 from twin.files import read_text, write_whole
 from twin.machine import Axis, Machine
@@ -80,11 +81,11 @@ class Measurements:
     def select(self, rows: np.ndarray) -> Measurements:
         """Some rows (indices or a mask), everything else as it is."""
         picked: dict[str, Any] = {
-            field.name: _locked(getattr(self, field.name)[rows])
+            field.name: locked(getattr(self, field.name)[rows])
             for field in fields(self)
             if isinstance(getattr(self, field.name), np.ndarray)
         }
-        temperatures = {name: _locked(values[rows]) for name, values in self.temperature_degC.items()}
+        temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
         return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
 
     def save(self, path: Path, machine: Machine, *, comment: str = "") -> None:
@@ -159,14 +160,14 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     notices = tuple(_strange(name, sorted(known)) for name in strange)
     table = Measurements(
         source=str(path),
-        lines=_locked(np.array([line for line, _ in rows], dtype=int)),
+        lines=locked(np.array([line for line, _ in rows], dtype=int)),
         positions=_stacked([reader.numbers(_column(axis)) for axis in axes]),
         readback=_stacked([reader.numbers(f"readback_{_column(axis)}") for axis in axes]),
         target=reader.words("target", ""),
         carrier=reader.words("carrier", ""),
         station=reader.words("station", "1"),
         round=reader.words("round", "1"),
-        point_mm=_locked(np.zeros((n, 3))) if plan else _stacked([reader.numbers(name) for name in POINT_COLUMNS]),
+        point_mm=locked(np.zeros((n, 3))) if plan else _stacked([reader.numbers(name) for name in POINT_COLUMNS]),
         u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
         time_s=reader.numbers("time_s"),
         approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
@@ -229,17 +230,17 @@ def load_export(
     nothing = np.full((n, len(machine.axes)), np.nan)
     table = Measurements(
         source=str(path),
-        lines=_locked(np.array(lines)),
-        positions=_locked(np.tile(commands, (len(targets), 1))),
-        readback=_locked(nothing),
-        target=_locked(np.repeat(np.array(targets, dtype=object), len(commands))),
-        carrier=_locked(np.full(n, carrier, dtype=object)),
-        station=_locked(np.full(n, "1", dtype=object)),
-        round=_locked(np.full(n, round_name, dtype=object)),
-        point_mm=_locked(np.array(points)),
-        u_mm=_locked(np.full((n, 3), np.nan)),
-        time_s=_locked(np.full(n, np.nan)),
-        approach=_locked(np.zeros((n, len(machine.axes)))),
+        lines=locked(np.array(lines)),
+        positions=locked(np.tile(commands, (len(targets), 1))),
+        readback=locked(nothing),
+        target=locked(np.repeat(np.array(targets, dtype=object), len(commands))),
+        carrier=locked(np.full(n, carrier, dtype=object)),
+        station=locked(np.full(n, "1", dtype=object)),
+        round=locked(np.full(n, round_name, dtype=object)),
+        point_mm=locked(np.array(points)),
+        u_mm=locked(np.full((n, 3), np.nan)),
+        time_s=locked(np.full(n, np.nan)),
+        approach=locked(np.zeros((n, len(machine.axes)))),
         temperature_degC=MappingProxyType({}),
     )
     return _usable(table, machine)
@@ -255,13 +256,13 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         raise InputError("no measurements", expected="at least one table")
     first = tables[0]
     merged: dict[str, Any] = {
-        field.name: _locked(np.concatenate([getattr(table, field.name) for table in tables]))
+        field.name: locked(np.concatenate([getattr(table, field.name) for table in tables]))
         for field in fields(first)
         if isinstance(getattr(first, field.name), np.ndarray)
     }
     names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
     temperatures = {
-        name: _locked(
+        name: locked(
             np.concatenate([table.temperature_degC.get(name, np.full(len(table), np.nan)) for table in tables])
         )
         for name in names
@@ -316,7 +317,7 @@ class _Cells:
         """A column of numbers; NaN where the cell is empty or the column absent."""
         column = self.columns.get(name)
         if column is None:
-            return _locked(np.full(len(self.rows), np.nan))
+            return locked(np.full(len(self.rows), np.nan))
         values = np.full(len(self.rows), np.nan)
         for i, (line, row) in enumerate(self.rows):
             cell = row[column]
@@ -333,12 +334,12 @@ class _Cells:
                     ) from None
                 if np.isnan(values[i]):
                     values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
-        return _locked(values)
+        return locked(values)
 
     def words(self, name: str, default: str) -> np.ndarray:
         column = self.columns.get(name)
         cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
-        return _locked(np.array(cells, dtype=object))
+        return locked(np.array(cells, dtype=object))
 
     def signs(self, name: str) -> np.ndarray:
         values = np.nan_to_num(self.numbers(name), nan=0.0)
@@ -348,7 +349,7 @@ class _Cells:
             raise InputError(
                 f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
             )
-        return _locked(values)
+        return locked(values)
 
 
 def _check_names(table: Measurements, path: Path) -> None:
@@ -448,9 +449,4 @@ def _printed(values: np.ndarray) -> list[str]:
 
 
 def _stacked(columns: Sequence[np.ndarray]) -> np.ndarray:
-    return _locked(np.stack(columns, axis=1))
-
-
-def _locked(array: np.ndarray) -> np.ndarray:
-    array.flags.writeable = False
-    return array
+    return locked(np.stack(columns, axis=1))

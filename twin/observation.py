@@ -6,7 +6,7 @@ The one prediction that simulating, identifying and diagnosing share.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Final, final
+from typing import final
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,9 @@ from twin.batch import BatchFunction
 from twin.calibration import Calibration
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.measurement import CARRIERS
 from twin.symbolic import Pose, frame_pose
 from twin.units import MM
-
-CARRIERS: Final = ("tool", "work")
 
 
 @final

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 import pinocchio as pin
 
+from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.instruments import Instrument
 from twin.machine import Machine
@@ -120,8 +121,7 @@ def simulate(
         if noise:
             found = found + instrument.noise(seen, rng)
         readings[rows] = found / MM
-    readings.flags.writeable = False
-    return replace(plan, point_mm=readings, source="simulated", set_aside=(), notices=()), placed
+    return replace(plan, point_mm=locked(readings), source="simulated", set_aside=(), notices=()), placed
 
 
 def _numbers(values: Sequence[float]) -> str:

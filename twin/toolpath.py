@@ -160,7 +160,6 @@ class Path:
     Attributes:
         motions: those with every position known.
         passed: notices on lines that move but are left as written, and on what was assumed.
-        end_known: whether the program says where every axis is.
     """
 
     motions: tuple[Motion, ...]

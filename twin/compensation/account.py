@@ -66,7 +66,7 @@ class Account:
             machine=self.bench.machine.name,
             calibration=str(self.bench.calibration.path or "none"),
             calibration_source=self.bench.calibration.source,
-            illustrative=any(curve.illustrative for curve in self.bench.calibration.curves.values()),
+            illustrative=self.bench.calibration.illustrative,
             method=self.bench.options.method,
             scope="as in the thesis" if self.bench.options.method == "thesis" else str(self.pieces.scope),
             tool_length_mm=self.bench.full.tool_length_mm,
@@ -123,8 +123,7 @@ class Account:
         reached = self.bench.space.nominal.forward(after)
         for name in BASIC:
             alone = self.bench.limited(lambda error, name=name: iso_class(error, self.bench.machine) == name)  # type: ignore[misc]
-            found = alone.calibration
-            if not (found.curves or found.squareness or found.location):
+            if alone.calibration.empty:
                 continue
             alone_before = alone.forward(before)
             share = np.linalg.norm(alone_before.point_mm - meant.point_mm, axis=1) * 1e3

@@ -96,8 +96,8 @@ class Pieces:
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
         self.interpolated &= ~self.bench.outside(self.space.commands(self.start, self.tcp))
         # Nothing to correct: arcs stay arcs, and the program is written as it came.
-        found = self.point.calibration
-        self.idle = not (found.curves or found.squareness or found.location or posted or bench.thesis)
+        nothing = self.point.calibration.empty and self._orientation_inverse is None
+        self.idle = nothing and not posted and bench.thesis is None
         self.count = np.array(
             [1 if self.idle else chords(motion, bench.options.tolerance_mm) for motion in path.motions]
         )
@@ -115,8 +115,7 @@ class Pieces:
     def _orientation_inverse(self) -> Inverse | None:
         """The errors corrected by the rotary axes; None where they do not move for it."""
         limited = self.bench.limited(lambda name: self.scope.in_orientation(name, self.bench.machine))
-        empty = not (limited.calibration.curves or limited.calibration.location)
-        if not self.turns or empty:
+        if not self.turns or limited.calibration.empty:
             return None
         return Inverse(limited, rotary_limit_deg=self.bench.options.rotary_limit_deg)
 

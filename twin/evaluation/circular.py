@@ -15,8 +15,9 @@ from typing import Final, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.arrays import locked
 from twin.errors import InputError
-from twin.evaluation.inputs import numbers, read_only
+from twin.evaluation.inputs import numbers
 from twin.units import DEG
 
 Kind = Literal["radial", "axial", "tilt"]
@@ -165,14 +166,14 @@ def error_motion(
         name=name,
         kind=kind,
         unit=UNITS[kind],
-        angle_deg=read_only(angle),
-        readings=read_only(measured),
+        angle_deg=locked(angle),
+        readings=locked(measured),
         constant=constant,
         once_per_turn=once,
         harmonics=_fourier(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
-        total=read_only(total),
-        synchronous=read_only(synchronous),
-        residual=read_only(residual),
+        total=locked(total),
+        synchronous=locked(synchronous),
+        residual=locked(residual),
         total_value=float(np.ptp(total)),
         synchronous_value=float(np.ptp(synchronous)),
         fundamental_value=2.0 * once.amplitude,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.arrays import locked
 from twin.errors import InputError
 
 
@@ -37,7 +38,7 @@ def numbers(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
             expected="every value: measure it again, or leave out its whole row",
             value=float(array[tuple(missing[0])]),
         )
-    return read_only(array)
+    return locked(array)
 
 
 def same_length(name: str, values: np.ndarray, other_name: str, other: np.ndarray) -> None:
@@ -52,9 +53,3 @@ def same_length(name: str, values: np.ndarray, other_name: str, other: np.ndarra
             expected=f"{len(other)} rows, one for each of {other_name}",
             value=len(values),
         )
-
-
-def read_only(array: np.ndarray) -> np.ndarray:
-    """The same array, which nobody can change any more."""
-    array.flags.writeable = False
-    return array

@@ -17,8 +17,9 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.arrays import locked
 from twin.errors import InputError
-from twin.evaluation.inputs import numbers, read_only, same_length
+from twin.evaluation.inputs import numbers, same_length
 
 SLOPE: Final = 1e-3
 """µrad × mm → µm."""
@@ -109,7 +110,7 @@ def straightness(
         raise InputError("two points are always straight", expected="at least 3 points", value=len(position))
     order = np.argsort(position)
     spread = _covariance(len(position), u_um, covariance_um2)
-    position, deviation = read_only(position[order]), read_only(deviation[order])
+    position, deviation = locked(position[order]), locked(deviation[order])
     same = np.flatnonzero(np.diff(position) == 0.0)
     if len(same):
         raise InputError(
@@ -165,10 +166,10 @@ def _line(
         kind=kind,
         offset_um=float(offset),
         slope_urad=float(slope_urad),
-        residual_um=read_only(residual),
+        residual_um=locked(residual),
         value_um=float(max(residual.max(), 0.0) - min(residual.min(), 0.0)),
         contacts=contacts,
-        covariance=None if spread is None else read_only(to_user @ spread @ to_user.T),
+        covariance=None if spread is None else locked(to_user @ spread @ to_user.T),
     )
 
 
