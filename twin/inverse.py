@@ -15,6 +15,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from twin.arrays import locked
 from twin.batch import BatchFunction
 from twin.errors import InputError
 from twin.kinematics import Kinematics, Poses, angle_between_rad
@@ -252,9 +253,7 @@ class Inverse:
         positions[~good] = np.nan
         distance = np.where(good, distance, np.inf)
         left = np.where(good, left, np.inf)
-        for array in (positions, status, distance, left):
-            array.flags.writeable = False
-        return Solution(positions, status, distance / MM, left, iterations)
+        return Solution(locked(positions), locked(status), locked(distance / MM), locked(left), iterations)
 
 
 def _across(axis: np.ndarray) -> np.ndarray:

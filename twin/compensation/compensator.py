@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.compensation.account import Account
 from twin.compensation.bench import Bench, Options, Progress
@@ -119,10 +120,10 @@ class Compensator:
             reading,
             tuple(rewrites),
             path,
-            rows.nominal,
-            rows.exact,
-            rows.commands,
-            numbers[rows.motion],
+            locked(rows.nominal),
+            locked(rows.exact),
+            locked(rows.commands),
+            locked(numbers[rows.motion]),
         )
 
 
