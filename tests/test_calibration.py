@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from tests.conftest import SHARED
 from tests.errors import random_calibration
 from twin.calibration import Calibration
+from twin.covariance import Covariance
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.samples import dmu50_calibration
@@ -128,3 +130,55 @@ def test_not_a_text_file(dmu50: Machine, tmp_path: Path) -> None:
         Calibration.load(path, dmu50)
     with pytest.raises(InputError, match="readable"):
         Calibration.load(tmp_path / "none.yaml", dmu50)
+
+
+def test_joint_covariance_reads_back(dmu50: Machine, tmp_path: Path) -> None:
+    rng = np.random.default_rng(31)
+    drawn = random_calibration(dmu50, rng).where(lambda name: name in ("E_XX", "E_AY", "E_C0Y", "E_X0C"))
+    names = tuple(p.name for effect in drawn.effects for p in effect.parameters)
+    root = rng.normal(size=(len(names), len(names))) * np.exp(rng.normal(size=len(names)))[:, None]
+    joint = Covariance(names, root @ root.T)
+    path = tmp_path / "joint.yaml"
+    replace(drawn, joint=joint).save(path)
+    again = Calibration.load(path, dmu50)
+    assert again.covariance.names == names
+    assert np.array_equal(again.covariance.matrix, joint.matrix)
+    assert again.without_uncertainty == ()
+    part = again.where(lambda name: name == "E_AY").covariance
+    assert part.names == tuple(name for name in names if name.startswith("E_AY"))
+    assert drawn.without_uncertainty == ("E_XX", "E_AY", "E_C0Y", "E_X0C")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("lower: |\n    ", "lower: |\n    1 ", "row 1 has 2 numbers"),
+        ("- E_C0Y", "- E_A0Z", "not in this file"),
+        ("lower: |\n    ", "lower: |\n    x", "no number"),
+        ("lower: |\n    ", "lower: |\n    -", "negative variance"),
+    ],
+)
+def test_bad_joint_covariance_is_refused(dmu50: Machine, tmp_path: Path, old: str, new: str, words: str) -> None:
+    drawn = random_calibration(dmu50, np.random.default_rng(32)).where(lambda name: name in ("E_XX", "E_C0Y"))
+    names = tuple(p.name for effect in drawn.effects for p in effect.parameters)
+    text = replace(drawn, joint=Covariance(names, np.eye(len(names)))).to_yaml()
+    text = text.replace("E_C0Y]", "E_A0Z]") if old == "- E_C0Y" else text.replace(old, new)
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        Calibration.load(path, dmu50)
+
+
+def test_derivatives_are_those_of_the_components(dmu50: Machine) -> None:
+    """Every effect is linear in its parameters: its components are the sum of derivative times value."""
+    drawn = random_calibration(dmu50, np.random.default_rng(33))
+    q = dict(
+        zip(dmu50.names, np.random.default_rng(34).uniform([0, 0, -400, 0, -500], [500, 450, 0, 180, 500], (50, 5)).T)
+    )
+    for effect in drawn.effects:
+        total = {i: 0.0 for i in effect.components(q)}
+        for parameter, shape in zip(effect.parameters, effect.derivatives(q), strict=True):
+            for i, values in shape.items():
+                total[i] = total[i] + parameter.value * values
+        for i, values in effect.components(q).items():
+            np.testing.assert_allclose(total[i], values, rtol=1e-12, atol=1e-12)

@@ -13,6 +13,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
+from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError
@@ -35,6 +36,12 @@ class _CurveEntry(BaseModel):
     source: str = ""
 
 
+class _CovarianceEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    parameters: tuple[str, ...]
+    lower: str
+
+
 class _CalibrationFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
@@ -43,6 +50,7 @@ class _CalibrationFile(BaseModel):
     curves: dict[str, _CurveEntry] = {}
     squareness: dict[str, float] = {}
     location: dict[str, float] = {}
+    covariance: _CovarianceEntry | None = None
     effects: tuple[dict[str, Any], ...] = ()
 
 
@@ -103,6 +111,7 @@ class Calibration:
         curves: error motions by name.
         squareness: µrad by name.
         location: µm and µrad by name.
+        joint: covariance of all identified parameters together, or None where only curves have their own.
         path: the file it was read from, or None.
     """
 
@@ -111,6 +120,7 @@ class Calibration:
     curves: Mapping[str, Curve]
     squareness: Mapping[str, float]
     location: Mapping[str, float]
+    joint: Covariance | None = None
     path: Path | None = None
 
     @classmethod
@@ -147,7 +157,7 @@ class Calibration:
                 check.name((kind, name), name, allowed)
                 if (split_name(name)[0] >= 3) and abs(value) > LARGEST_ANGLE_URAD:
                     raise check.fail((kind, name), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", value)
-        return cls(
+        loaded = cls(
             machine=machine,
             source=entries.source,
             curves=MappingProxyType(curves),
@@ -155,6 +165,7 @@ class Calibration:
             location=MappingProxyType(dict(entries.location)),
             path=path,
         )
+        return loaded if entries.covariance is None else replace(loaded, joint=check.joint(entries.covariance, loaded))
 
     @classmethod
     def default(cls, machine: Machine) -> Calibration:
@@ -177,7 +188,14 @@ class Calibration:
             "squareness": {name: float(value) for name, value in self.squareness.items()},
             "location": {name: float(value) for name, value in self.location.items()},
         }
-        return yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+        text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+        if self.joint is not None and self.joint.names:
+            names = (
+                yaml.dump(list(self.joint.names), default_flow_style=True, width=120).replace("\n", "\n    ").rstrip()
+            )
+            rows = "".join(f"    {row}\n" for row in self.joint.to_text().splitlines())
+            text += f"covariance:\n  parameters: {names}\n  lower: |\n{rows}"
+        return text
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -201,7 +219,26 @@ class Calibration:
             curves=MappingProxyType({name: curve for name, curve in self.curves.items() if keep(name)}),
             squareness=MappingProxyType({name: value for name, value in self.squareness.items() if keep(name)}),
             location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
+            joint=None if self.joint is None else self.joint.where(lambda name: keep(name.partition("[")[0])),
         )
+
+    @property
+    def covariance(self) -> Covariance:
+        """What is known of the parameters' uncertainty: the joint covariance, or each curve's own, independent."""
+        if self.joint is not None:
+            return self.joint
+        blocks = []
+        for curve in self.curves.values():
+            if curve.covariance is not None:
+                names = tuple(f"{curve.name}[{k}]" for k in range(len(curve.coefficients)))
+                blocks.append(Covariance(names, curve.covariance))
+        return Covariance.of_blocks(blocks) if blocks else Covariance.none()
+
+    @property
+    def without_uncertainty(self) -> tuple[str, ...]:
+        """Names of what this calibration gives a value but no uncertainty."""
+        known = {name.partition("[")[0] for name in self.covariance.names}
+        return tuple(name for name in (*self.curves, *self.squareness, *self.location) if name not in known)
 
     @property
     def empty(self) -> bool:
@@ -290,16 +327,37 @@ class _Check:
         matrix = np.array(entry.covariance)
         if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
             raise self.fail(place, "covariance is not symmetric", "a symmetric matrix", entry.covariance)
-        eigenvalues = np.linalg.eigvalsh(matrix)
-        # Rounding of the printed digits may push a zero eigenvalue this far below zero, no further.
-        if eigenvalues[0] < -1e-9 * max(eigenvalues[-1], 0.0) or eigenvalues[-1] < 0.0:
-            raise self.fail(
-                place,
-                "covariance is not positive semi-definite",
-                "no negative eigenvalue",
-                f"smallest eigenvalue {eigenvalues[0]:.3g}",
-            )
+        problem = not_a_covariance(matrix)
+        if problem is not None:
+            raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
         return locked(matrix)
+
+    def joint(self, entry: _CovarianceEntry, calibration: Calibration) -> Covariance:
+        known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
+        for name in entry.parameters:
+            if name not in known:
+                raise self.fail(("covariance",), "a covariance of something not in this file", "its parameters", name)
+            if entry.parameters.count(name) > 1:
+                raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
+        try:
+            found = Covariance.from_text(entry.parameters, entry.lower)
+        except ValueError as error:
+            raise self.fail(
+                ("covariance", "lower"), "not a covariance", "the lower triangle, one row a line", error
+            ) from None
+        for curve in calibration.curves.values():
+            names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
+            whole = set(names) <= set(entry.parameters)
+            if curve.covariance is not None and not (
+                whole and np.allclose(found.of(names).matrix, curve.covariance, rtol=1e-9, atol=0.0)
+            ):
+                raise self.fail(
+                    ("curves", curve.name, "covariance"),
+                    "differs from the joint covariance",
+                    "the same numbers",
+                    curve.name,
+                )
+        return found
 
 
 def _bases() -> str:

@@ -20,6 +20,22 @@ class Frame:
     role: Literal["motion", "location"]
 
 
+@final
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the model.
+
+    Attributes:
+        name: ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location.
+        unit: ``um``, ``urad``, or what the effect says.
+        value: in that unit.
+    """
+
+    name: str
+    unit: str
+    value: float
+
+
 class Effect(ABC):
     """One effect of the model.
 
@@ -42,6 +58,15 @@ class Effect(ABC):
         Args:
             positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape.
         """
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The numbers it is made of, in the order of `derivatives`."""
+
+    @abstractmethod
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """Derivative of `components` by each parameter: µm or µrad a unit of the parameter, by component index."""
 
 
 def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:

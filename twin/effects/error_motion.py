@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, final
 
 from twin.curves import Basis
-from twin.effects.base import Effect, Frame, split_name
+from twin.effects.base import Effect, Frame, Parameter, split_name
 from twin.elementary import floor
 
 
@@ -39,8 +39,22 @@ class ErrorMotion(Effect):
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`."""
+        return {self._component: self.basis.value(self._inside(positions), self.domain, self.coefficients)}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its coefficients, ``E_XX[0]`` and on."""
+        unit = "um" if self._component < 3 else "urad"
+        return tuple(Parameter(f"{self.name}[{k}]", unit, value) for k, value in enumerate(self.coefficients))
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        functions = self.basis.functions(self._inside(positions), self.domain, len(self.coefficients))
+        return tuple({self._component: function} for function in functions)
+
+    def _inside(self, positions: Mapping[str, Any]) -> Any:
         q = positions[self._axis]
         if self._wrapped:
             lo, hi = self.domain
             q = q - (hi - lo) * floor((q - lo) / (hi - lo))
-        return {self._component: self.basis.value(q, self.domain, self.coefficients)}
+        return q

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, final
 
-from twin.effects.base import Effect, Frame, split_name
+from twin.effects.base import Effect, Frame, Parameter, split_name
 
 
 @final
@@ -30,3 +30,12 @@ class AxisLocation(Effect):
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`."""
         return {self._component: 0.0 * positions[self._axis] + self.offset}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The offset."""
+        return (Parameter(self.name, "um" if self._component < 3 else "urad", self.offset),)
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        return ({self._component: 0.0 * positions[self._axis] + 1.0},)

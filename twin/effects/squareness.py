@@ -7,7 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.effects.base import Effect, Frame, split_name
+from twin.effects.base import Effect, Frame, Parameter, split_name
 
 
 @final
@@ -36,6 +36,19 @@ class Squareness(Effect):
         return Frame(self._axis, "motion")
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`. An angle in µrad over a distance in mm gives 1e-3 µm."""
+        """See `Effect.components`."""
+        return {i: self.angle_urad * shape for i, shape in self._shape(positions).items()}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The angle."""
+        return (Parameter(self.name, "urad", self.angle_urad),)
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        return (self._shape(positions),)
+
+    def _shape(self, positions: Mapping[str, Any]) -> dict[int, Any]:
+        # An angle in µrad over a distance in mm gives 1e-3 µm.
         q = positions[self._axis]
-        return {i: q * (1e-3 * self.angle_urad * self._lever[i]) for i in range(3) if self._lever[i] != 0.0}
+        return {i: q * (1e-3 * self._lever[i]) for i in range(3) if self._lever[i] != 0.0}

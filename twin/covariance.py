@@ -1,0 +1,106 @@
+"""A joint covariance of named parameters, and its text: one row a line, lower triangle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from twin.arrays import locked
+
+ROUNDING = 1e-9
+"""What the printed digits may push a zero eigenvalue below zero, relative to the largest."""
+
+
+@final
+@dataclass(frozen=True)
+class Covariance:
+    """Names and their covariance matrix.
+
+    Attributes:
+        names: of the parameters, each once.
+        matrix: (p, p), in the products of the parameters' units; read-only.
+    """
+
+    names: tuple[str, ...]
+    matrix: np.ndarray
+
+    @classmethod
+    def none(cls) -> Covariance:
+        """Of nothing."""
+        return cls((), locked(np.zeros((0, 0))))
+
+    @classmethod
+    def of_blocks(cls, blocks: Sequence[Covariance]) -> Covariance:
+        """Independent groups side by side."""
+        names = tuple(name for block in blocks for name in block.names)
+        matrix = np.zeros((len(names), len(names)))
+        start = 0
+        for block in blocks:
+            end = start + len(block.names)
+            matrix[start:end, start:end] = block.matrix
+            start = end
+        return cls(names, locked(matrix))
+
+    def of(self, names: Sequence[str]) -> Covariance:
+        """The part of some names, in their order.
+
+        Raises:
+            KeyError: a name that is not among these.
+        """
+        index = {name: i for i, name in enumerate(self.names)}
+        rows = [index[name] for name in names]
+        return Covariance(tuple(names), locked(self.matrix[np.ix_(rows, rows)]))
+
+    def where(self, keep: Callable[[str], bool]) -> Covariance:
+        """The part of the names that are kept."""
+        return self.of([name for name in self.names if keep(name)])
+
+    def to_text(self) -> str:
+        """Lower triangle, one row a line, every digit."""
+        return "".join(" ".join(repr(float(v)) for v in row[: i + 1]) + "\n" for i, row in enumerate(self.matrix))
+
+    @classmethod
+    def from_text(cls, names: Sequence[str], text: str) -> Covariance:
+        """Read `to_text`.
+
+        Raises:
+            ValueError: rows of the wrong length, something that is no finite number, a matrix with a negative eigenvalue; the
+                message says which.
+        """
+        rows = [line.split() for line in text.splitlines() if line.strip()]
+        if len(rows) != len(names):
+            raise ValueError(f"{len(rows)} rows, {len(names)} parameters")
+        matrix = np.zeros((len(names), len(names)))
+        for i, row in enumerate(rows):
+            if len(row) != i + 1:
+                raise ValueError(f"row {i + 1} has {len(row)} numbers")
+            try:
+                matrix[i, : i + 1] = [float(cell) for cell in row]
+            except ValueError:
+                raise ValueError(f"row {i + 1} holds something that is no number") from None
+        if not np.all(np.isfinite(matrix)):
+            raise ValueError("it holds a number that is not finite")
+        matrix = matrix + np.tril(matrix, -1).T
+        problem = not_a_covariance(matrix)
+        if problem is not None:
+            raise ValueError(problem)
+        return cls(tuple(names), locked(matrix))
+
+
+def not_a_covariance(matrix: np.ndarray) -> str | None:
+    """Why a symmetric matrix cannot be a covariance; None if it can.
+
+    Judged on the correlations, so that µm beside µrad does not hide a sign.
+    """
+    variances = np.diag(matrix)
+    if np.any(variances < 0.0):
+        return f"a negative variance, {variances.min():.3g}"
+    scale = np.where(variances > 0.0, np.sqrt(variances), 1.0)
+    correlation = matrix / np.outer(scale, scale)
+    if np.any(np.abs(correlation) > 1.0 + ROUNDING):
+        return "a correlation beyond one: a negative eigenvalue"
+    smallest = np.linalg.eigvalsh(correlation)[0] if len(matrix) else 0.0
+    return f"a negative eigenvalue of the correlations, {smallest:.3g}" if smallest < -ROUNDING * len(matrix) else None
