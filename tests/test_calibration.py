@@ -172,11 +172,10 @@ def test_bad_joint_covariance_is_refused(dmu50: Machine, tmp_path: Path, old: st
 def test_derivatives_are_those_of_the_components(dmu50: Machine) -> None:
     """Every effect is linear in its parameters: its components are the sum of derivative times value."""
     drawn = random_calibration(dmu50, np.random.default_rng(33))
-    q = dict(
-        zip(dmu50.names, np.random.default_rng(34).uniform([0, 0, -400, 0, -500], [500, 450, 0, 180, 500], (50, 5)).T)
-    )
+    drawn_q = np.random.default_rng(34).uniform([0, 0, -400, 0, -500], [500, 450, 0, 180, 500], (50, 5))
+    q = dict(zip(dmu50.names, drawn_q.T, strict=True))
     for effect in drawn.effects:
-        total = {i: 0.0 for i in effect.components(q)}
+        total = dict.fromkeys(effect.components(q), 0.0)
         for parameter, shape in zip(effect.parameters, effect.derivatives(q), strict=True):
             for i, values in shape.items():
                 total[i] = total[i] + parameter.value * values
