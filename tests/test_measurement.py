@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,12 +67,14 @@ def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactor
         u_mm=rng.uniform(1e-4, 1e-2, (n, 3)),
         time_s=np.arange(n, dtype=float),
         approach=rng.integers(-1, 2, (n, 5)).astype(float),
+        place_mm=np.tile(rng.normal(size=3), (n, 1)) if rng.random() < 0.5 else np.full((n, 3), np.nan),
+        station_pose=np.tile(rng.normal(size=6), (n, 1)) if rng.random() < 0.5 else np.full((n, 6), np.nan),
         temperature_degC={"bed": rng.normal(20, 1, n)},
     )
     path = tmp_path_factory.mktemp("m") / "m.csv"
     original.save(path, dmu50, comment="drawn\nfor a test")
     again = load(path, dmu50)
-    for name in ("positions", "readback", "point_mm", "u_mm", "time_s", "approach"):
+    for name in ("positions", "readback", "point_mm", "u_mm", "time_s", "approach", "place_mm", "station_pose"):
         assert np.array_equal(getattr(again, name), getattr(original, name), equal_nan=True), name
     assert again.target.tolist() == original.target.tolist()
     assert np.array_equal(again.temperature_degC["bed"], original.temperature_degC["bed"])
@@ -165,3 +168,73 @@ def test_the_thesis_export(dmu50: Machine, tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("a, 1, 2\n")
     with pytest.raises(InputError, match=r"bad.csv:1: .*name, x, y, z"):
         load_export(tmp_path / "bad.csv", dmu50, positions, targets=["K"])
+
+
+KNOWN = HEADER + ",station,place_x_mm,place_y_mm,place_z_mm"
+POSE = ",station_x_mm,station_y_mm,station_z_mm,station_a_deg,station_b_deg,station_c_deg"
+
+
+def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> None:
+    """Said in one row, it holds for the target, or the station, in every row; the others stay unknown."""
+    lines = [
+        "0,100,-50,0,0,K,tool,1,2,3,s,,,," + ",,,,,",
+        "50,100,-50,0,0,K,tool,1,2,3,s,1.5,-2,30," + ",,,,,",
+        "0,100,-50,0,0,P,tool,1,2,3,s,,,," + ",,,,,",
+        "50,100,-50,0,0,P,tool,1,2,3,t,,,,0,-2000,200,0,0,90",
+        "60,100,-50,0,0,P,tool,1,2,3,t,,,,0,-2000,200,0,0,90",
+        "70,100,-50,0,0,P,tool,1,2,3,t,,,,0,-2000,200,0,0,90",
+    ]
+    found = load(table(tmp_path, *lines, header=KNOWN + POSE), dmu50)
+    assert not found.notices and not found.set_aside
+    assert found.place_mm[:2].tolist() == [[1.5, -2.0, 30.0]] * 2 and np.isnan(found.place_mm[2:]).all()
+    assert found.station_pose[3:].tolist() == [[0.0, -2000.0, 200.0, 0.0, 0.0, 90.0]] * 3
+    assert np.isnan(found.station_pose[:3]).all()
+    picked = found.select(found.target == "K")
+    assert picked.place_mm.shape == (2, 3) and picked.station_pose.shape == (2, 6)
+    with pytest.raises(ValueError, match="read-only"):
+        found.place_mm[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("tails", "header", "line", "words"),
+    [
+        (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "target K at two places: '1, 2, 4'"),
+        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "in part"),
+        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "in part"),
+        (["s,1,2", "s,,", "s,,"], KNOWN.removesuffix(",place_z_mm"), 3, "place_x_mm, place_y_mm, place_z_mm"),
+        (
+            ["s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,1"],
+            KNOWN + POSE,
+            5,
+            "station s at two places",
+        ),
+        (["s,,,,0,0,0,0,0,", "s,,,,,,,,,", "s,,,,,,,,,"], KNOWN + POSE, 3, "station_c_deg"),
+    ],
+)
+def test_places_that_contradict_or_are_given_in_part(
+    dmu50: Machine, tmp_path: Path, tails: list[str], header: str, line: int, words: str
+) -> None:
+    lines = [f"{row},{tail}" for row, tail in zip(rows(0, 50, 100), tails, strict=True)]
+    with pytest.raises(InputError) as caught:
+        load(table(tmp_path, *lines, header=header), dmu50)
+    assert caught.value.line == line
+    assert words in str(caught.value)
+
+
+def test_joined_tables_agree_on_places(dmu50: Machine, tmp_path: Path) -> None:
+    first = load(table(tmp_path, *(row + ",s,1,2,3" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
+    silent = load(table(tmp_path, *rows(150, 200, 250)), dmu50)
+    other = load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
+    assert joined([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
+    with pytest.raises(InputError, match="target K at two places"):
+        joined([first, other])
+
+
+def test_a_plan_is_written_without_coordinates(dmu50: Machine, tmp_path: Path) -> None:
+    measured = load(table(tmp_path, *rows(0, 50, 100)), dmu50)
+    plan = replace(measured, point_mm=np.full((3, 3), np.nan))
+    headers = [set(one.to_csv(dmu50).splitlines()[0].split(",")) for one in (measured, plan)]
+    assert headers[0] - headers[1] == {"x_mm", "y_mm", "z_mm"}
+    path = tmp_path / "plan.csv"
+    plan.save(path, dmu50)
+    assert load(path, dmu50, plan=True).positions.tolist() == plan.positions.tolist()

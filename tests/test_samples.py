@@ -1,4 +1,4 @@
-"""The bundled cone frustum: what its script makes, and the geometry of the standard's test piece."""
+"""What comes with twin: what the scripts make, the geometry of the standard's test piece, and the thesis's plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ import numpy as np
 
 from tests.reference import sorby_forward
 from tests.truth import run_iso
-from twin.samples import cone_frustum
+from twin.instruments import LaserTracker
+from twin.machine import Machine
+from twin.measurement import load
+from twin.samples import cone_frustum, thesis_plan
+from twin.three_point import three_point
 
 FOLDER = Path(cone_frustum.__file__).parent
 
@@ -41,3 +45,67 @@ def test_it_is_a_cone_frustum_of_half_apex_15_inclined_10() -> None:
         if abs(distance - 10.0) < 2e-3:  # X, Y, Z are printed to 0.001 mm
             cut += 1
     assert cut == 361  # one turn in steps of one degree, both ends
+
+
+def test_the_plan_is_what_the_script_makes() -> None:
+    assert (FOLDER / "thesis_plan.csv").read_text() == thesis_plan.text()
+
+
+def test_the_plan_is_the_thesiss(dmu50: Machine) -> None:
+    plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
+    assert not plan.set_aside and not plan.notices
+    assert len(plan) == 4 * 3 * (11 + 11 + 11 + 19 + 18)
+    assert set(plan.station) == {"1"} and set(plan.round) == {"1", "2", "3", "4"}
+    assert np.all(np.diff(plan.time_s) == 15.0)
+    for column, (name, low, high, count) in enumerate(
+        (("X", 0, 500, 11), ("Y", 0, 450, 11), ("Z", -400, 0, 11), ("B", 0, 180, 19), ("C", 0, 340, 18))
+    ):
+        of = np.flatnonzero(plan.approach[:, column])
+        q = plan.positions[of]
+        assert np.unique(q[:, column]).tolist() == np.linspace(low, high, count).tolist()
+        assert set(plan.carrier[of]) == {"tool" if name in "XYZ" else "work"}
+        others = np.delete(q, column, axis=1)
+        assert np.all(others == (0.0 if name in "XYZ" else [0.0, 450.0, 0.0, 0.0]))
+        # each target goes through all positions, in the direction it says, before the next
+        runs = q[:, column].reshape(4, 3, count)
+        assert np.all(np.sign(np.diff(runs, axis=2)) == plan.approach[of[0], column])
+        assert np.all(plan.target[of].reshape(4, 3, count) == plan.target[of].reshape(4, 3, count)[:, :, :1])
+    assert np.count_nonzero(plan.approach) == len(plan)
+
+
+def test_the_six_equations_hold_everywhere_on_the_plan(dmu50: Machine) -> None:
+    """Unit noise in a reading is at most 1.8 in a translation at every position (2.5 with places a third apart would still do)."""
+    plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
+    for places in (thesis_plan.TOOL_PLACES_MM, thesis_plan.WORK_PLACES_MM):
+        assert len({place[2] for place in places.values()}) == 3
+        for name, place in places.items():
+            assert np.all(plan.place_mm[plan.target == name] == place)
+    worst = 0.0
+    tool, work = (np.array(list(p.values())) * 1e-3 for p in (thesis_plan.TOOL_PLACES_MM, thesis_plan.WORK_PLACES_MM))
+    for axis in ("X", "Y", "Z"):
+        worst = max(worst, np.linalg.norm(three_point(np.eye(9).reshape(9, 3, 3), tool, axis)[:, :3], axis=0).max())
+    h = np.sqrt(0.5)
+    in_b = (work - [0.0, 0.0, 0.154996]) @ np.array([[1.0, 0.0, 0.0], [0.0, h, -h], [0.0, h, h]])
+    for places, angles in ((work, -thesis_plan.POSITIONS["C"]), (in_b, thesis_plan.POSITIONS["B"])):
+        for angle in np.radians(angles):
+            c, s = np.cos(angle), np.sin(angle)
+            turned = places @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+            made = three_point(np.eye(9).reshape(9, 3, 3), turned, "rotary")
+            worst = max(worst, np.linalg.norm(made[:, :3], axis=0).max())
+    assert worst < 1.8
+
+
+def test_the_three_positions_of_figure_5_1() -> None:
+    """Tables 5.1, 5.2: Pos. 1 measures y without the tracker's angles, Pos. 2 x, Pos. 3 z: a fifth of the others over the volume.
+
+    At the ends of the travel the beam leans by 8°, which brings 13.5 µm · sin 8° = 2 µm of the angles' into it.
+    """
+    points = np.array([[x, y, z] for x in (-250, 0, 250) for y in (-225, 0, 225) for z in (0, 200, 400)], dtype=float)
+    for station, along in zip(thesis_plan.thesis_stations(), (1, 0, 2), strict=True):
+        seen = station.to_station_mm(points)
+        assert np.abs(np.linalg.norm(seen, axis=1) - 2000.0).max() < 350.0
+        assert np.all(seen[:, 0] > 1500.0)  # x of the station's frame points at the machine
+        turn = station.to_station_mm(np.eye(3) + station.origin_mm)
+        u = np.sqrt(np.einsum("ij,njk,ik->ni", turn, LaserTracker().covariance(seen * 1e-3), turn))
+        across = np.delete(u, along, axis=1)
+        assert np.all(u[:, [along]] < across / 4.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ from tests.reference import D, about, error_frame, translation
 from tests.truth import TruthMachine
 from twin import cli
 from twin.calibration import Calibration
-from twin.instruments import INSTRUMENTS, LaserTracker
+from twin.errors import InputError
+from twin.instruments import INSTRUMENTS, Air, Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
 from twin.measurement import Measurements, load
-from twin.simulate import Setting, simulate
+from twin.samples import thesis_plan
+from twin.simulate import Setting, Station, Surroundings, simulate
 
 PLAN_HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,station,round"
 
@@ -87,6 +90,122 @@ def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan
                 total += error[read] @ np.linalg.solve(covariance[i][np.ix_(read, read)], error[read])
                 count += int(read.sum())
         assert abs(total - count) <= 4.0 * np.sqrt(2.0 * count)
+
+
+def placed(plan: Measurements) -> Measurements:
+    """Target K and station 1 known."""
+    places, poses = np.array(plan.place_mm), np.array(plan.station_pose)
+    places[plan.target == "K"] = [12.0, -34.0, 56.0]
+    poses[plan.station == "1"] = [0.0, -1900.0, 150.0, 0.0, 0.0, 90.0]
+    return replace(plan, place_mm=places, station_pose=poses)
+
+
+def test_what_the_plan_gives_is_not_drawn_and_not_told(
+    dmu50: Machine, calibration: Calibration, plan: Measurements
+) -> None:
+    measured, setting = simulate(placed(plan), dmu50, calibration, LaserTracker(), np.random.default_rng(3))
+    assert setting.places_mm["K"] == (12.0, -34.0, 56.0)
+    assert setting.stations["1"] == Station((0.0, -1900.0, 150.0), (0.0, 0.0, np.pi / 2))
+    assert setting.stations["1"].pose.tolist() == [0.0, -1900.0, 150.0, 0.0, 0.0, 90.0]
+    _, drawn = simulate(placed(plan), dmu50, calibration, LaserTracker(), np.random.default_rng(4))
+    assert drawn.places_mm["K"] == setting.places_mm["K"] and drawn.places_mm["P"] != setting.places_mm["P"]
+    assert drawn.stations["2"] != setting.stations["2"]
+    assert np.isnan(measured.place_mm).all() and np.isnan(measured.station_pose).all()
+    assert "place_x_mm" not in measured.to_csv(dmu50) and "target K: (12, -34, 56) mm" in setting.describe()
+
+
+def shop(
+    plan: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument, around: Surroundings | None
+) -> np.ndarray:
+    return simulate(plan, machine, calibration, instrument, np.random.default_rng(3), surroundings=around)[0].point_mm
+
+
+def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """Bit for bit, noise included; the air the instrument assumes does nothing either."""
+    for instrument in INSTRUMENTS:
+        without = shop(plan, dmu50, calibration, instrument, None)
+        for around in (Surroundings(), Surroundings(air=Air())):
+            assert np.array_equal(shop(plan, dmu50, calibration, instrument, around), without, equal_nan=True)
+    assert Surroundings().describe() == ""
+
+
+def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """A degree more: −0.95 µm/m by Birch and Downs, along the beam; of an interferometer, on what it counts and not the dead path."""
+    warm = Surroundings(air=Air(temperature_degC=21.0))
+    assert (warm.scale - 1.0) * 1e6 == pytest.approx(-0.95, abs=0.01)
+    tracker = LaserTracker()
+    exact = shop(plan, dmu50, calibration, tracker, None)
+    change = shop(plan, dmu50, calibration, tracker, warm) - exact
+    length = np.linalg.norm(exact, axis=1)
+    beam = exact / length[:, None]
+    # 1e-4 µm: the noise is the same draw, 14 µm across a beam that it turns by 1e-5, times 2 µm
+    assert np.sum(change * beam, axis=1) * 1e3 == pytest.approx(-0.952 * length * 1e-3, abs=2e-3)
+    assert np.abs(np.cross(change, beam)).max() * 1e3 < 1e-4
+    for dead_path in (0.0, 1.5):
+        lengths = TrackingInterferometer(dead_path_m=dead_path)
+        read = shop(plan, dmu50, calibration, lengths, None)[:, 0]
+        shorter = shop(plan, dmu50, calibration, lengths, warm)[:, 0] - read
+        assert shorter * 1e3 == pytest.approx(-0.952 * read * 1e-3, abs=2e-3)
+
+
+def test_a_station_drifts_with_time(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """In the base frame, linear in the time since the plan's first point; the other station stands."""
+    timed = replace(plan, time_s=5000.0 + 60.0 * np.arange(len(plan)))
+    rate = np.array([12.0, -7.0, 3.0])
+    around = Surroundings(drift_um_per_h={"1": (12.0, -7.0, 3.0)})
+    still, setting = simulate(timed, dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False)
+    creeping, _ = simulate(
+        timed, dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False, surroundings=around
+    )
+    of = plan.station == "1"
+    turn = setting.stations["1"].to_station_mm(np.eye(3) + setting.stations["1"].origin_mm)
+    hours = 60.0 * np.flatnonzero(of) / 3600.0
+    moved = (creeping.point_mm - still.point_mm) * 1e3
+    # the target seems to move the other way; 1e-6 µm is rounding of coordinates of 2000 mm
+    assert moved[of] == pytest.approx(-np.outer(hours, rate) @ turn, abs=1e-6)
+    assert not moved[~of].any()
+
+
+def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    times = np.arange(len(plan), dtype=float)
+    times[np.flatnonzero(plan.station == "2")[1]] = np.nan
+    timed = replace(plan, time_s=times)
+    with pytest.raises(InputError, match="a drift of no station: '3'; expected one of"):
+        shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"3": (1.0, 0.0, 0.0)}))
+    with pytest.raises(InputError, match="time_s in every row") as caught:
+        shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"2": (1.0, 0.0, 0.0)}))
+    assert caught.value.line == plan.lines[np.flatnonzero(plan.station == "2")[1]]
+    shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"1": (1.0, 0.0, 0.0)}))
+
+
+def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    """A plan by its bare name; what the shop did stands in the file; bad options say what they want."""
+    out = tmp_path / "measured.csv"
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["simulate", "thesis_plan.csv", "-o", str(out), "--air", "21,1013.25,50", "--drift", "1=5,0,-2.5"])
+    assert stopped.value.code == 0 and "840 points" in capsys.readouterr().out
+    comment = [line for line in out.read_text().splitlines() if line.startswith("#")]
+    assert any("lengths read -0.952 um/m" in line for line in comment)
+    assert any("station 1 drifts (5, 0, -2.5) um/h" in line for line in comment)
+    assert any("target QT: (60, 90, 140) mm" in line for line in comment)
+    assert len(load(out, dmu50)) == 840 and "place_x_mm" not in out.read_text()
+    for plan_name, arguments, words in (
+        ("thesis_plan.csv", ["--air", "21,1013.25"], "T,p,RH"),
+        ("thesis_plan.csv", ["--air", "21,101325,50"], "hPa"),
+        ("thesis_plan.csv", ["--drift", "5,0,0"], "STATION=x,y,z"),
+        ("thesis_plan.csv", ["--drift", "1=5,0"], "x,y,z in µm/h"),
+        ("thesis_plan.csv", ["--drift", "east=5,0,0"], "expected one of 1"),
+        ("thesis.csv", [], "no such plan; expected a measurement table, or one that comes with twin: thesis_plan.csv"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["simulate", plan_name, "-o", str(tmp_path / "no.csv"), *arguments])
+        assert stopped.value.code == 2 and words in capsys.readouterr().err
+        assert not (tmp_path / "no.csv").exists()
+    own = tmp_path / "plan.csv"
+    own.write_text(thesis_plan.text())
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["simulate", str(own), "-o", str(own)])
+    assert stopped.value.code == 2 and own.read_text() == thesis_plan.text()
 
 
 def test_command(tmp_path: Path, dmu50: Machine, plan: Measurements, capsys: pytest.CaptureFixture[str]) -> None:

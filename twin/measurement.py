@@ -24,6 +24,8 @@ from twin.machine import Axis, Machine
 
 CARRIERS: Final = ("tool", "work")
 POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
+PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
+STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
 RANGE_SLACK: Final = 0.5
@@ -54,6 +56,8 @@ class Measurements:
         u_mm: (n, 3) standard uncertainties; NaN where not given.
         time_s: (n,) NaN where not given.
         approach: (n, axes) +1, −1, 0 unknown.
+        place_mm: (n, 3) the target's place on its carrier (tool: frame of the spindle nose; work: work frame); NaN where unknown.
+        station_pose: (n, 6) the station's origin in the base frame, mm, and rotation vector, degrees; NaN where unknown.
         temperature_degC: by axis or sensor, (n,) NaN where not given.
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
@@ -71,6 +75,8 @@ class Measurements:
     u_mm: np.ndarray
     time_s: np.ndarray
     approach: np.ndarray
+    place_mm: np.ndarray
+    station_pose: np.ndarray
     temperature_degC: Mapping[str, np.ndarray]
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
@@ -93,7 +99,7 @@ class Measurements:
         write_whole(path, self.to_csv(machine, comment=comment))
 
     def to_csv(self, machine: Machine, *, comment: str = "") -> str:
-        """The table as text; reading it gives the same measurements."""
+        """The table as text; reading it gives the same measurements. Without any coordinate it is a plan."""
         columns: dict[str, Sequence[str]] = {}
         for i, axis in enumerate(machine.axes):
             columns[_column(axis)] = _printed(self.positions[:, i])
@@ -101,8 +107,9 @@ class Measurements:
             if np.isfinite(self.readback[:, i]).any():
                 columns[f"readback_{_column(axis)}"] = _printed(self.readback[:, i])
         columns |= {"target": list(self.target), "carrier": list(self.carrier)}
-        for i, name in enumerate("xyz"):
-            columns[f"{name}_mm"] = _printed(self.point_mm[:, i])
+        # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
+        if np.isfinite(self.point_mm).any():
+            columns |= _columns(POINT_COLUMNS, self.point_mm)
         columns |= {"station": list(self.station), "round": list(self.round)}
         if np.isfinite(self.time_s).any():
             columns["time_s"] = _printed(self.time_s)
@@ -114,6 +121,9 @@ class Measurements:
         for i, name in enumerate("xyz"):
             if np.isfinite(self.u_mm[:, i]).any():
                 columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
+        for names, known in ((PLACE_COLUMNS, self.place_mm), (STATION_COLUMNS, self.station_pose)):
+            if np.isfinite(known).any():
+                columns |= _columns(names, known)
         text = io.StringIO()
         text.write("".join(f"# {line}\n" for line in comment.splitlines()))
         writer = csv.writer(text, lineterminator="\n")
@@ -132,7 +142,8 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
 
     Raises:
         InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
-            number, a carrier that is neither side, a target that changes sides.
+            number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
+            pose given in part.
     """
     header, rows = _table(path)
     axes = machine.axes
@@ -155,7 +166,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     }
     known = {*needed, *POINT_COLUMNS, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
-    known |= {f"u_{name}_mm" for name in "xyz"}
+    known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
     strange = [name for name in header if name not in known]
     notices = tuple(_strange(name, sorted(known)) for name in strange)
     table = Measurements(
@@ -171,13 +182,15 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
         u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
         time_s=reader.numbers("time_s"),
         approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
+        place_mm=_stacked([reader.numbers(name) for name in PLACE_COLUMNS]),
+        station_pose=_stacked([reader.numbers(name) for name in STATION_COLUMNS]),
         temperature_degC=MappingProxyType(temperatures),
         notices=notices,
     )
     if n == 0:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
     _check_names(table, path)
-    return _usable(table, machine)
+    return _usable(_known(table), machine)
 
 
 def load_export(
@@ -241,6 +254,8 @@ def load_export(
         u_mm=locked(np.full((n, 3), np.nan)),
         time_s=locked(np.full(n, np.nan)),
         approach=locked(np.zeros((n, len(machine.axes)))),
+        place_mm=locked(np.full((n, 3), np.nan)),
+        station_pose=locked(np.full((n, 6), np.nan)),
         temperature_degC=MappingProxyType({}),
     )
     return _usable(table, machine)
@@ -250,7 +265,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
     """Several tables of one machine as one: the rounds of an export, say. Line numbers are those of each file.
 
     Raises:
-        InputError: none given.
+        InputError: none given, or a target that has another place, or a station another pose, from one table to the next.
     """
     if not tables:
         raise InputError("no measurements", expected="at least one table")
@@ -267,7 +282,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         )
         for name in names
     }
-    return replace(
+    table = replace(
         first,
         **merged,
         source=", ".join(dict.fromkeys(table.source for table in tables)),
@@ -275,6 +290,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         set_aside=tuple(note for table in tables for note in table.set_aside),
         notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
     )
+    return _known(table)
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -370,6 +386,47 @@ def _check_names(table: Measurements, path: Path) -> None:
             )
 
 
+def _known(table: Measurements) -> Measurements:
+    """Every row with what any row says of its target's place and its station's pose.
+
+    Raises:
+        InputError: given in part, no finite number, or one thing at two places.
+    """
+    return replace(
+        table,
+        place_mm=_told(table, "target", table.target, PLACE_COLUMNS, table.place_mm),
+        station_pose=_told(table, "station", table.station, STATION_COLUMNS, table.station_pose),
+    )
+
+
+def _told(table: Measurements, what: str, names: np.ndarray, columns: Sequence[str], values: np.ndarray) -> np.ndarray:
+    given = ~np.isnan(values)
+    for row in np.flatnonzero(given.any(axis=1) & ~np.isfinite(values).all(axis=1)):
+        raise InputError(
+            f"{what} {names[row]}: its place is given in part",
+            expected=f"finite numbers in {', '.join(columns)}, or nothing",
+            file=table.source,
+            line=int(table.lines[row]),
+        )
+    found = np.array(values)
+    for name in dict.fromkeys(names):
+        of = names == name
+        told = np.flatnonzero(of & given.any(axis=1))
+        if len(told) == 0:
+            continue
+        other = told[np.any(values[told] != values[told[0]], axis=1)]
+        if len(other):
+            raise InputError(
+                f"{what} {name} at two places",
+                expected=f"the same {', '.join(columns)} as in line {table.lines[told[0]]}",
+                file=table.source,
+                line=int(table.lines[other[0]]),
+                value=", ".join(f"{value:g}" for value in values[other[0]]),
+            )
+        found[of] = values[told[0]]
+    return locked(found)
+
+
 def _usable(table: Measurements, machine: Machine) -> Measurements:
     """Set aside what cannot be used, with its reason."""
     reasons: dict[int, str] = {}
@@ -446,6 +503,10 @@ def _column(axis: Axis) -> str:
 
 def _printed(values: np.ndarray) -> list[str]:
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
+
+
+def _columns(names: Sequence[str], values: np.ndarray) -> dict[str, Sequence[str]]:
+    return {name: _printed(column) for name, column in zip(names, values.T, strict=True)}
 
 
 def _stacked(columns: Sequence[np.ndarray]) -> np.ndarray:

@@ -5,6 +5,7 @@ The one prediction that simulating, identifying and diagnosing share.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
@@ -21,24 +22,41 @@ from twin.units import MM
 
 
 @final
+@dataclass(frozen=True)
+class Carried:
+    """Reflectors in the base frame and how they move; metres and radians.
+
+    Attributes:
+        points: (n, 3).
+        by_error: (n, 3, 6·frames) derivative by every component of every error frame.
+        rotation: (n, 3, 3) of the carrier, which is the derivative by the place on it.
+    """
+
+    points: np.ndarray
+    by_error: np.ndarray
+    rotation: np.ndarray
+
+
+@final
 class Observation:
-    """Reflectors carried by one machine with one calibration.
+    """Reflectors carried by one machine.
 
     Args:
         machine: the machine.
-        calibration: its errors.
 
     A place on the tool side is in the frame of the spindle nose (no tool length), on the work side in the work frame.
     """
 
-    def __init__(self, machine: Machine, calibration: Calibration) -> None:
+    def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        self.kinematics = Kinematics(machine, calibration, tool_length_mm=0.0)
 
-    def points_mm(self, positions: np.ndarray, carrier: np.ndarray, places_mm: np.ndarray) -> np.ndarray:
+    def points_mm(
+        self, calibration: Calibration, positions: np.ndarray, carrier: np.ndarray, places_mm: np.ndarray
+    ) -> np.ndarray:
         """Reflectors in the base frame.
 
         Args:
+            calibration: the machine's errors.
             positions: (n, axes) commands, mm and degrees.
             carrier: (n,) ``tool`` or ``work``.
             places_mm: (n, 3) place of each reflector on its carrier.
@@ -49,23 +67,51 @@ class Observation:
         Raises:
             InputError: as `Kinematics.forward`: a position no curve covers.
         """
-        q = self.kinematics.check(positions) * self.machine.scale
+        kinematics = Kinematics(self.machine, calibration, tool_length_mm=0.0)
+        errors = kinematics.error_frames(positions).reshape(len(positions), -1)
+        q = np.asarray(positions) * self.machine.scale
         points = np.empty((len(q), 3))
-        for side in CARRIERS:
-            rows = carrier == side
-            if np.any(rows):
-                (found,) = self._carried[side](q[rows], places_mm[rows] * MM)
-                points[rows] = found / MM
-        return points
+        for side, rows in _sides(carrier):
+            (points[rows],) = self._points[side](q[rows], errors[rows], places_mm[rows] * MM)
+        return points / MM
+
+    def carried(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> Carried:
+        """Reflectors and their derivatives, unchecked, in our own units.
+
+        Args:
+            q: (n, axes) metres and radians.
+            errors: (n, 6·frames) every error frame, metres and radians.
+            carrier: (n,) ``tool`` or ``work``.
+            places: (n, 3) metres.
+        """
+        n = len(q)
+        points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
+        for side, rows in _sides(carrier):
+            found = self._derivatives[side](q[rows], errors[rows], places[rows])
+            points[rows] = found[0]
+            by_error[rows] = found[1].reshape(-1, errors.shape[1], 3)
+            rotation[rows] = found[2].reshape(-1, 3, 3)
+        return Carried(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
 
     @cached_property
-    def _carried(self) -> dict[str, BatchFunction]:
-        frames = {"tool": self.machine.tool_frame, "work": self.machine.work_frame}
-        return {side: BatchFunction(self._function(frame)) for side, frame in frames.items()}
+    def _points(self) -> dict[str, BatchFunction]:
+        return {side: BatchFunction(self._function(side, derivatives=False)) for side in CARRIERS}
 
-    def _function(self, frame: int) -> ca.Function:
+    @cached_property
+    def _derivatives(self) -> dict[str, BatchFunction]:
+        return {side: BatchFunction(self._function(side, derivatives=True)) for side in CARRIERS}
+
+    def _function(self, side: str, *, derivatives: bool) -> ca.Function:
+        frame = self.machine.tool_frame if side == "tool" else self.machine.work_frame
         q = ca.SX.sym("q", len(self.machine.axes))
+        e = ca.SX.sym("e", 6 * len(self.machine.frames))
         place = ca.SX.sym("place", 3)
-        pose = frame_pose(self.machine, frame, q, self.kinematics.errors(q))
+        pose = frame_pose(self.machine, frame, q, e)
         point = pose.then(Pose(ca.SX.eye(3), place)).translation
-        return ca.Function("carried", [q, place], [point])
+        found = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
+        return ca.Function("carried", [q, e, place], found)
+
+
+def _sides(carrier: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    found = [(side, np.flatnonzero(carrier == side)) for side in CARRIERS]
+    return [(side, rows) for side, rows in found if len(rows)]

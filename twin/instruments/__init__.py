@@ -2,10 +2,19 @@
 
 from twin.instruments.base import Instrument
 from twin.instruments.interferometer import TrackingInterferometer
-from twin.instruments.refraction import Air, refractive_index
+from twin.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
 from twin.instruments.tracker import LaserTracker
 
 INSTRUMENTS: tuple[Instrument, ...] = (LaserTracker(), LaserTracker(absolute=True), TrackingInterferometer())
 """By name: ``tracker`` (AT960, interferometer), ``tracker-absolute``, ``interferometer``."""
 
-__all__ = ["INSTRUMENTS", "Air", "Instrument", "LaserTracker", "TrackingInterferometer", "refractive_index"]
+__all__ = [
+    "INSTRUMENTS",
+    "STANDARD_AIR",
+    "Air",
+    "Instrument",
+    "LaserTracker",
+    "TrackingInterferometer",
+    "length_scale",
+    "refractive_index",
+]

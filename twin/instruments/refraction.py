@@ -43,6 +43,10 @@ class Air:
             raise InputError("relative humidity out of place", expected="0 to 1", value=self.humidity)
 
 
+STANDARD_AIR: Final = Air()
+"""20 °C, 1013.25 hPa, 50 %: what an instrument assumes that is told nothing."""
+
+
 def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
     """Phase refractive index of air.
 

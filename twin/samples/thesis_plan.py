@@ -1,0 +1,127 @@
+"""Makes ``thesis_plan.csv`` beside this file: run ``python -m twin.samples.thesis_plan``.
+
+What Ellingsdalen (2021) measured on the DMU 50 to identify its errors (3.1, 3.2, appendix B 3.2), as a plan that can be simulated. The
+thesis's: one tracker; three reflector places on the spindle for the linear axes and three on the table for the rotary ones, at three
+heights each; 11 positions over X, Y and Z, B every 10°, C every 20°, the other axes at rest; each target taken through all positions
+before the next, in one direction, four rounds an axis. It runs from 0, Z too, downwards (listing 3.1 steps to a negative end).
+
+Ours, because the thesis shows them as pictures only: the reflectors' places (heights and azimuths for which its six equations are well
+conditioned in every position, eq. 32, 36, 37, 3.6), where the tracker stands, where the linear axes wait, and 15 s a point.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.files import write_whole
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.samples import PLANS
+from twin.simulate import Station
+from twin.units import DEG
+
+ROUNDS: Final = 4
+POSITIONS: Final = MappingProxyType(
+    {
+        "X": np.linspace(0.0, 500.0, 11),
+        "Y": np.linspace(0.0, 450.0, 11),
+        "Z": np.linspace(0.0, -400.0, 11),
+        "B": np.arange(0.0, 181.0, 10.0),
+        "C": np.arange(0.0, 341.0, 20.0),
+    }
+)
+"""Where each axis is measured, mm and degrees, in the order of the run."""
+AT_REST: Final = MappingProxyType({"Y": 450.0})
+"""Where linear axes wait, other than at 0, while a rotary axis is measured: away from the tracker."""
+TOOL_PLACES_MM: Final = MappingProxyType(
+    {"K": (-100.0, 70.0, 180.0), "P": (30.0, -70.0, 10.0), "Q": (110.0, 60.0, 150.0)}
+)
+"""On the spindle head, above the nose."""
+WORK_PLACES_MM: Final = MappingProxyType(
+    {"KT": (-60.0, 130.0, 170.0), "PT": (-100.0, -200.0, 30.0), "QT": (60.0, 90.0, 140.0)}
+)
+"""On the table, above its surface."""
+SECONDS_A_POINT: Final = 15.0
+DISTANCE_MM: Final = 2000.0
+"""From the table's centre to the tracker, along the base frame's axis."""
+EYE_MM: Final = 200.0
+"""Height of the beam above the table: half of Z's range."""
+NOTE: Final = """plan of Ellingsdalen (2021), 3.1 and 3.2: the geometric errors of the DMU 50 with a laser tracker
+the thesis's: three targets on the spindle for X, Y, Z at 11 positions each, three on the table for B (every 10 deg) and C
+(every 20 deg), at three heights, each through all positions before the next, in one direction, four rounds, one station (Pos. 1)
+ours: the targets' places, the station's (2 m in front of the table's centre), Y at rest for B and C, 15 s a point"""
+
+
+def thesis_stations() -> tuple[Station, Station, Station]:
+    """Tracker positions 1, 2 and 3 of figure 5.1 (tables 5.1, 5.2); x of each station's frame points at the machine.
+
+    Pos. 1 looks along Y: of the coordinates it measures, y (E_YX, E_YZ, E_YY) owes least to the tracker's angles. Pos. 2 looks along
+    X, Pos. 3 along Z, from above. Distances are ours.
+    """
+    return (
+        Station((0.0, -DISTANCE_MM, EYE_MM), (0.0, 0.0, 90.0 * DEG)),
+        Station((DISTANCE_MM, 0.0, EYE_MM), (0.0, 0.0, 180.0 * DEG)),
+        Station((0.0, 0.0, DISTANCE_MM + EYE_MM), (0.0, 90.0 * DEG, 0.0)),
+    )
+
+
+def plan(machine: Machine, station: Station | None = None) -> Measurements:
+    """The plan as a table without coordinates, in the order in which the points are taken.
+
+    Args:
+        machine: the DMU 50, or one with the same axis names and ranges.
+        station: where the tracker stands; `thesis_stations` Pos. 1 if None.
+    """
+    pose = (thesis_stations()[0] if station is None else station).pose
+    positions, approach, names, places, carriers, rounds = [], [], [], [], [], []
+    for moving, values in POSITIONS.items():
+        linear = machine.by_name[moving].linear
+        targets = TOOL_PLACES_MM if linear else WORK_PLACES_MM
+        rest = np.array([0.0 if linear else AT_REST.get(name, 0.0) for name in machine.names])
+        column = machine.names.index(moving)
+        for number in range(1, ROUNDS + 1):
+            for target, place in targets.items():
+                for value in values:
+                    positions.append(np.where(np.arange(len(rest)) == column, value, rest))
+                    approach.append(np.sign(values[-1] - values[0]) * (np.arange(len(rest)) == column))
+                    names.append(target)
+                    places.append(place)
+                    carriers.append("tool" if linear else "work")
+                    rounds.append(str(number))
+    n = len(names)
+    return Measurements(
+        source="thesis plan",
+        lines=locked(np.arange(1, n + 1)),
+        positions=locked(np.array(positions)),
+        readback=locked(np.full((n, len(machine.axes)), np.nan)),
+        target=locked(np.array(names, dtype=object)),
+        carrier=locked(np.array(carriers, dtype=object)),
+        station=locked(np.full(n, "1", dtype=object)),
+        round=locked(np.array(rounds, dtype=object)),
+        point_mm=locked(np.full((n, 3), np.nan)),
+        u_mm=locked(np.full((n, 3), np.nan)),
+        time_s=locked(SECONDS_A_POINT * np.arange(n)),
+        approach=locked(np.array(approach) + 0.0),
+        place_mm=locked(np.array(places)),
+        station_pose=locked(np.tile(pose, (n, 1))),
+        temperature_degC=MappingProxyType({}),
+    )
+
+
+def text() -> str:
+    """The file."""
+    machine = Machine.load("dmu50")
+    return plan(machine).to_csv(machine, comment=NOTE)
+
+
+def main() -> None:
+    """Write the plan beside this file."""
+    write_whole(PLANS[0], text())
+
+
+if __name__ == "__main__":
+    main()
