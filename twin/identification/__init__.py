@@ -1,0 +1,1 @@
+"""From measured points to error motions, with their uncertainty."""

@@ -1,0 +1,210 @@
+"""Readings against prediction: whitened residuals and their derivatives by machine and set-up, in pieces of bounded size.
+
+One row of numbers is one coordinate that was read. Whitening is by the covariance the instrument states for the reading (or the
+one the table gives), taken at the reading itself so that it does not move with the estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.identification.setup import SetUp
+from twin.identification.unknowns import Unknowns
+from twin.instruments import Instrument
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.observation import Observation
+from twin.units import MM
+
+PIECE: Final = 2048
+"""Points worked on at a time."""
+
+
+@final
+@dataclass(frozen=True)
+class Piece:
+    """Some points: their rows in the data, whitened residuals (k, 3) and derivatives (k, 3, unknowns); zero where nothing was read."""
+
+    rows: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+
+
+@final
+class Network:
+    """Data, instrument and model together.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        instrument: what read them; its covariance is used where the table gives no uncertainties.
+        unknowns: of the machine.
+        base: errors taken as known; none if None.
+        covariance: (n, 3, 3) of the readings, m²; the table's and the instrument's if None.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        data: Measurements,
+        instrument: Instrument,
+        unknowns: Unknowns,
+        base: Calibration | None = None,
+        covariance: np.ndarray | None = None,
+    ) -> None:
+        self.machine = machine
+        self.data = data
+        self.instrument = instrument
+        self.unknowns = unknowns
+        self.read = locked(np.isfinite(data.point_mm))
+        self.readings = locked(np.where(self.read, data.point_mm, 0.0) * MM)
+        self.covariance = stated_covariance(data, instrument) if covariance is None else covariance
+        self.whitening = locked(_whitening(self.covariance, self.read))
+        self._observation = Observation(machine)
+        self._q = np.asarray(data.positions) * machine.scale
+        n = len(data)
+        self._base = np.zeros((n, 6 * len(machine.frames)))
+        if base is not None and not base.empty:
+            frames = Kinematics(machine, base, tool_length_mm=0.0).error_frames(data.positions)
+            self._base = frames.reshape(n, -1)
+        self._shapes = unknowns.shapes(data.positions)
+        stations = {name: i for i, name in enumerate(dict.fromkeys(data.station))}
+        targets = {name: i for i, name in enumerate(dict.fromkeys(data.target))}
+        self._station = np.array([stations[name] for name in data.station])
+        self._target = np.array([targets[name] for name in data.target])
+
+    def errors(self, theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(k, 6·frames) the error frames of an estimate at some points."""
+        found = np.array(self._base[rows])
+        for value, shapes in zip(theta, self._shapes, strict=True):
+            if value != 0.0:
+                for at, values in shapes:
+                    found[:, at] += value * values[rows]
+        return found
+
+    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[Piece]:
+        """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
+        for start in range(0, len(self.data), PIECE):
+            yield self._piece(theta, setup, np.arange(start, min(start + PIECE, len(self.data))))
+
+    def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
+        """(n, 3) whitened residuals, zero where nothing was read."""
+        found = np.zeros((len(self.data), 3))
+        for start in range(0, len(self.data), PIECE):
+            rows = np.arange(start, min(start + PIECE, len(self.data)))
+            found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.difference(theta, setup, rows))
+        return found
+
+    def difference(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+        """(k, 3) read less predicted, metres, in each station's frame; zero where nothing was read."""
+        q, errors = self._q[rows], self.errors(theta, rows)
+        place = setup.place[self._target[rows]]
+        points = self._observation.carried(q, errors, self.data.carrier[rows], place).points
+        seen = self._seen(points, setup, rows)
+        return self._left(seen, setup, rows)
+
+    def _seen(self, points: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+        """Points of the base frame in the frame of the station that read them."""
+        station = self._station[rows]
+        return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
+
+    def _left(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+        predicted = np.nan_to_num(self.instrument.read(seen), nan=0.0)
+        if setup.lengths_only:
+            predicted[:, 0] -= setup.dead[self._station[rows]]
+        return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
+
+    def _piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+        station, target = self._station[rows], self._target[rows]
+        carried = self._observation.carried(
+            self._q[rows], self.errors(theta, rows), self.data.carrier[rows], setup.place[target]
+        )
+        seen = self._seen(carried.points, setup, rows)
+        whitening = self.whitening[rows]
+        residual = np.einsum("nij,nj->ni", whitening, self._left(seen, setup, rows))
+        by_seen = whitening @ self.instrument.jacobian(seen)
+        by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
+        by_error = by_base @ carried.by_error
+        machine = len(self._shapes)
+        jacobian = np.zeros((len(rows), 3, machine + len(setup)))
+        for column, shapes in enumerate(self._shapes):
+            for at, values in shapes:
+                jacobian[:, :, column] += by_error[:, :, at] * values[rows, None]
+        stations, targets = setup.slots()
+        own = jacobian[:, :, machine:]
+        for i, (turn, shift, path) in enumerate(stations):
+            of = np.flatnonzero(station == i)
+            # y = Rᵀ(p − o); R → R·Exp(φ): dy = y × φ.
+            if turn.stop > turn.start:
+                own[of, :, turn] = by_seen[of] @ _cross(seen[of])
+            if shift.stop > shift.start:
+                own[of, :, shift] = -by_base[of]
+            if path.stop > path.start:
+                own[of, :, path] = -whitening[of][:, :, :1]
+        by_place = by_base @ carried.rotation
+        for i, where in enumerate(targets):
+            if where.stop > where.start:
+                of = np.flatnonzero(target == i)
+                own[of, :, where] = by_place[of]
+        return Piece(rows, residual, jacobian)
+
+
+def triangle(
+    network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray, say: Callable[[float], None] | None = None
+) -> np.ndarray:
+    """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
+
+    Args:
+        network: data and model.
+        theta: machine's unknowns.
+        setup: stations and targets.
+        weight: (n,) of each point; zero leaves it out.
+        say: told the fraction done.
+    """
+    found = np.zeros((0, len(theta) + len(setup) + 1))
+    for piece in network.pieces(theta, setup):
+        both = np.concatenate([piece.jacobian, piece.residual[:, :, None]], axis=2)
+        both *= np.sqrt(weight[piece.rows])[:, None, None]
+        found = np.linalg.qr(np.concatenate([found, both.reshape(-1, both.shape[2])]), mode="r")
+        if say is not None:
+            say(float(piece.rows[-1] + 1) / len(network.data))
+    return found
+
+
+def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
+    """(n, 3, 3) m²: the table's standard uncertainties where it gives them for every coordinate read, else the instrument's model."""
+    read = np.isfinite(data.point_mm)
+    points = np.where(read, data.point_mm, 0.0) * MM
+    found = np.array(instrument.covariance(np.where(np.linalg.norm(points, axis=1, keepdims=True) > 0, points, 1e-3)))
+    given = np.all(np.isfinite(data.u_mm) | ~read, axis=1) & read.any(axis=1)
+    found[given] = 0.0
+    for i in range(3):
+        found[given, i, i] = (np.nan_to_num(data.u_mm[given, i], nan=0.0) * MM) ** 2
+    return locked(found)
+
+
+def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) W with W C Wᵀ = 1 on the coordinates that were read, zero on the others."""
+    found = np.zeros_like(covariance)
+    for pattern in np.unique(read, axis=0):
+        rows = np.flatnonzero(np.all(read == pattern, axis=1))
+        kept = np.flatnonzero(pattern)
+        inside = np.ix_(rows, kept, kept)
+        found[inside] = np.linalg.inv(np.linalg.cholesky(covariance[inside]))
+    return found
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) matrices of ``v ×``."""
+    found = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
+    found[:, 1, 0], found[:, 2, 0], found[:, 2, 1] = z, -y, x
+    return found

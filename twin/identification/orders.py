@@ -1,0 +1,244 @@
+"""How many functions each curve gets: by the error on rounds and positions that were held out.
+
+Around one estimate with as many functions as the positions allow, the problem is linear, and a curve cut short is that estimate
+under the condition that the coefficients cut are zero. So one factorisation a fold serves all candidates: cutting is conditioning.
+The search starts at the best number that is the same for all curves and then goes from curve to curve, each time trying every number
+for that one, until no curve changes.
+
+A fold leaves out one round and some interior positions together: rounds alone repeat the same positions, and a curve that swings
+between them would pass (thesis: degree 8 on 11 points).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.identification.network import Network
+from twin.identification.solve import Solution, free_directions
+from twin.identification.unknowns import PLAUSIBLE, CurveSpace
+from twin.measurement import Measurements
+
+POSE_FOLDS: Final = 5
+ROUND_FOLDS: Final = 8
+SWEEPS: Final = 6
+ALIKE: Final = 2e-15
+"""Held-out chi² a reading that is rounding: of models that predict alike the smallest is taken, so that noise-free data do not
+bring functions that are not there."""
+
+
+@final
+@dataclass(frozen=True)
+class Folds:
+    """Which points belong together.
+
+    Attributes:
+        round_of: (n,) group of rounds.
+        pose_of: (n,) group of positions; −1 for those never held out (the ends of an axis's travel).
+        rounds, poses: how many groups there are.
+    """
+
+    round_of: np.ndarray
+    pose_of: np.ndarray
+    rounds: int
+    poses: int
+
+    @classmethod
+    def of(cls, data: Measurements) -> Folds:
+        """From the rounds and positions of a table."""
+        names = list(dict.fromkeys(data.round))
+        rounds = min(len(names), ROUND_FOLDS)
+        round_of = np.array([names.index(name) % rounds for name in data.round])
+        poses, pose = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+        pose = pose.reshape(-1)
+        interior = ~_ends(poses)
+        group = np.full(len(poses), -1)
+        inside = np.flatnonzero(interior)
+        count = min(POSE_FOLDS, len(inside))
+        group[inside] = np.arange(len(inside)) % max(count, 1)
+        return cls(locked(round_of), locked(group[pose]), rounds, count if count > 1 else 0)
+
+    def held_out(self) -> list[np.ndarray]:
+        """(rounds, poses + 1) masks of cells, one a fold; the last column is what is never held out by position."""
+        count = max(self.rounds if self.rounds > 1 else 0, self.poses)
+        masks = []
+        for fold in range(count):
+            mask = np.zeros((self.rounds, self.poses + 1), dtype=bool)
+            if self.rounds > 1:
+                mask[fold % self.rounds] = True
+            if self.poses:
+                mask[:, fold % self.poses] = True
+            masks.append(mask)
+        return masks
+
+
+@final
+@dataclass(frozen=True)
+class Choice:
+    """How many functions each curve gets, and what the alternatives predict.
+
+    Attributes:
+        counts: functions kept by curve, those the datum takes included; 0 for a curve left out.
+        held_out: RMS of the whitened readings held out.
+        by_curve: for every curve, held-out RMS by number of functions, the others as chosen.
+        uniform: held-out RMS with the same number everywhere, by that number.
+        readings: how many readings were held out, all folds together.
+    """
+
+    counts: Mapping[str, int]
+    held_out: float
+    by_curve: Mapping[str, Mapping[int, float]]
+    uniform: Mapping[int, float]
+    readings: int
+
+
+def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> Choice:
+    """The model that predicts held-out readings best.
+
+    Args:
+        network: data and the largest model.
+        solution: its estimate.
+        weight: (n,) of each point.
+        folds: what is held out together.
+    """
+    normal, count = _cells(network, solution, weight, folds)
+    full = _states(network, solution, normal, folds)
+    readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
+    curves = {c.name: c for c in network.unknowns.curves}
+    columns = {name: network.unknowns.of(name) for name in curves}
+
+    def cut(sizes: Mapping[str, int], skip: str = "") -> list[_State]:
+        gone = [i for name, c in curves.items() if name != skip for i in columns[name][max(sizes[name] - c.first, 0) :]]
+        return [state.copy().cut(gone) for state in full]
+
+    def tried(name: str, sizes: Mapping[str, int]) -> dict[int, float]:
+        states = cut(sizes, skip=name)
+        found = {curves[name].count: sum(state.score() for state in states)}
+        for size in reversed(_sizes(curves[name])[:-1]):
+            gone = columns[name][max(size - curves[name].first, 0) :]
+            for state in states:
+                state.cut(gone)
+            found[size] = sum(state.score() for state in states)
+        return found
+
+    uniform = {}
+    for size in range(1, max((c.count for c in curves.values()), default=0) + 1):
+        fitted = {name: max(n for n in _sizes(c) if n <= max(size, 0)) for name, c in curves.items()}
+        uniform[size] = (sum(state.score() for state in cut(fitted)), fitted)
+    best = min(uniform, key=lambda size: uniform[size][0], default=0)
+    sizes = dict(uniform[best][1]) if uniform else {}
+    by_curve: dict[str, dict[int, float]] = {}
+    for _ in range(SWEEPS):
+        before = dict(sizes)
+        for name in curves:
+            found = tried(name, sizes)
+            lowest = min(found.values())
+            sizes[name] = min(size for size, score in found.items() if score <= lowest + ALIKE * readings)
+            by_curve[name] = found
+        if sizes == before:
+            break
+
+    def rms(total: float) -> float:
+        return float(np.sqrt(max(total, 0.0) / readings))
+
+    return Choice(
+        counts=sizes,
+        held_out=rms(sum(state.score() for state in cut(sizes))),
+        by_curve={name: {n: rms(v) for n, v in sorted(found.items())} for name, found in by_curve.items()},
+        uniform={size: rms(score) for size, (score, _) in uniform.items()},
+        readings=readings,
+    )
+
+
+def _sizes(curve: CurveSpace) -> list[int]:
+    """Numbers of functions a curve can have, 0 first."""
+    return [0, *(group[-1] + 1 for group in curve.groups())]
+
+
+class _State:
+    """One fold: the estimate without it, its covariance, and how it predicts what was held out."""
+
+    def __init__(self, theta: np.ndarray, covariance: np.ndarray, held: np.ndarray) -> None:
+        self.theta = theta  # machine's and set-up's unknowns; the latter as differences from the full estimate
+        self.covariance = covariance
+        self.held = held
+        self._origin = np.zeros(0)
+
+    def copy(self) -> _State:
+        other = _State(self.theta.copy(), self.covariance.copy(), self.held)
+        other._origin = self._origin
+        return other
+
+    def at(self, origin: np.ndarray) -> _State:
+        """``theta`` is compared with where the readings were linearised."""
+        self._origin = origin
+        return self
+
+    def score(self) -> float:
+        step = np.append(self.theta - self._origin, -1.0)
+        return float(step @ self.held @ step)
+
+    def cut(self, columns: list[int]) -> _State:
+        """Condition on these being zero."""
+        if columns:
+            cross = self.covariance[:, columns]
+            # What the datum has fixed already counts as fixed.
+            gain = cross @ np.linalg.pinv(cross[columns], rcond=1e-13, hermitian=True)
+            self.theta = self.theta - gain @ self.theta[columns]
+            self.covariance = self.covariance - gain @ cross.T
+            self.theta[columns] = 0.0
+        return self
+
+
+def _ends(poses: np.ndarray) -> np.ndarray:
+    """(poses,) whether one is the first or last of a line along an axis: beyond it a curve would have to guess."""
+    found = np.zeros(len(poses), dtype=bool)
+    for axis in range(poses.shape[1]):
+        _, line, size = np.unique(np.delete(poses, axis, axis=1), axis=0, return_inverse=True, return_counts=True)
+        line = line.reshape(-1)
+        for k in np.flatnonzero(size >= 3):
+            on = np.flatnonzero(line == k)
+            found[on[[np.argmin(poses[on, axis]), np.argmax(poses[on, axis])]]] = True
+    return found
+
+
+def _cells(
+    network: Network, solution: Solution, weight: np.ndarray, folds: Folds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
+    size = len(solution.scale) + 1
+    normal = np.zeros((folds.rounds, folds.poses + 1, size, size))
+    count = np.zeros((folds.rounds, folds.poses + 1))
+    pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
+    scale = np.append(solution.scale, 1.0)
+    for piece in network.pieces(solution.theta, solution.setup):
+        both = np.concatenate([piece.jacobian, piece.residual[:, :, None]], axis=2) * scale
+        both *= np.sqrt(weight[piece.rows])[:, None, None]
+        of = folds.round_of[piece.rows] * (folds.poses + 1) + pose[piece.rows]
+        for cell in np.unique(of):
+            rows = both[of == cell].reshape(-1, size)
+            normal.reshape(-1, size, size)[cell] += rows.T @ rows
+            count.reshape(-1)[cell] += np.sum(network.read[piece.rows][of == cell] * (weight[piece.rows][of == cell] > 0)[:, None])
+    return normal, count
+
+
+def _states(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_State]:
+    machine = len(network.unknowns)
+    free = free_directions(network.unknowns.datum, machine, len(solution.setup))
+    origin = np.concatenate([solution.theta / PLAUSIBLE, np.zeros(len(solution.setup))])
+    total = normal.sum(axis=(0, 1))
+    states = []
+    for mask in folds.held_out():
+        held = normal[mask].sum(axis=0)
+        train = total - held
+        inner = free.T @ train[:-1, :-1] @ free
+        # The plausible sizes as a prior: it decides nothing but what the rest of the data leave open.
+        inverse = np.linalg.inv(inner + np.eye(len(inner)))
+        covariance = free @ inverse @ free.T
+        theta = origin + covariance @ train[:-1, -1]
+        states.append(_State(theta, covariance, held).at(origin))
+    return states

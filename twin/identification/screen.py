@@ -1,0 +1,151 @@
+"""Rows that do not belong: commands that miss the measured motion, columns in the wrong order, readings far from all others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from scipy import stats
+
+from twin.arrays import locked
+from twin.errors import InputError
+from twin.identification.network import Network
+from twin.identification.setup import SetUp
+from twin.identification.spread import repeats
+from twin.identification.start import FITS, first_setup
+from twin.machine import Machine
+from twin.measurement import Measurements, RowNote
+from twin.units import MM
+
+SWAPPED: Final = 0.2
+"""Share of rows that miss by centimetres beyond which it is not rows but columns."""
+FALSE_ALARM: Final = 0.01
+"""Chance that a data set without any outlier has a point called one."""
+
+
+def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[Measurements, SetUp]:
+    """The rows whose command fits the measured motion, and the set-up as it follows from the machine as drawn.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        lengths_only: whether only lengths were read.
+
+    Raises:
+        InputError: more than a fifth of the rows do not fit; named with what would make them fit.
+    """
+    setup, miss = first_setup(machine, data, lengths_only=lengths_only)
+    bad = miss > FITS
+    if np.mean(bad) > SWAPPED:
+        worst = int(np.argmax(miss))
+        raise InputError(
+            f"the commands do not fit the measured motion: {_explained(machine, data, miss, lengths_only)}",
+            expected=f"commands that the readings follow within {FITS / MM:g} mm on {machine.name}",
+            file=data.source,
+            line=int(data.lines[worst]),
+            value=f"{miss[worst] / MM:.1f} mm off",
+        )
+    if not np.any(bad):
+        return data, setup
+    notes = tuple(
+        RowNote(
+            int(data.lines[row]),
+            f"the commanded position misses the measured motion by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
+            f"round {data.round[row]}): another position, another target or a lost beam",
+        )
+        for row in np.flatnonzero(bad)
+    )
+    left = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
+    if set(left.target) != set(data.target) or set(left.station) != set(data.station):
+        lost = sorted({*data.target, *data.station} - {*left.target, *left.station})
+        raise InputError(
+            f"no reading of {', '.join(lost)} fits the commands",
+            expected="commands that the readings follow",
+            file=data.source,
+            line=notes[0].line,
+        )
+    return left, first_setup(machine, left, lengths_only=lengths_only)[0]
+
+
+def _explained(machine: Machine, data: Measurements, miss: np.ndarray, lengths_only: bool) -> str:
+    """What would make them fit: two columns swapped, or one with the other sign."""
+    rows = np.linspace(0, len(data) - 1, min(len(data), 600)).astype(int)
+    few = data.select(rows)
+    typical = float(np.median(miss))
+    tries: list[tuple[float, str]] = []
+    names = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
+
+    def attempt(positions: np.ndarray, text: str) -> None:
+        changed = replace(few, positions=locked(positions))
+        try:
+            tries.append((float(np.median(first_setup(machine, changed, lengths_only=lengths_only)[1])), text))
+        except InputError:
+            return
+
+    moving = [i for i in range(len(names)) if np.ptp(few.positions[:, i]) > 0.0]
+    for i, j in combinations(range(len(names)), 2):
+        if i in moving or j in moving:
+            swapped = np.array(few.positions)
+            swapped[:, [i, j]] = swapped[:, [j, i]]
+            attempt(swapped, f"columns {names[i]} and {names[j]} look swapped")
+    for i in moving:
+        turned = np.array(few.positions)
+        turned[:, i] = -turned[:, i]
+        attempt(turned, f"column {names[i]} looks as if its sign were wrong")
+    best = min(tries, default=(np.inf, ""))
+    if best[0] < min(FITS, typical / 10.0):
+        return best[1]
+    by_axis = [(float(np.median(miss[data.positions[:, i] != np.median(data.positions[:, i])])), names[i]) for i in moving]
+    worst = max(by_axis, default=(0.0, "the machine"))
+    return f"half of all readings are more than {typical / MM:.1f} mm off, most where {worst[1]} moves"
+
+
+def outliers(network: Network, whitened: np.ndarray) -> tuple[np.ndarray, float]:
+    """(n,) points too far off to be chance, and the scale of the others.
+
+    A point's squared whitened distance is judged by its chi² quantile at a false-alarm rate of one data set in a hundred, times the
+    robust scale of all points where that is above one: a model that misses everywhere has misfit, not outliers.
+
+    Args:
+        network: data and model.
+        whitened: (n, 3) residuals of a robust estimate.
+    """
+    size = np.count_nonzero(network.read, axis=1)
+    squared = np.sum(whitened**2, axis=1)
+    share = np.array([stats.chi2.median(k) if k else 1.0 for k in range(4)])[size]
+    scale = max(1.0, float(np.sqrt(np.median(squared / share))))
+    limit = np.array([stats.chi2.isf(FALSE_ALARM / len(size), k) if k else np.inf for k in range(4)])[size]
+    return squared > limit * scale**2, scale
+
+
+def robust_weights(network: Network, whitened: np.ndarray) -> np.ndarray:
+    """(n,) Geman-McClure weights: one for a good point, falling with the fourth power of its distance far out."""
+    size = np.maximum(np.count_nonzero(network.read, axis=1), 1)
+    squared = np.sum(whitened**2, axis=1) / size
+    scale = max(1.0, float(np.median(squared)))
+    return np.asarray((1.0 + squared / (9.0 * scale)) ** -2)
+
+
+def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, bad: np.ndarray) -> tuple[RowNote, ...]:
+    """Each outlier in words: how far, in which direction, and what the repeats of the same point say."""
+    data = network.data
+    group = repeats(data)
+    notes = []
+    for row in np.flatnonzero(bad):
+        off = difference[row]
+        size = float(np.linalg.norm(off)) / MM
+        sigmas = float(np.linalg.norm(whitened[row]))
+        mates = np.flatnonzero((group == group[row]) & ~bad)
+        text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
+        if not np.isnan(network.instrument.read(np.ones((1, 3)))[0, 1]) and size > 0.0:
+            beam = network.readings[row] / np.linalg.norm(network.readings[row])
+            along = float(off @ beam) / MM
+            text += f", {abs(along) * 1e3:.1f} of it along the beam"
+        text += f" ({sigmas:.1f} standard deviations)"
+        if len(mates):
+            others = float(np.median(np.linalg.norm(difference[mates], axis=1))) / MM
+            text += f"; its {len(mates)} repeats are {others * 1e3:.1f} µm off"
+        notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}"))
+    return tuple(notes)

@@ -1,0 +1,120 @@
+"""Whitened nonlinear least squares, its rank judged by what is plausible, its covariance honest where the data are silent.
+
+Every unknown is counted in its plausible size (a millimetre or milliradian for an error, `setup` for the rest). In these units a
+direction in which the data say less than that is no finding: it is left where it was, and the covariance carries the plausible size
+itself. That is the limit of a Gaussian prior that never pulls on what is measured (so that no residual is regularised away).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.identification.network import Network, triangle
+from twin.identification.setup import SetUp
+from twin.identification.unknowns import PLAUSIBLE
+
+WEAKEST: Final = 0.1
+"""Singular values below it, in plausible units, are directions the data do not see."""
+UNSEEN: Final = 0.25
+"""An unknown whose variance stays above this share of its plausible one has not been determined."""
+STEPS: Final = 25
+STILL: Final = 1e-7
+"""A step that changes no reading's whitened residual sum by more than this (root of the sum) is the last."""
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """An estimate.
+
+    Attributes:
+        theta: (columns,) µm and µrad.
+        setup: stations and targets.
+        triangle: (p + 1, p + 1) factor of [J | r] at the estimate.
+        directions: (p, d) unknown directions (machine's and set-up's, plausible units) that the data determine.
+        strength: (d,) their singular values.
+        silent: (p, s) directions they do not, the datum's conditions respected.
+        scale: (p,) plausible sizes.
+        converged: whether the last step was still.
+        steps: how many were taken.
+    """
+
+    theta: np.ndarray
+    setup: SetUp
+    triangle: np.ndarray
+    directions: np.ndarray
+    strength: np.ndarray
+    silent: np.ndarray
+    scale: np.ndarray
+    converged: bool
+    steps: int
+
+    @property
+    def rank(self) -> int:
+        """How many numbers the data determine."""
+        return len(self.strength)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(np.sum(self.triangle[:, -1] ** 2))
+
+    def covariance(self, *, silent: bool = True) -> np.ndarray:
+        """(p, p) of all unknowns, their own units; with the plausible size of what the data do not see, or without."""
+        root = self.directions / self.strength
+        if silent:
+            root = np.concatenate([root, self.silent], axis=1)
+        root = root * self.scale[:, None]
+        return np.asarray(root @ root.T)
+
+    @property
+    def unseen(self) -> np.ndarray:
+        """(p,) share of each unknown's plausible variance that is left: near one where the data say nothing of it."""
+        seen = np.sum(self.directions**2 / (self.strength**2 + 1.0), axis=1)
+        return np.asarray(seen + np.sum(self.silent**2, axis=1))
+
+
+def solve(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray, *, steps: int = STEPS) -> Solution:
+    """Gauss-Newton from a start that fulfils the datum's conditions.
+
+    Args:
+        network: data and model.
+        theta, setup: where to start.
+        weight: (n,) of each point.
+        steps: at most.
+    """
+    machine = len(network.unknowns)
+    scale = np.concatenate([np.full(machine, PLAUSIBLE), setup.plausible])
+    free = free_directions(network.unknowns.datum, machine, len(setup))
+    taken, converged = 0, False
+    while True:
+        found = triangle(network, theta, setup, weight)
+        u, values, v = np.linalg.svd(found[:, :-1] * scale @ free, full_matrices=True)
+        strong = int(np.count_nonzero(values > WEAKEST))
+        directions = free @ v[:strong].T
+        if converged or taken == steps:
+            silent = free @ v[strong:].T
+            return Solution(
+                theta, setup, found, directions, values[:strong], silent, scale, converged, taken
+            )
+        along = u[:, :strong].T @ found[:, -1]
+        step = (directions @ (along / values[:strong])) * scale
+        theta, setup = theta + step[:machine], setup.moved(step[machine:])
+        taken += 1
+        converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step / scale).max(initial=0.0) < 1e-14)
+
+
+def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:
+    """(p, p − conditions) orthonormal directions that keep the datum."""
+    if len(datum) == 0:
+        return np.eye(machine + setup)
+    _, values, v = np.linalg.svd(datum, full_matrices=True)
+    rank = int(np.count_nonzero(values > 1e-9 * values[0]))
+    inside = v[rank:].T
+    found = np.zeros((machine + setup, inside.shape[1] + setup))
+    found[:machine, : inside.shape[1]] = inside
+    found[machine:, inside.shape[1] :] = np.eye(setup)
+    return found

@@ -1,0 +1,154 @@
+"""How far readings scatter: what repeats say of it, and how it carries into an estimate whose model leaves something out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy import stats
+
+from twin.arrays import locked
+from twin.errors import InputError
+from twin.identification.network import Network
+from twin.identification.solve import Solution
+from twin.instruments import Instrument
+from twin.instruments.base import along_and_across
+from twin.measurement import Measurements
+from twin.units import MM
+
+
+@final
+@dataclass(frozen=True)
+class Misfit:
+    """What is left beside what the readings' covariance allows; nothing is rescaled by it.
+
+    Attributes:
+        chi2, dof: sum of squared whitened residuals, and how many readings are free of the estimate.
+        p_value: of a chi² that large or larger if the stated covariance holds.
+        pure_chi2, pure_dof: the part that is scatter between repeats of the same point.
+        lack_p_value: of the rest against the repeats (F test of lack of fit); NaN without repeats.
+    """
+
+    chi2: float
+    dof: int
+    p_value: float
+    pure_chi2: float
+    pure_dof: int
+    lack_p_value: float
+
+    @property
+    def reduced(self) -> float:
+        """chi² a degree of freedom: one where model and stated covariance hold."""
+        return self.chi2 / self.dof if self.dof else float("nan")
+
+    @property
+    def pure_reduced(self) -> float:
+        """The same of repeats alone: one where the stated covariance holds, whatever the model."""
+        return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
+
+
+def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, rank: int, used: np.ndarray) -> Misfit:
+    """Misfit of an estimate.
+
+    Args:
+        whitened: (n, 3) whitened residuals.
+        read: (n, 3) which coordinates were read.
+        data: the measurements.
+        rank: how many numbers the estimate determined.
+        used: (n,) which points were used.
+    """
+    chi2 = float(np.sum(whitened[used] ** 2))
+    dof = int(np.count_nonzero(read[used])) - rank
+    group = repeats(data)
+    pure_chi2, pure_dof = 0.0, 0
+    order = np.flatnonzero(used)
+    for pattern in np.unique(read[order], axis=0):
+        rows = order[np.all(read[order] == pattern, axis=1)]
+        size = np.bincount(group[rows], minlength=group.max() + 1)
+        total = np.stack([np.bincount(group[rows], whitened[rows, i], minlength=len(size)) for i in range(3)], axis=1)
+        mean = total / np.maximum(size, 1)[:, None]
+        pure_chi2 += float(np.sum((whitened[rows] - mean[group[rows]]) ** 2))
+        pure_dof += int(np.sum(np.maximum(size - 1, 0)) * np.count_nonzero(pattern))
+    lack_dof, lack = dof - pure_dof, chi2 - pure_chi2
+    lack_p = float("nan")
+    if pure_dof > 0 and lack_dof > 0 and pure_chi2 > 0.0:
+        lack_p = float(stats.f.sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
+    p_value = float(stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
+    return Misfit(chi2, max(dof, 0), p_value, pure_chi2, pure_dof, lack_p)
+
+
+def repeats(data: Measurements) -> np.ndarray:
+    """(n,) index of the point each row repeats: same command, target, station and directions of approach."""
+    keys = np.concatenate([np.round(data.positions, 6), data.approach], axis=1)
+    _, pose = np.unique(keys, axis=0, return_inverse=True)
+    _, target = np.unique(data.target.astype(str), return_inverse=True)
+    _, station = np.unique(data.station.astype(str), return_inverse=True)
+    _, group = np.unique(np.stack([pose.reshape(-1), target, station], axis=1), axis=0, return_inverse=True)
+    return np.asarray(group.reshape(-1))
+
+
+def covariance_from_repeats(data: Measurements, instrument: Instrument) -> tuple[np.ndarray, int]:
+    """Covariance of the readings as the repeats scatter: one variance along the beam, one across, pooled over all points.
+
+    Args:
+        data: the measurements.
+        instrument: only asked whether it reads lengths alone.
+
+    Returns:
+        (n, 3, 3) m², and the degrees of freedom along the beam.
+
+    Raises:
+        InputError: fewer than ten degrees of freedom of repeats.
+    """
+    read = np.isfinite(data.point_mm)
+    points = np.where(read, data.point_mm, 0.0) * MM
+    group = repeats(data)
+    size = np.bincount(group)
+    if np.sum(np.maximum(size - 1, 0)) < 10:
+        raise InputError(
+            "too few repeats to know the scatter from",
+            expected="ten or more readings of points that were read before",
+            file=data.source,
+            value=int(np.sum(np.maximum(size - 1, 0))),
+        )
+    mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
+    off = np.where(size[group, None] > 1, points - mean[group], 0.0)
+    free = int(np.sum(np.maximum(size - 1, 0)))
+    if np.isnan(instrument.read(np.ones((1, 3)))[0, 1]):
+        found = np.zeros((len(points), 3, 3))
+        found[:, 0, 0] = np.sum(off[:, 0] ** 2) / free
+        return locked(found), free
+    beam = points / np.linalg.norm(points, axis=1, keepdims=True)
+    along = np.sum(off * beam, axis=1)
+    across = np.sum(off**2) - np.sum(along**2)
+    n = len(points)
+    return locked(
+        along_and_across(
+            points, np.full(n, np.sqrt(np.sum(along**2) / free)), np.full(n, np.sqrt(across / (2.0 * free)))
+        )
+    ), free
+
+
+def between_poses(network: Network, solution: Solution, weight: np.ndarray) -> np.ndarray:
+    """Covariance of an estimate whose model leaves something out that changes from pose to pose.
+
+    The sandwich A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a pose (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986): it
+    holds whatever the scatter between poses is, as long as the poses are many and drawn as those the machine will work in.
+
+    Args:
+        network: data and model.
+        solution: the estimate.
+        weight: (n,) of each point.
+    """
+    _, pose = np.unique(np.round(network.data.positions, 3), axis=0, return_inverse=True)
+    pose = pose.reshape(-1)
+    scores = np.zeros((pose.max() + 1, len(solution.scale)))
+    for piece in network.pieces(solution.theta, solution.setup):
+        own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
+        np.add.at(scores, pose[piece.rows], own)
+    bread = solution.scale[:, None] * (solution.directions / solution.strength**2) @ solution.directions.T
+    flat = (scores * solution.scale) @ bread.T
+    count = len(scores)
+    silent = solution.silent * solution.scale[:, None]
+    return np.asarray(flat.T @ flat * (count / max(count - 1, 1)) + silent @ silent.T)

@@ -1,0 +1,327 @@
+"""The unknowns of the machine: every error motion as a sum of functions, every squareness and location a number.
+
+Inside an estimate a curve is written in functions that are orthonormal over its domain (mean square one), made from those of its basis
+in their order; so a coefficient is the RMS of its part, orders do not fight each other, and the datum's choice is plain:
+
+- what a constant would do belongs to the axis's zero, to a location, or to the places of the targets: no curve has one;
+- the slope of a straightness belongs to a squareness or to the machine frame, whose x is X's mean line and whose xy-plane holds Y's
+  (contract §1): no straightness has one. Mean lines are least-squares over the axis's range (ISO 230-1, 3.4.12 allows it);
+- what a shift or tilt of all that a rotary axis carries would do (first harmonics of E_X and E_Y, and of E_A and E_B, that turn with
+  it) belongs to where those things lie: a pair of curves has no part in it (`Unknowns.datum`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.calibration import Calibration, Curve
+from twin.curves import Basis
+from twin.effects import AxisLocation, ErrorMotion, Squareness, split_name
+from twin.effects.base import Effect
+from twin.machine import Axis, Machine
+from twin.units import UM
+
+NODES: Final = 400
+"""Points of the Gauss-Legendre rule that defines "orthonormal": exact far beyond any order used."""
+PLAUSIBLE: Final = 1000.0
+"""µm or µrad: what an error can be at most before anything is measured. A datum weaker than this is none."""
+
+
+@final
+@dataclass(frozen=True)
+class CurveSpace:
+    """The functions one error motion is sought in.
+
+    Attributes:
+        name: ISO 230-1 name.
+        basis: family.
+        domain: (lo, hi) mm or degrees.
+        first: index of the first orthonormal function the datum leaves to it.
+        count: how many functions, those before ``first`` included.
+    """
+
+    name: str
+    basis: Basis
+    domain: tuple[float, float]
+    first: int
+    count: int
+
+    @cached_property
+    def transform(self) -> np.ndarray:
+        """(count, count) coefficients of the basis for each orthonormal function, a column each; upper triangular."""
+        x, w = np.polynomial.legendre.leggauss(NODES)
+        lo, hi = self.domain
+        values = self._raw((lo + hi) / 2.0 + x * (hi - lo) / 2.0)
+        _, triangle = np.linalg.qr(values * np.sqrt(w / 2.0)[:, None])
+        return np.linalg.inv(triangle * np.sign(np.diag(triangle))[:, None])
+
+    def functions(self, q: np.ndarray) -> np.ndarray:
+        """(n, count) orthonormal functions at positions, mm or degrees."""
+        return self._raw(q) @ self.transform
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and weights of a mean over the domain."""
+        x, w = np.polynomial.legendre.leggauss(NODES)
+        lo, hi = self.domain
+        return (lo + hi) / 2.0 + x * (hi - lo) / 2.0, w / 2.0
+
+    def groups(self) -> list[tuple[int, ...]]:
+        """Indices that come and go together, lowest order first: a power each, cosine and sine of a harmonic together."""
+        if not self.basis.periodic:
+            return [(k,) for k in range(self.first, self.count)]
+        return [tuple(k for k in (n, n + 1) if k < self.count) for n in range(max(self.first, 1), self.count, 2)]
+
+    def _raw(self, q: np.ndarray) -> np.ndarray:
+        return np.stack(self.basis.functions(q, self.domain, self.count), axis=1)
+
+
+@final
+@dataclass(frozen=True)
+class Column:
+    """One unknown number.
+
+    Attributes:
+        entity: ``E_XX``, ``E_C0Y``, ``E_X0C``.
+        index: of the orthonormal function; 0 for a squareness or location.
+    """
+
+    entity: str
+    index: int
+
+
+@final
+class Unknowns:
+    """The unknowns of a machine, in a fixed order of columns.
+
+    Args:
+        machine: the machine.
+        curves: the spaces its error motions are sought in.
+        constants: names of squareness and locations sought.
+    """
+
+    def __init__(self, machine: Machine, curves: Sequence[CurveSpace], constants: Sequence[str]) -> None:
+        self.machine = machine
+        self.curves = tuple(curves)
+        self.constants = tuple(constants)
+        self.columns = tuple(
+            [Column(c.name, k) for c in self.curves for k in range(c.first, c.count)]
+            + [Column(name, 0) for name in self.constants]
+        )
+        self.index = {column: i for i, column in enumerate(self.columns)}
+        self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def of(self, entity: str) -> list[int]:
+        """Columns of one curve, squareness or location, lowest order first."""
+        return [i for i, column in enumerate(self.columns) if column.entity == entity]
+
+    @property
+    def entities(self) -> tuple[str, ...]:
+        """Every curve, squareness and location sought."""
+        return (*(curve.name for curve in self.curves), *self.constants)
+
+    def shapes(self, positions: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
+        """What a unit (µm or µrad) of each column does to the error frames.
+
+        Args:
+            positions: (n, axes) mm and degrees.
+
+        Returns:
+            A list a column: (component among 6·frames, (n,) metres or radians).
+        """
+        by_axis = {axis.name: positions[:, i] for i, axis in enumerate(self.machine.axes)}
+        found: list[list[tuple[int, np.ndarray]]] = []
+        for curve in self.curves:
+            component, _, axis_name = split_name(curve.name)
+            values = curve.functions(wrapped(by_axis[axis_name], self.machine.by_name[axis_name], curve.domain)) * UM
+            at = 6 * self._frames[axis_name, "motion"] + component
+            found += [[(at, values[:, k])] for k in range(curve.first, curve.count)]
+        for name in self.constants:
+            effect = self._constant(name, 0.0)
+            at = 6 * self._frames[effect.frame.axis, effect.frame.role]
+            (shape,) = effect.derivatives(by_axis)
+            found.append([(at + i, np.asarray(values) * UM) for i, values in shape.items()])
+        return found
+
+    @cached_property
+    def datum(self) -> np.ndarray:
+        """(conditions, columns) each row a combination that is zero by the choice of the datum: see the module's text."""
+        rows = []
+        spaces = {curve.name: curve for curve in self.curves}
+        for axis in self.machine.axes:
+            if axis.linear:
+                continue
+            for letters in ("XYZ", "ABC"):
+                for pattern in turning_patterns(axis):
+                    row = np.zeros(len(self))
+                    for letter, part in zip(letters, pattern, strict=True):
+                        space = spaces.get(f"E_{letter}{axis.name}")
+                        if space is not None:
+                            q, w = space.grid()
+                            inner = (w * part(q)) @ space.functions(q)
+                            for k in range(space.first, space.count):
+                                row[self.index[Column(space.name, k)]] = inner[k]
+                    if np.abs(row).max(initial=0.0) > 1e-9:
+                        rows.append(row / np.linalg.norm(row))
+        return locked(np.array(rows).reshape(-1, len(self)))
+
+    def calibration(
+        self, theta: np.ndarray, kept: Sequence[int], source: str, covariance: np.ndarray | None
+    ) -> tuple[Calibration, np.ndarray]:
+        """The calibration of an estimate.
+
+        Args:
+            theta: (columns,) µm and µrad.
+            kept: columns that are reported; a curve without any is left out.
+            source: where the numbers come from.
+            covariance: (columns, columns), or None.
+
+        Returns:
+            The calibration, and the (parameters, columns) matrix that makes its parameters from ours.
+        """
+        from twin.covariance import Covariance
+
+        reported = set(kept)
+        rows: list[np.ndarray] = []
+        names: list[str] = []
+        curves: dict[str, Curve] = {}
+        for space in self.curves:
+            orders = [k for k in range(space.first, space.count) if self.index[Column(space.name, k)] in reported]
+            if not orders:
+                continue
+            count = orders[-1] + 1
+            block = np.zeros((count, len(self)))
+            for k in orders:
+                block[:, self.index[Column(space.name, k)]] = space.transform[:count, k]
+            unit = "um" if split_name(space.name)[0] < 3 else "urad"
+            own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
+            values = tuple(float(v) for v in block @ theta)
+            curves[space.name] = Curve(space.name, unit, space.domain, space.basis.name, values, own)
+            rows += list(block)
+            names += [f"{space.name}[{k}]" for k in range(count)]
+        constants: dict[str, float] = {}
+        for name in self.constants:
+            i = self.index[Column(name, 0)]
+            if i in reported:
+                constants[name] = float(theta[i])
+                rows.append(np.eye(len(self))[i])
+                names.append(name)
+        matrix = np.array(rows).reshape(-1, len(self))
+        joint = (
+            None
+            if covariance is None
+            else Covariance(tuple(names), locked(_symmetric(matrix @ covariance @ matrix.T)))
+        )
+        squareness = {name: value for name, value in constants.items() if name in self.machine.squareness_names}
+        location = {name: value for name, value in constants.items() if name in self.machine.location_names}
+        return Calibration(self.machine, source, curves, squareness, location, joint), matrix
+
+    def _constant(self, name: str, value: float) -> Effect:
+        if name in self.machine.squareness_names:
+            return Squareness(name, value, self.machine.by_name[split_name(name)[2]].direction)
+        return AxisLocation(name, value)
+
+
+def spaces_for(
+    machine: Machine,
+    positions: np.ndarray,
+    *,
+    bases: dict[str, Basis],
+    most: int,
+    wanted: Callable[[str], bool],
+) -> tuple[list[CurveSpace], list[str]]:
+    """The largest space of every error motion that these positions can determine, and the constants of the axes that moved.
+
+    Args:
+        machine: the machine.
+        positions: (n, axes) commanded, mm and degrees.
+        bases: family by axis name.
+        most: functions of a curve at most.
+        wanted: whether a name is sought at all.
+
+    Returns:
+        The spaces, and names of squareness and locations.
+    """
+    curves: list[CurveSpace] = []
+    constants: list[str] = []
+    for i, axis in enumerate(machine.axes):
+        domain = (0.0, 360.0) if axis.lower is None or axis.upper is None else (axis.lower, axis.upper)
+        distinct = distinct_positions(wrapped(positions[:, i], axis, domain))
+        if len(distinct) < 2:
+            continue
+        basis = bases[axis.name]
+        # Two positions fewer than there are: one may be held out, and one more must be there to object.
+        count = max(2, min(most, len(distinct) - 2))
+        if basis.periodic:
+            count -= 1 - count % 2
+        for letter in "XYZABC":
+            name = f"E_{letter}{axis.name}"
+            straightness = axis.linear and letter in "XYZ" and not _along(axis, letter)
+            first = 2 if straightness else 1
+            if count > first and wanted(name):
+                curves.append(CurveSpace(name, basis, domain, first, count))
+        constants += [
+            name
+            for name in (*machine.squareness_names, *machine.location_names)
+            if split_name(name)[2] == axis.name and wanted(name)
+        ]
+    return curves, constants
+
+
+def distinct_positions(q: np.ndarray) -> np.ndarray:
+    """Positions that differ by more than a micrometre or a thousandth of a degree, sorted."""
+    return np.unique(np.round(q, 3))
+
+
+def wrapped(q: np.ndarray, axis: Axis, domain: tuple[float, float]) -> np.ndarray:
+    """Positions of an unlimited axis in one turn; those of another as they are."""
+    return q if axis.lower is not None else domain[0] + np.mod(q - domain[0], domain[1] - domain[0])
+
+
+def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray], ...]]:
+    """What a fixed vector on the turning side is, component by component, in the fixed frame: two patterns, θ in degrees.
+
+    For u across the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
+    """
+    d = np.array(axis.direction)
+    along = int(np.argmax(np.abs(d)))
+    found = []
+    for i in range(3):
+        if i == along:
+            continue
+        u = np.eye(3)[i] - d[i] * d
+        v = np.cross(d, u)
+        found.append(tuple(_wave(float(a), float(b)) for a, b in zip(u, v, strict=True)))
+    return found
+
+
+def _wave(a: float, b: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda theta: a * np.cos(np.radians(theta)) + b * np.sin(np.radians(theta))
+
+
+def _along(axis: Axis, letter: str) -> bool:
+    return "XYZ".index(letter) == int(np.argmax(np.abs(axis.direction)))
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return (matrix + matrix.T) / 2.0
+
+
+__all__ = [
+    "PLAUSIBLE",
+    "Column",
+    "CurveSpace",
+    "ErrorMotion",
+    "Unknowns",
+    "distinct_positions",
+    "spaces_for",
+    "wrapped",
+]
