@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,17 @@ from hypothesis import strategies as st
 
 from tests.errors import random_calibration
 from tests.truth import TruthMachine, run_iso
+from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.compensation import Compensation, Compensator, Options
+from twin.covariance import Covariance
 from twin.errors import InputError
 from twin.iso16907 import Scope
+from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.nc import dialect_for
 from twin.toolpath import Setup
+from twin.uncertainty import ToolUncertainty
 
 SAMPLES = Path(__file__).resolve().parents[1] / "twin" / "samples"
 LENGTH = 120.0
@@ -285,3 +291,112 @@ def test_report_reads_and_counts(dmu50: Machine, calibration: Calibration) -> No
     assert data["largest_correction"]["X"]["unit"] == "mm"
     total = np.sqrt(sum(share["before_rms_um"] ** 2 for share in data["classes"]))
     assert total > 0.5 * data["before"]["rms_um"]
+
+
+def uncertain(calibration: Calibration, u: float) -> Calibration:
+    """Every number of it with a standard uncertainty of ``u`` µm or µrad, independent."""
+    names = tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
+    return replace(calibration, joint=Covariance(names, locked(u**2 * np.eye(len(names)))))
+
+
+TURNS = "G90\nG0 X100 Y100 Z-100 B40 C10\nG1 X120 F300\nY140 B60\nZ-200 C200\n"
+
+
+def test_a_correction_says_how_well_it_is_known(dmu50: Machine, calibration: Calibration) -> None:
+    known = uncertain(calibration, 0.3)
+    result = compensate(TURNS, dmu50, known)
+    point, axis = result.report.uncertainty.point, result.report.uncertainty.axis
+    assert point is not None and axis is not None
+    assert point.shown is True and axis.shown is True and point.below == ()
+    ends = result.nominal
+    at = ToolUncertainty(Kinematics(dmu50, known, tool_length_mm=LENGTH)).at(ends)
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)
+    moved = np.linalg.norm(nominal.forward(result.exact).point_mm - nominal.forward(ends).point_mm, axis=1) * 1e3
+    assert point.rms == pytest.approx(np.sqrt(np.mean(moved**2)))
+    assert point.expanded_rms == pytest.approx(np.sqrt(np.mean(at.expanded_um**2)))
+    assert point.max_expanded == pytest.approx(at.expanded_um[np.argmax(moved)])
+    assert axis.expanded_max == pytest.approx(at.axis_expanded_urad.max())
+    text = result.report.to_text()
+    assert f"correction    {point.rms:.1f} ± {point.expanded_rms:.1f} µm RMS" in text
+    assert "not shown" not in text and "unknown" not in text
+    data = result.report.to_dict()["uncertainty"]
+    assert data["point"]["shown"] is True and data["point"]["expanded_rms_um"] == point.expanded_rms
+    assert data["unknown"] is None
+
+
+def test_a_correction_below_its_uncertainty_is_no_improvement(dmu50: Machine, calibration: Calibration) -> None:
+    result = compensate(TURNS, dmu50, uncertain(calibration, 100.0))
+    point = result.report.uncertainty.point
+    assert point is not None and point.shown is False
+    assert point.rms < point.expanded_rms
+    assert [one.line for one in point.below] == [2, 3, 4, 5]
+    text = result.report.to_text()
+    assert (
+        f"not shown to be an improvement: correction {point.rms:.0f} µm, its uncertainty U {point.expanded_rms:.0f}"
+        in text
+    )
+    assert "in 4 of 4 blocks" in text
+    data = result.report.to_dict()["uncertainty"]["point"]
+    assert data["shown"] is False
+    assert data["below"][0]["line"] == 2 and data["below"][0]["correction_um"] < data["below"][0]["expanded_um"]
+
+
+def test_blocks_below_their_uncertainty_are_listed_by_line(dmu50: Machine) -> None:
+    """A scale error known to 3 µm (u): what it does at X 10 and 20 is below its U of 5.9 µm, what it does at X 490 is not."""
+    curve = replace(random_calibration(dmu50, np.random.default_rng(2)).curves["E_XX"], coefficients=(50.0, 50.0))
+    known = replace(
+        Calibration.zero(dmu50),
+        curves={"E_XX": curve},  # 0 at X = 0, 100 µm at X = 500
+        joint=Covariance(("E_XX[0]", "E_XX[1]"), locked(np.diag([9.0, 0.0]))),
+    )
+    report = compensate("G90\nG0 X490 Y100 Z-100\nX20\nX490\nX10\n", dmu50, known).report
+    point = report.uncertainty.point
+    assert point is not None and report.uncertainty.axis is None
+    assert point.shown is True
+    assert point.expanded_rms == pytest.approx(1.96 * 3.0, rel=1e-4)
+    assert point.max == pytest.approx(98.0, rel=1e-3) and point.max_line == 2
+    # 0.2 µm a mm; solving for it moves X, and with it the error, by a part in 5000.
+    assert {one.line: round(one.correction, 2) for one in point.below} == {3: 4.0, 5: 2.0}
+    assert "in 2 of 4 blocks" in report.to_text() and "line 3: correction 4.0 µm, U 5.9 µm" in report.to_text()
+
+
+def test_an_unknown_uncertainty_is_said(dmu50: Machine, calibration: Calibration) -> None:
+    none = compensate(TURNS, dmu50, calibration).report
+    assert "uncertainty of the correction: unknown (no covariance in the calibration: E_XX, E_YX" in none.to_text()
+    data = none.to_dict()["uncertainty"]["point"]
+    assert data["shown"] is None and data["expanded_rms_um"] is None and data["known"] is False
+    full = uncertain(calibration, 0.3)
+    assert full.joint is not None
+    some = replace(full, joint=full.joint.where(lambda name: not name.startswith("E_XX")))
+    part = compensate(TURNS, dmu50, some).report
+    point = part.uncertainty.point
+    assert point is not None and point.shown is None  # large enough for the U that is known, and that is not all of it
+    assert "U at least" in part.to_text() and "known in part (no covariance in the calibration: E_XX)" in part.to_text()
+    # What is not in scope is not corrected, and no uncertainty of the correction.
+    scoped = compensate(TURNS, dmu50, some, scope=Scope.parse(["L-STR"])).report.uncertainty
+    assert scoped.point is not None and scoped.point.without_uncertainty == () and scoped.axis is None
+    assert scoped.point.expanded_rms < point.expanded_rms
+    turned = compensate(TURNS, dmu50, full, scope=Scope.parse(["FOR"])).report.uncertainty
+    assert turned.point is None and turned.axis is not None and turned.axis.shown is True
+
+
+def test_the_uncertainty_covers_what_compensation_leaves(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path
+) -> None:
+    """Machines drawn about the calibration run what was compensated with it: 95 % of them end within U of where they should."""
+    known = uncertain(calibration, 10.0)
+    result = compensate(TURNS, dmu50, known)
+    known.save(tmp_path / "c.yaml")
+    drawn, rng = TruthMachine(tmp_path / "c.yaml", LENGTH), np.random.default_rng(11)
+    at = ToolUncertainty(Kinematics(dmu50, known, tool_length_mm=LENGTH)).at(result.nominal).expanded_um
+    ends = [0, len(at) - 1]
+    within = []
+    for _ in range(400):
+        one = copy.deepcopy(drawn)
+        for entry in one.curves.values():
+            entry["coefficients"] = list(entry["coefficients"] + 10.0 * rng.normal(size=len(entry["coefficients"])))
+        one.squareness = {name: value + 10.0 * rng.normal() for name, value in one.squareness.items()}
+        left, _ = one.deviations(result.commands[ends], result.nominal[ends])
+        within.append(left <= at[ends])
+    # Three and a half standard errors of 400 draws; rounding adds at most 0.9 µm to some 40.
+    assert np.abs(np.mean(within, axis=0) - 0.95).max() < 0.038

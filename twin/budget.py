@@ -14,6 +14,8 @@ from twin.machine import Machine
 
 POSES: Final = 2000
 SEED: Final = 16907
+CURVE_POINTS: Final = 721
+"""Points of a curve at which its peak is looked for: half a degree of a turn."""
 
 
 @final
@@ -26,6 +28,7 @@ class BudgetRow:
         iso_class: its class.
         unit: ``um`` or ``urad``; empty for a class.
         peak: largest absolute value over its domain; NaN for a class.
+        peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and where it is not known.
         tool_rms_um, tool_max_um: what it alone does to the tool point over the volume.
         illustrative: whether it is drawn, not measured.
     """
@@ -34,6 +37,7 @@ class BudgetRow:
     iso_class: str
     unit: str
     peak: float
+    peak_u: float
     tool_rms_um: float
     tool_max_um: float
     illustrative: bool
@@ -69,24 +73,52 @@ def error_budget(
         return float(np.sqrt(np.mean(distance**2))), float(distance.max())
 
     rows = []
+    uncertainty = peak_uncertainty(calibration)
     for name, peak, unit, illustrative in _entries(calibration):
         rms, largest = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
-        rows.append(BudgetRow(name, iso_class(name, machine), unit, peak, rms, largest, illustrative))
+        rows.append(
+            BudgetRow(name, iso_class(name, machine), unit, peak, uncertainty[name], rms, largest, illustrative)
+        )
     classes = []
     for found in dict.fromkeys(row.iso_class for row in rows):
         of_class = calibration.where(lambda name, found=found: iso_class(name, machine) == found)  # type: ignore[misc]
         rms, largest = at_tool(of_class)
         drawn = any(row.illustrative for row in rows if row.iso_class == found)
-        classes.append(BudgetRow(found, found, "", np.nan, rms, largest, drawn))
+        classes.append(BudgetRow(found, found, "", np.nan, np.nan, rms, largest, drawn))
     rms, largest = at_tool(calibration)
-    classes.append(BudgetRow("all", "all", "", np.nan, rms, largest, any(row.illustrative for row in rows)))
+    classes.append(BudgetRow("all", "all", "", np.nan, np.nan, rms, largest, any(row.illustrative for row in rows)))
     return tuple(rows), tuple(classes)
+
+
+def peak_uncertainty(calibration: Calibration) -> dict[str, float]:
+    """Largest standard uncertainty of every error motion over its domain, of squareness and location as they are.
+
+    √(fᵀ Σ f) with the functions f of the curve (JCGM 100, eq. 13); NaN where any number of the error has no uncertainty.
+    """
+    covariance = calibration.covariance
+    known = set(covariance.names)
+    found = {}
+    for effect in calibration.effects:
+        names = [parameter.name for parameter in effect.parameters]
+        found[effect.name] = np.nan
+        if known.issuperset(names):
+            matrix = covariance.of(names).matrix
+            curve = calibration.curves.get(effect.name)
+            if curve is None:
+                variance = np.diag(matrix)
+            else:
+                q = np.linspace(*curve.domain, CURVE_POINTS)
+                rates = effect.derivatives({effect.frame.axis: q})
+                shape = np.array([next(iter(rate.values())) for rate in rates])
+                variance = np.einsum("kn,kl,ln->n", shape, matrix, shape)
+            found[effect.name] = float(np.sqrt(max(variance.max(), 0.0)))
+    return found
 
 
 def _entries(calibration: Calibration) -> list[tuple[str, float, str, bool]]:
     found = []
     for curve in calibration.curves.values():
-        values = curve(np.linspace(*curve.domain, 721))
+        values = curve(np.linspace(*curve.domain, CURVE_POINTS))
         found.append((curve.name, float(np.abs(values).max()), curve.unit, curve.illustrative))
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
         found.append((name, abs(value), "um" if name[2] in "XYZ" else "urad", False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import re
 import sys
@@ -24,15 +25,19 @@ from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole
-from twin.instruments import INSTRUMENTS
+from twin.identification import identify as run_identification
+from twin.instruments import INSTRUMENTS, Air, Instrument
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import NAMES, Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import load as load_measurements
 from twin.nc import dialect_for, find_program, read_program
+from twin.samples import PLANS
+from twin.simulate import Surroundings
 from twin.simulate import simulate as run_simulation
 from twin.toolpath import Setup, WordSpace, follow
+from twin.uncertainty import DEFINITION, ToolUncertainty
 
 BAD_INPUT = 2
 NOT_ALL_MET = 3
@@ -58,6 +63,14 @@ class Method(StrEnum):
 
     exact = "exact"
     thesis = "thesis"
+
+
+class Scatter(StrEnum):
+    """Whose scatter an uncertainty carries."""
+
+    stated = "stated"
+    repeats = "repeats"
+    between_poses = "between poses"
 
 
 MachineOption = Annotated[
@@ -132,6 +145,8 @@ def info(
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
+    for line in _uncertainty_lines(Kinematics(loaded, errors, tool_length_mm=tool_length)):
+        console.print(line, highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -260,7 +275,10 @@ def scene(
 @app.command()
 def simulate(
     plan: Annotated[
-        Path, typer.Argument(help="What to measure: a measurement table; its coordinates are not looked at.")
+        Path,
+        typer.Argument(
+            help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at."
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The measured data.")],
     machine: MachineOption = "dmu50",
@@ -270,28 +288,39 @@ def simulate(
     ] = "tracker",
     seed: Annotated[int, typer.Option("--seed", help="Of the noise, and of stations and targets nobody placed.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+    air: Annotated[
+        str | None,
+        typer.Option("--air", help="T,p,RH along the beam (°C, hPa, %), where the instrument assumes 20,1013.25,50."),
+    ] = None,
+    drift: Annotated[
+        list[str] | None,
+        typer.Option("--drift", help="STATION=x,y,z: how its frame creeps in the base frame (µm/h); needs time_s."),
+    ] = None,
 ) -> None:
     """Measure a plan on the machine with the errors of a calibration, as an instrument would.
 
-    twin simulate plan.csv -o measured.csv --instrument tracker --seed 7
+    twin simulate thesis_plan.csv -o measured.csv --instrument tracker --seed 7
     """
     loaded = Machine.load(machine)
-    reader = next((one for one in INSTRUMENTS if one.name == instrument), None)
-    if reader is None:
-        raise InputError(
-            "no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=instrument
-        )
+    reader = _instrument(instrument)
     if seed < 0:
         raise InputError("--seed is negative", expected="0 or more", value=seed)
+    surroundings = _surroundings(air, drift)
+    source = _plan(plan)
     check_writable([output])
+    if source.resolve() == output.resolve():
+        raise InputError("the output is the plan itself", expected="another file", file=output)
     truth = _calibration(calibration, loaded)
-    planned = load_measurements(plan, loaded, plan=True)
-    measured, setting = run_simulation(planned, loaded, truth, reader, np.random.default_rng(seed), noise=noise)
-    comment = (
+    planned = load_measurements(source, loaded, plan=True)
+    rng = np.random.default_rng(seed)
+    measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=surroundings)
+    comment = [
         f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, instrument {reader.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise\n{setting.describe()}"
-    )
-    measured.save(output, loaded, comment=comment)
+        f"seed {seed}, {'with' if noise else 'without'} noise",
+        surroundings.describe(),
+        setting.describe(),
+    ]
+    measured.save(output, loaded, comment="\n".join(part for part in comment if part))
     print(f"written: {output}, {len(measured)} points")
     for note in planned.set_aside:
         print(f"  line {note.line} set aside: {note.text}")
@@ -299,6 +328,102 @@ def simulate(
         print(f"  {notice}")
     if planned.set_aside:
         raise typer.Exit(NOT_ALL_MET)
+
+
+@app.command()
+def identify(
+    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
+    machine: MachineOption = "dmu50",
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            "--instrument",
+            help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
+        ),
+    ] = None,
+    spread: Annotated[
+        Scatter,
+        typer.Option(
+            "--uncertainty",
+            help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
+        ),
+    ] = Scatter.stated,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Identify error motions, squareness and axis locations from measured points, with their uncertainty.
+
+    twin identify measured.csv -o mine.yaml --json report.json
+    """
+    loaded = Machine.load(machine)
+    check_writable([path for path in (output, json_file) if path is not None])
+    if measured.resolve() in {path.resolve() for path in (output, json_file) if path is not None}:
+        raise InputError("the output is the measurement itself", expected="another file", file=output)
+    names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
+    for pattern in only or []:
+        if not fnmatch.filter(names, pattern):
+            raise InputError(
+                "--only names no error of this machine", expected=f"among {', '.join(names)}", value=pattern
+            )
+    with _progress() as say:
+        say("reading", 0.0)
+        data = load_measurements(measured, loaded)
+        found = run_identification(
+            data,
+            loaded,
+            instrument=None if instrument is None else _instrument(instrument),
+            wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
+            spread=spread.value,
+            say=say,
+        )
+    found.calibration.save(output)
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    print(found.to_text(), end="")
+    print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
+    if not found.complete:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+def _instrument(name: str) -> Instrument:
+    for one in INSTRUMENTS:
+        if one.name == name:
+            return one
+    raise InputError("no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=name)
+
+
+def _plan(path: Path) -> Path:
+    try:
+        return find_program(path)  # looks for a file of any kind
+    except InputError:
+        known = " ".join(plan.name for plan in PLANS)
+        raise InputError(
+            "no such plan", expected=f"a measurement table, or one that comes with twin: {known}", file=path
+        ) from None
+
+
+def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
+    rates: dict[str, tuple[float, float, float]] = {}
+    for entry in drift or []:
+        name, equals, text = entry.rpartition("=")
+        if not equals or not name or name in rates:
+            raise InputError("--drift does not fit", expected="STATION=x,y,z in µm/h, each station once", value=entry)
+        rates[name] = _three("--drift", text, entry, "x,y,z in µm/h")
+    if air is None:
+        return Surroundings(None, rates)
+    temperature, pressure, humidity = _three("--air", air, air, "T,p,RH in °C, hPa and %")
+    return Surroundings(Air(temperature, pressure, humidity / 100.0), rates)
+
+
+def _three(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise InputError(f"{option} is not three numbers", expected=expected, value=shown)
+    x, y, z = (_number(option, part, shown) for part in parts)
+    return x, y, z
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -321,6 +446,7 @@ def _gathered(arguments: list[str]) -> list[str]:
     patterns = {
         "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
         "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
+        "--only": re.compile(r"E_[A-Z0-9*?]+"),
     }
     out: list[str] = []
     gathering: str | None = None
@@ -381,8 +507,27 @@ def _positive(option: str, value: float) -> None:
         raise InputError(f"{option} is out of place", expected="a positive number", value=value)
 
 
+def _uncertainty_lines(kinematics: Kinematics) -> list[str]:
+    """What is known of the tool point over the volume, and what is not."""
+    if kinematics.calibration.empty:
+        return []
+    found = ToolUncertainty(kinematics)
+    missing = ", ".join(found.without_uncertainty)
+    if not found.parameters:
+        return ["uncertainty of the tool point: unknown (no covariance in the calibration)"]
+    over = found.over_volume()
+    place = ", ".join(f"{name} {round(value)}" for name, value in over.where.items())
+    least = "at least " if missing else ""
+    lines = [
+        f"uncertainty of the tool point over the volume: U {least}{over.rms_um:.2f} µm RMS, {over.max_um:.2f} µm largest "
+        f"(at {place}) over {len(over.positions)} poses; {DEFINITION}"
+    ]
+    return [*lines, f"not in it (no covariance in the calibration): {missing}"] if missing else lines
+
+
 def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Table:
-    headers = ["error", "class", "peak"] if peak else ["class"]
+    known = any(np.isfinite(row.peak_u) for row in rows)
+    headers = ["error", "class", "peak", *(["peak u (k = 1)"] if known else [])] if peak else ["class"]
     table = Table(*headers, "tool RMS", "tool max", title=title, title_justify="left")
     for row in rows:
         unit = "µm" if row.unit == "um" else "µrad"
@@ -391,6 +536,8 @@ def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Tab
             if peak
             else [row.name]
         )
+        if peak and known:
+            start.append(f"{row.peak_u:.2f} {unit}" if np.isfinite(row.peak_u) else "unknown")
         table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm")
     return table
 

@@ -103,11 +103,16 @@ class Kinematics:
         q = ca.SX.sym("q", len(self.machine.axes))
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         rotation, point = self.chain(q, e, self.tool_length_mm * MM)
+        # Against a rotation held fixed the change is a rotation vector: three rows to differentiate, not nine.
+        held = ca.SX.sym("held", 3, 3)
+        turn = rotation @ held.T
+        pose = ca.vertcat(point, ca.inv_skew(turn - turn.T) / 2.0)
         errors = self.errors(q)
-        by_error = _twist(rotation, point, e)
+        by_error = ca.jacobian(pose, e)
         # Errors follow the axes: total derivative.
-        by_command = _twist(rotation, point, q) + by_error @ ca.jacobian(errors, q)
-        results = [ca.substitute(result, e, errors) for result in (by_command, by_error)]
+        by_command = ca.jacobian(pose, q) + by_error @ ca.jacobian(errors, q)
+        results = ca.substitute([by_command, by_error], [held], [rotation])
+        results = ca.cse(ca.substitute(results, [e], [errors]))
         return BatchFunction(ca.Function("sensitivities", [q], results))
 
     def reached(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,13 +209,3 @@ def turned(axis: np.ndarray, vectors: np.ndarray, angles_deg: np.ndarray) -> np.
     angle = (np.asarray(angles_deg) * DEG)[:, None]
     along = (vectors @ axis)[:, None] * axis
     return np.asarray(along + np.cos(angle) * (vectors - along) + np.sin(angle) * np.cross(axis, vectors))
-
-
-def _twist(rotation: Any, point: Any, variables: Any) -> Any:
-    """(6, variables) derivative of point and of rotation as a rotation vector in the work frame."""
-    rows = [ca.jacobian(point, variables)]
-    columns = ca.jacobian(ca.vec(rotation), variables)
-    for i, j in ((2, 1), (0, 2), (1, 0)):
-        # ω_k = [dR Rᵀ]_ij: row i of dR with row j of R.
-        rows.append(sum(rotation[j, k] * columns[3 * k + i, :] for k in range(3)))
-    return ca.vertcat(*rows)

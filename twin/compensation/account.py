@@ -7,11 +7,13 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.bench import Bench
+from twin.compensation.correction import Correction, Corrections
 from twin.compensation.pieces import Pieces, Rows
 from twin.compensation.report import ClassShare, Deviation, LineNote, Report
 from twin.iso16907 import BASIC, iso_class
-from twin.kinematics import Poses, angle_between_rad
+from twin.kinematics import Kinematics, Poses, angle_between_rad
 from twin.nc.blocks import Notice, Program
+from twin.uncertainty import ToolUncertainty
 
 CLASS_POSES: Final = 5000
 """Poses at which the shares of the classes are taken: a share needs no more, the total is over all."""
@@ -89,8 +91,42 @@ class Account:
             orientation_left=self._orientation_left(),
             not_met=self._not_met(),
             notes=tuple(notes),
+            uncertainty=self._corrections(lines),
             orientation_asked=self.pieces.scope.asked and self.pieces.scope.orientation,
         )
+
+    def _corrections(self, lines: np.ndarray) -> Corrections:
+        """How far the tool was moved at the block ends, and how well the calibration knows that it had to be.
+
+        By the machine as drawn from the meant commands to the given ones; the calibration's uncertainty, of what is in scope, at
+        the meant ones: there and at the given ones it is the same to a thousandth.
+
+        Args:
+            lines: (motions,) program line of each.
+        """
+        rows, nominal, point = self.rows, self.bench.space.nominal, self.pieces.point
+        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is accounted for by itself
+        keep = (
+            ~rows.untouched & np.isfinite(given).all(axis=1) & ~self.bench.full.outside_domain(rows.nominal).any(axis=1)
+        )
+        if not np.any(keep):
+            return Corrections(None, None)
+        meant, motion = rows.nominal[keep], rows.motion[keep]
+        reached, target = nominal.forward(given[keep]), rows.target
+        of_point = of_axis = at_point = None
+        if not point.calibration.empty:
+            at_point = ToolUncertainty(point).at(meant)
+            size = np.linalg.norm(reached.point_mm - target.point_mm[keep], axis=1) * 1e3
+            of_point = Correction.of_point(lines[motion], motion, size, at_point)
+        turning = self.pieces.orientation
+        turned = ~rows.singular[keep]  # the others are listed as what cannot be corrected
+        asked = self.pieces.scope.orientation and self.bench.thesis is None
+        if asked and turning is not None and np.any(turned):
+            same = _names(turning) <= _names(point)  # what only moves the point does not turn the axis
+            at_axis = at_point if same and at_point is not None else ToolUncertainty(turning).at(meant)
+            size = angle_between_rad(reached.axis, target.axis[keep])[turned] * 1e6
+            of_axis = Correction.of_axis(lines[motion[turned]], motion[turned], size, at_axis.where(turned))
+        return Corrections(of_point, of_axis)
 
     def _unused_setup(self) -> list[LineNote]:
         """Offsets the user gave that this program has no words for: better said than silently ignored."""
@@ -198,6 +234,10 @@ class Account:
             for m, error in zip(dense, worst, strict=True)
             if error > limit and m not in stuck
         )
+
+
+def _names(kinematics: Kinematics) -> set[str]:
+    return {effect.name for effect in kinematics.calibration.effects}
 
 
 def _note(program: Program, notice: Notice) -> LineNote:

@@ -112,12 +112,18 @@ class Pieces:
         return Inverse(self.point)
 
     @cached_property
-    def _orientation_inverse(self) -> Inverse | None:
+    def orientation(self) -> Kinematics | None:
         """The errors corrected by the rotary axes; None where they do not move for it."""
         limited = self.bench.limited(lambda name: self.scope.in_orientation(name, self.bench.machine))
-        if not self.turns or limited.calibration.empty:
-            return None
-        return Inverse(limited, rotary_limit_deg=self.bench.options.rotary_limit_deg)
+        return limited if self.turns and not limited.calibration.empty else None
+
+    @cached_property
+    def _orientation_inverse(self) -> Inverse | None:
+        return (
+            None
+            if self.orientation is None
+            else Inverse(self.orientation, rotary_limit_deg=self.bench.options.rotary_limit_deg)
+        )
 
     # --- pieces ------------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,9 @@ from typing import Any, final
 
 import numpy as np
 
+from twin.compensation.correction import Corrections
 from twin.kinematics import Poses, angle_between_rad
+from twin.uncertainty import DEFINITION
 
 SCHEMA = "twin.compensation/1"
 SHOWN = 8
@@ -93,6 +95,7 @@ class Report:
         orientation_left: blocks whose orientation the rotary axes cannot repair.
         not_met: blocks whose error between ends stays above the tolerance.
         notes: lines passed through as written, and assumptions.
+        uncertainty: of the correction, from the calibration's covariance.
     """
 
     program: str
@@ -119,6 +122,7 @@ class Report:
     orientation_left: tuple[LineNote, ...]
     not_met: tuple[LineNote, ...]
     notes: tuple[LineNote, ...]
+    uncertainty: Corrections
     orientation_asked: bool = False
 
     @property
@@ -133,6 +137,7 @@ class Report:
         data["largest_correction"] = {
             name: {"value": value, "unit": unit} for name, (value, unit) in self.largest_correction.items()
         }
+        data["uncertainty"] = self.uncertainty.to_dict()
         return {"schema": SCHEMA, "complete": self.complete, **data}
 
     def to_text(self) -> str:
@@ -145,6 +150,8 @@ class Report:
             out.append(
                 "                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it."
             )
+        out += [f"  {one.label:<14}{one.headline}" for one in self.uncertainty]
+        out += [] if self.uncertainty.unknown is None else [f"  {self.uncertainty.unknown}"]
         out += [
             f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
@@ -158,9 +165,10 @@ class Report:
             f"  error at the tool over {self.before.points} poses   RMS        max      tool axis RMS   max",
             f"    before               {_um(self.before.rms_um)} {_um(self.before.max_um)} "
             f"(line {self.before.worst_line})   {self.before.rms_urad:8.1f} {self.before.max_urad:8.1f} µrad",
-            f"    after                {_um(self.after.rms_um)} {_um(self.after.max_um)} "
+            f"    after, as predicted  {_um(self.after.rms_um)} {_um(self.after.max_um)} "
             f"(line {self.after.worst_line})   {self.after.rms_urad:8.1f} {self.after.max_urad:8.1f} µrad",
             f"    rounding leaves up to {self.rounding_um:.3f} µm at a block's end, the solver {self.solver_um:.1e} µm",
+            *self._uncertainty_text(),
             "",
             "  by class (ISO/TR 16907)   before RMS     max        left",
         ]
@@ -185,6 +193,14 @@ class Report:
                 if len(notes) > SHOWN:
                     out.append(f"    … and {len(notes) - SHOWN} more (all in the JSON report)")
         return "\n".join(out) + "\n"
+
+    def _uncertainty_text(self) -> list[str]:
+        """What "after" is worth: it is what the calibration itself predicts."""
+        known = [one for one in self.uncertainty if one.known]
+        if not known:
+            return []
+        out = ["", f"  {DEFINITION}; not in it: rounding, repeatability, temperature"]
+        return out + [line for one in known for line in one.to_text(SHOWN)]
 
 
 def _um(value: float) -> str:

@@ -172,7 +172,7 @@ def triangle(
     for piece in network.pieces(theta, setup):
         both = np.concatenate([piece.jacobian, piece.residual[:, :, None]], axis=2)
         both *= np.sqrt(weight[piece.rows])[:, None, None]
-        found = np.linalg.qr(np.concatenate([found, both.reshape(-1, both.shape[2])]), mode="r")
+        found = np.asarray(np.linalg.qr(np.concatenate([found, both.reshape(-1, both.shape[2])]), mode="r"))
         if say is not None:
             say(float(piece.rows[-1] + 1) / len(network.data))
     return found

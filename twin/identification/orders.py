@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import cho_solve
+from scipy.linalg.lapack import dpstrf
 
 from twin.arrays import locked
 from twin.identification.network import Network
@@ -106,29 +108,34 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
         folds: what is held out together.
     """
     normal, count = _cells(network, solution, weight, folds)
-    full = _states(network, solution, normal, folds)
+    full = _folds(network, solution, normal, folds)
     readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
     curves = {c.name: c for c in network.unknowns.curves}
     columns = {name: network.unknowns.of(name) for name in curves}
 
-    def cut(sizes: Mapping[str, int], skip: str = "") -> list[_State]:
-        gone = [i for name, c in curves.items() if name != skip for i in columns[name][max(sizes[name] - c.first, 0) :]]
-        return [state.copy().cut(gone) for state in full]
+    def gone(sizes: Mapping[str, int], skip: str = "") -> list[int]:
+        return [i for name, c in curves.items() if name != skip for i in columns[name][max(sizes[name] - c.first, 0) :]]
+
+    def score(sizes: Mapping[str, int]) -> float:
+        return sum(fold.score(fold.without(gone(sizes), [])[0]) for fold in full)
 
     def tried(name: str, sizes: Mapping[str, int]) -> dict[int, float]:
-        states = cut(sizes, skip=name)
-        found = {curves[name].count: sum(state.score() for state in states)}
-        for size in reversed(_sizes(curves[name])[:-1]):
-            gone = columns[name][max(size - curves[name].first, 0) :]
-            for state in states:
-                state.cut(gone)
-            found[size] = sum(state.score() for state in states)
+        curve, own = curves[name], columns[name]
+        found = dict.fromkeys(_sizes(curve), 0.0)
+        others = gone(sizes, skip=name)
+        for fold in full:
+            theta, covariance = fold.without(others, own)
+            found[curve.count] += fold.score(theta)
+            for group in reversed(curve.groups()):
+                for k in reversed(group):
+                    theta, covariance = _zeroed(theta, covariance, own, k - curve.first)
+                found[_below(curve, group)] += fold.score(theta)
         return found
 
     uniform = {}
     for size in range(1, max((c.count for c in curves.values()), default=0) + 1):
         fitted = {name: max(n for n in _sizes(c) if n <= max(size, 0)) for name, c in curves.items()}
-        uniform[size] = (sum(state.score() for state in cut(fitted)), fitted)
+        uniform[size] = (score(fitted), fitted)
     best = min(uniform, key=lambda size: uniform[size][0], default=0)
     sizes = dict(uniform[best][1]) if uniform else {}
     by_curve: dict[str, dict[int, float]] = {}
@@ -137,7 +144,9 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
         for name in curves:
             found = tried(name, sizes)
             lowest = min(found.values())
-            sizes[name] = min(size for size, score in found.items() if score <= lowest + ALIKE * readings)
+            sizes[name] = min(
+                size for size, value in found.items() if value <= lowest * (1.0 + 1e-6) + ALIKE * readings
+            )
             by_curve[name] = found
         if sizes == before:
             break
@@ -147,7 +156,7 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
 
     return Choice(
         counts=sizes,
-        held_out=rms(sum(state.score() for state in cut(sizes))),
+        held_out=rms(score(sizes)),
         by_curve={name: {n: rms(v) for n, v in sorted(found.items())} for name, found in by_curve.items()},
         uniform={size: rms(score) for size, (score, _) in uniform.items()},
         readings=readings,
@@ -159,39 +168,58 @@ def _sizes(curve: CurveSpace) -> list[int]:
     return [0, *(group[-1] + 1 for group in curve.groups())]
 
 
-class _State:
-    """One fold: the estimate without it, its covariance, and how it predicts what was held out."""
+def _below(curve: CurveSpace, group: tuple[int, ...]) -> int:
+    """Number of functions left when a group and all above it are gone."""
+    sizes = _sizes(curve)
+    return sizes[sizes.index(group[-1] + 1) - 1]
 
-    def __init__(self, theta: np.ndarray, covariance: np.ndarray, held: np.ndarray) -> None:
-        self.theta = theta  # machine's and set-up's unknowns; the latter as differences from the full estimate
-        self.covariance = covariance
-        self.held = held
-        self._origin = np.zeros(0)
 
-    def copy(self) -> _State:
-        other = _State(self.theta.copy(), self.covariance.copy(), self.held)
-        other._origin = self._origin
-        return other
+@final
+@dataclass(frozen=True)
+class _Fold:
+    """An estimate without what is held out, and how it predicts that; plausible units.
 
-    def at(self, origin: np.ndarray) -> _State:
-        """``theta`` is compared with where the readings were linearised."""
-        self._origin = origin
-        return self
+    Attributes:
+        theta: (p,) unknowns, the set-up's as differences from the full estimate.
+        covariance: (p, p) of it.
+        held: (p + 1, p + 1) normal matrix of the readings held out, linearised at ``origin``.
+        origin: (p,) the full estimate.
+    """
 
-    def score(self) -> float:
-        step = np.append(self.theta - self._origin, -1.0)
+    theta: np.ndarray
+    covariance: np.ndarray
+    held: np.ndarray
+    origin: np.ndarray
+
+    def score(self, theta: np.ndarray) -> float:
+        """Chi² of the readings held out."""
+        step = np.append(theta - self.origin, -1.0)
         return float(step @ self.held @ step)
 
-    def cut(self, columns: list[int]) -> _State:
-        """Condition on these being zero."""
-        if columns:
-            cross = self.covariance[:, columns]
-            # What the datum has fixed already counts as fixed.
-            gain = cross @ np.linalg.pinv(cross[columns], rcond=1e-13, hermitian=True)
-            self.theta = self.theta - gain @ self.theta[columns]
-            self.covariance = self.covariance - gain @ cross.T
-            self.theta[columns] = 0.0
-        return self
+    def without(self, gone: list[int], kept: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """The estimate on condition that some unknowns are zero, and (p, kept) its covariance with others."""
+        if not gone:
+            return self.theta.copy(), self.covariance[:, kept].copy()
+        # Pivoted: what the datum or another condition has fixed already adds nothing.
+        lower, pivot, rank, _ = dpstrf(self.covariance[np.ix_(gone, gone)], tol=1e-15, lower=1)
+        rows = [gone[i - 1] for i in pivot[:rank]]
+        right = np.concatenate([self.theta[rows, None], self.covariance[np.ix_(rows, kept)]], axis=1)
+        solved = cho_solve((lower[:rank, :rank], True), right)
+        cross = self.covariance[:, rows]
+        theta = self.theta - cross @ solved[:, 0]
+        theta[gone] = 0.0
+        return theta, self.covariance[:, kept] - cross @ solved[:, 1:]
+
+
+def _zeroed(theta: np.ndarray, covariance: np.ndarray, own: list[int], k: int) -> tuple[np.ndarray, np.ndarray]:
+    """One more of a curve's own unknowns on condition that it is zero."""
+    variance = covariance[own[k], k]
+    if variance > 1e-20:
+        gain = covariance[:, k] / variance
+        theta = theta - gain * theta[own[k]]
+        covariance = covariance - np.outer(gain, covariance[own[k]])
+    theta[own[k]] = 0.0
+    return theta, covariance
 
 
 def _ends(poses: np.ndarray) -> np.ndarray:
@@ -206,9 +234,7 @@ def _ends(poses: np.ndarray) -> np.ndarray:
     return found
 
 
-def _cells(
-    network: Network, solution: Solution, weight: np.ndarray, folds: Folds
-) -> tuple[np.ndarray, np.ndarray]:
+def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
     size = len(solution.scale) + 1
     normal = np.zeros((folds.rounds, folds.poses + 1, size, size))
@@ -222,16 +248,18 @@ def _cells(
         for cell in np.unique(of):
             rows = both[of == cell].reshape(-1, size)
             normal.reshape(-1, size, size)[cell] += rows.T @ rows
-            count.reshape(-1)[cell] += np.sum(network.read[piece.rows][of == cell] * (weight[piece.rows][of == cell] > 0)[:, None])
+            count.reshape(-1)[cell] += np.sum(
+                network.read[piece.rows][of == cell] * (weight[piece.rows][of == cell] > 0)[:, None]
+            )
     return normal, count
 
 
-def _states(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_State]:
+def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
     machine = len(network.unknowns)
     free = free_directions(network.unknowns.datum, machine, len(solution.setup))
     origin = np.concatenate([solution.theta / PLAUSIBLE, np.zeros(len(solution.setup))])
     total = normal.sum(axis=(0, 1))
-    states = []
+    found = []
     for mask in folds.held_out():
         held = normal[mask].sum(axis=0)
         train = total - held
@@ -240,5 +268,5 @@ def _states(network: Network, solution: Solution, normal: np.ndarray, folds: Fol
         inverse = np.linalg.inv(inner + np.eye(len(inner)))
         covariance = free @ inverse @ free.T
         theta = origin + covariance @ train[:-1, -1]
-        states.append(_State(theta, covariance, held).at(origin))
-    return states
+        found.append(_Fold(theta, covariance, held, origin))
+    return found

@@ -97,7 +97,9 @@ def _explained(machine: Machine, data: Measurements, miss: np.ndarray, lengths_o
     best = min(tries, default=(np.inf, ""))
     if best[0] < min(FITS, typical / 10.0):
         return best[1]
-    by_axis = [(float(np.median(miss[data.positions[:, i] != np.median(data.positions[:, i])])), names[i]) for i in moving]
+    by_axis = [
+        (float(np.median(miss[data.positions[:, i] != np.median(data.positions[:, i])])), names[i]) for i in moving
+    ]
     worst = max(by_axis, default=(0.0, "the machine"))
     return f"half of all readings are more than {typical / MM:.1f} mm off, most where {worst[1]} moves"
 
@@ -138,7 +140,9 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
         size = float(np.linalg.norm(off)) / MM
         sigmas = float(np.linalg.norm(whitened[row]))
         mates = np.flatnonzero((group == group[row]) & ~bad)
-        text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
+        text = (
+            f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
+        )
         if not np.isnan(network.instrument.read(np.ones((1, 3)))[0, 1]) and size > 0.0:
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM

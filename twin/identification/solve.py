@@ -38,6 +38,7 @@ class Solution:
         strength: (d,) their singular values.
         silent: (p, s) directions they do not, the datum's conditions respected.
         scale: (p,) plausible sizes.
+        determined: how many numbers the readings settle: the trace of their share in the estimate.
         converged: whether the last step was still.
         steps: how many were taken.
     """
@@ -49,13 +50,9 @@ class Solution:
     strength: np.ndarray
     silent: np.ndarray
     scale: np.ndarray
+    determined: float
     converged: bool
     steps: int
-
-    @property
-    def rank(self) -> int:
-        """How many numbers the data determine."""
-        return len(self.strength)
 
     @property
     def chi2(self) -> float:
@@ -77,30 +74,46 @@ class Solution:
         return np.asarray(seen + np.sum(self.silent**2, axis=1))
 
 
-def solve(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray, *, steps: int = STEPS) -> Solution:
+def solve(
+    network: Network,
+    theta: np.ndarray,
+    setup: SetUp,
+    weight: np.ndarray,
+    *,
+    precision: np.ndarray | None = None,
+    steps: int = STEPS,
+) -> Solution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
     Args:
         network: data and model.
-        theta, setup: where to start.
+        theta: machine's unknowns to start from, µm and µrad.
+        setup: stations and targets to start from.
         weight: (n,) of each point.
+        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.remainder`); none
+            if None.
         steps: at most.
     """
     machine = len(network.unknowns)
     scale = np.concatenate([np.full(machine, PLAUSIBLE), setup.plausible])
     free = free_directions(network.unknowns.datum, machine, len(setup))
+    root = np.zeros((machine, len(scale)))
+    if precision is not None:
+        root[:, :machine] = np.diag(np.sqrt(precision))
     taken, converged = 0, False
     while True:
         found = triangle(network, theta, setup, weight)
-        u, values, v = np.linalg.svd(found[:, :-1] * scale @ free, full_matrices=True)
+        data = found[:, :-1] * scale @ free
+        u, values, v = np.linalg.svd(np.concatenate([data, root * scale @ free]), full_matrices=True)
         strong = int(np.count_nonzero(values > WEAKEST))
         directions = free @ v[:strong].T
         if converged or taken == steps:
             silent = free @ v[strong:].T
+            determined = float(np.sum((data @ (v[:strong].T / values[:strong])) ** 2))
             return Solution(
-                theta, setup, found, directions, values[:strong], silent, scale, converged, taken
+                theta, setup, found, directions, values[:strong], silent, scale, determined, converged, taken
             )
-        along = u[:, :strong].T @ found[:, -1]
+        along = u[:, :strong].T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
         step = (directions @ (along / values[:strong])) * scale
         theta, setup = theta + step[:machine], setup.moved(step[machine:])
         taken += 1

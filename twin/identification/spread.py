@@ -24,14 +24,15 @@ class Misfit:
     """What is left beside what the readings' covariance allows; nothing is rescaled by it.
 
     Attributes:
-        chi2, dof: sum of squared whitened residuals, and how many readings are free of the estimate.
+        chi2, dof: sum of squared whitened residuals, and how many readings are free of the estimate (no whole number: beyond
+            the chosen orders the readings settle a share of each number).
         p_value: of a chi² that large or larger if the stated covariance holds.
         pure_chi2, pure_dof: the part that is scatter between repeats of the same point.
         lack_p_value: of the rest against the repeats (F test of lack of fit); NaN without repeats.
     """
 
     chi2: float
-    dof: int
+    dof: float
     p_value: float
     pure_chi2: float
     pure_dof: int
@@ -48,18 +49,18 @@ class Misfit:
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
-def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, rank: int, used: np.ndarray) -> Misfit:
+def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray) -> Misfit:
     """Misfit of an estimate.
 
     Args:
         whitened: (n, 3) whitened residuals.
         read: (n, 3) which coordinates were read.
         data: the measurements.
-        rank: how many numbers the estimate determined.
+        determined: how many numbers the readings settled.
         used: (n,) which points were used.
     """
     chi2 = float(np.sum(whitened[used] ** 2))
-    dof = int(np.count_nonzero(read[used])) - rank
+    dof = float(np.count_nonzero(read[used])) - determined
     group = repeats(data)
     pure_chi2, pure_dof = 0.0, 0
     order = np.flatnonzero(used)
@@ -75,7 +76,7 @@ def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, rank: int
     if pure_dof > 0 and lack_dof > 0 and pure_chi2 > 0.0:
         lack_p = float(stats.f.sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
     p_value = float(stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
-    return Misfit(chi2, max(dof, 0), p_value, pure_chi2, pure_dof, lack_p)
+    return Misfit(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
 def repeats(data: Measurements) -> np.ndarray:

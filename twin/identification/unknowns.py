@@ -216,9 +216,7 @@ class Unknowns:
                 names.append(name)
         matrix = np.array(rows).reshape(-1, len(self))
         joint = (
-            None
-            if covariance is None
-            else Covariance(tuple(names), locked(_symmetric(matrix @ covariance @ matrix.T)))
+            None if covariance is None else Covariance(tuple(names), locked(_symmetric(matrix @ covariance @ matrix.T)))
         )
         squareness = {name: value for name, value in constants.items() if name in self.machine.squareness_names}
         location = {name: value for name, value in constants.items() if name in self.machine.location_names}

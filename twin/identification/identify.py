@@ -1,0 +1,305 @@
+"""The estimate: from a measurement table to a calibration with its covariance, and everything it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from twin.arrays import locked
+from twin.curves import BASES, Basis
+from twin.effects import split_name
+from twin.errors import InputError
+from twin.identification.network import Network
+from twin.identification.orders import Choice, Folds, choose
+from twin.identification.remainder import remainder_precision
+from twin.identification.result import Identification, Unidentified
+from twin.identification.screen import explained, fitting, outliers, robust_weights
+from twin.identification.setup import SetUp
+from twin.identification.solve import UNSEEN, Solution, solve
+from twin.identification.spread import between_poses, covariance_from_repeats, misfit
+from twin.identification.unknowns import Column, CurveSpace, Unknowns, spaces_for
+from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.units import MM
+
+MOST: Final = 13
+"""Functions of a curve at most: degree 12, six harmonics."""
+ROBUST_ROUNDS: Final = 8
+Say = Callable[[str, float], None]
+Spread = Literal["stated", "repeats", "between poses"]
+
+
+def identify(
+    data: Measurements,
+    machine: Machine,
+    *,
+    instrument: Instrument | None = None,
+    wanted: Callable[[str], bool] | None = None,
+    spread: Spread = "stated",
+    say: Say | None = None,
+) -> Identification:
+    """Identify a machine's error motions, squareness and locations together with stations and targets.
+
+    Whitened nonlinear least squares with analytic derivatives of every reading by every unknown. The datum is the machine's own
+    (`twin.identification.unknowns`); the covariance is that of the readings carried through, never rescaled by chi².
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        instrument: what read them; a tracking interferometer if only lengths were read, else a laser tracker (AT960).
+        wanted: whether an error of that ISO 230-1 name is sought at all; all if None.
+        spread: whose scatter the covariance carries: the stated uncertainty of the readings; the scatter of their repeats; or the
+            scatter from pose to pose, for a model that leaves something out (`twin.identification.spread.between_poses`).
+        say: told what is being done and how far it is.
+
+    Raises:
+        InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; nothing that moved.
+    """
+    # On a shared machine the threads of a linear algebra library wait for each other longer than they work.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _identify(
+            data, machine, instrument, wanted or (lambda name: True), spread, say or (lambda stage, part: None)
+        )
+
+
+def _identify(
+    data: Measurements,
+    machine: Machine,
+    instrument: Instrument | None,
+    wanted: Callable[[str], bool],
+    spread: Spread,
+    say: Say,
+) -> Identification:
+    reader = _instrument(data, instrument)
+    lengths_only = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
+    say("placing the stations", 0.0)
+    data, setup = fitting(machine, data, lengths_only=lengths_only)
+    covariance = covariance_from_repeats(data, reader)[0] if spread == "repeats" else None
+
+    def network(unknowns: Unknowns) -> Network:
+        return Network(machine, data, reader, unknowns, covariance=covariance)
+
+    best: tuple[Choice, Unknowns, Solution, np.ndarray] | None = None
+    options = _families(machine, data)
+    for i, bases in enumerate(options):
+        say("choosing the curves", 0.1 + 0.6 * i / len(options))
+        spaces, constants = spaces_for(machine, data.positions, bases=bases, most=MOST, wanted=wanted)
+        if not spaces and not constants:
+            raise InputError(
+                "no axis moved", expected="two or more positions of an axis", file=data.source, line=int(data.lines[0])
+            )
+        whole = network(Unknowns(machine, spaces, constants))
+        solution, weight = _robust(whole, setup)
+        # What the data cannot tell goes first, so that it does not compete.
+        seen, lost = _seen(whole.unknowns, solution)
+        if lost:
+            whole = network(seen)
+            solution, weight = _robust(whole, solution.setup)
+        choice = choose(whole, solution, weight, Folds.of(data))
+        if best is None or choice.held_out < best[0].held_out * (1.0 - 1e-6):
+            best = choice, whole.unknowns, solution, weight
+            blind = lost
+    if best is None:
+        raise InputError("nothing to identify", expected="positions of an axis", file=data.source)
+    choice, largest, solution, weight = best
+    say("estimating", 0.75)
+    final = network(largest)
+    precision = remainder_precision(largest, solution, choice)
+    solution, bad = _without_outliers(final, solution, weight, precision)
+    used = ~bad
+    say("uncertainty", 0.9)
+    return _result(final, solution, used, choice, blind, spread, wanted)
+
+
+def _instrument(data: Measurements, given: Instrument | None) -> Instrument:
+    lengths = bool(np.isnan(data.point_mm[:, 1:]).all())
+    reader = given or (TrackingInterferometer() if lengths else LaserTracker())
+    reads_lengths = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
+    if reads_lengths and not lengths:
+        raise InputError(
+            f"{reader.name} reads lengths only, and y_mm or z_mm is given",
+            expected="the length in x_mm, y_mm and z_mm empty",
+            file=data.source,
+            line=int(data.lines[np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0]]),
+        )
+    if lengths and not reads_lengths:
+        raise InputError(
+            f"only x_mm is given, which {reader.name} does not read alone",
+            expected="x_mm, y_mm and z_mm, or an interferometer's lengths",
+            file=data.source,
+            line=int(data.lines[0]),
+        )
+    return reader
+
+
+def _families(machine: Machine, data: Measurements) -> list[dict[str, Basis]]:
+    """The bases worth trying: powers for travels, harmonics for full turns, either for part of a turn."""
+    power = next(basis for basis in BASES if not basis.periodic)
+    fourier = next(basis for basis in BASES if basis.periodic)
+    first = {axis.name: fourier if axis.lower is None else power for axis in machine.axes}
+    other = {axis.name: power if axis.linear else fourier for axis in machine.axes}
+    moved = any(
+        first[axis.name] is not other[axis.name] and np.ptp(data.positions[:, i]) > 0.0
+        for i, axis in enumerate(machine.axes)
+    )
+    return [first, other] if moved else [first]
+
+
+def _robust(network: Network, setup: SetUp) -> tuple[Solution, np.ndarray]:
+    """An estimate that a few wrong points do not pull, and (n,) the weights it ended with."""
+    theta = np.zeros(len(network.unknowns))
+    weight = np.ones(len(network.data))
+    solution = solve(network, theta, setup, weight)
+    for _ in range(ROBUST_ROUNDS):
+        whitened = network.residual(solution.theta, solution.setup)
+        bad, _ = outliers(network, whitened)
+        if not np.any(bad) and np.all(weight == 1.0):
+            return solution, weight
+        fresh = robust_weights(network, whitened)
+        still = float(np.abs(fresh - weight).max()) < 0.01
+        weight = fresh
+        if still:
+            break
+        solution = solve(network, solution.theta, solution.setup, weight, steps=3)
+    bad, _ = outliers(network, network.residual(solution.theta, solution.setup))
+    weight = (~bad).astype(float)
+    return solve(network, solution.theta, solution.setup, weight), weight
+
+
+def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str]]:
+    """The unknowns these data determine, and the names of the others.
+
+    A curve of which even the lowest order is unseen goes as a whole; one of which only higher orders are, is cut there.
+    """
+    unseen = solution.unseen[: len(unknowns)] > UNSEEN
+    curves, lost = [], []
+    for curve in unknowns.curves:
+        columns = unknowns.of(curve.name)
+        bad = [k for k, i in enumerate(columns) if unseen[i]]
+        if not bad:
+            curves.append(curve)
+            continue
+        kept = [0, *(group[-1] + 1 for group in curve.groups() if group[-1] - curve.first < bad[0])]
+        if kept[-1] > curve.first:
+            curves.append(CurveSpace(curve.name, curve.basis, curve.domain, curve.first, kept[-1]))
+        else:
+            lost.append(curve.name)
+    constants = [name for name in unknowns.constants if not unseen[unknowns.index[Column(name, 0)]]]
+    lost += [name for name in unknowns.constants if name not in constants]
+    changed = (
+        lost
+        or len(curves) < len(unknowns.curves)
+        or any(a is not b for a, b in zip(curves, unknowns.curves, strict=True))
+    )
+    return (Unknowns(unknowns.machine, curves, constants) if changed else unknowns), lost
+
+
+def _without_outliers(
+    network: Network, solution: Solution, weight: np.ndarray, precision: np.ndarray
+) -> tuple[Solution, np.ndarray]:
+    """Least squares on all points that are no outliers of it: one is let back in when it fits after all."""
+    bad = weight == 0.0
+    seen: set[bytes] = set()
+    while True:
+        solution = solve(network, solution.theta, solution.setup, (~bad).astype(float), precision=precision)
+        found, _ = outliers(network, network.residual(solution.theta, solution.setup))
+        if np.array_equal(found, bad) or found.tobytes() in seen:
+            return solution, bad
+        seen.add(found.tobytes())
+        bad = found
+
+
+def _result(
+    network: Network,
+    solution: Solution,
+    used: np.ndarray,
+    choice: Choice,
+    lost: list[str],
+    spread: Spread,
+    wanted: Callable[[str], bool],
+) -> Identification:
+    data, machine, unknowns = network.data, network.machine, network.unknowns
+    count = len(unknowns)
+    weight = used.astype(float)
+    whole = between_poses(network, solution, weight) if spread == "between poses" else solution.covariance()
+    covariance = whole[:count, :count]
+    source = f"identified by twin from {data.source}: {int(used.sum())} points"
+    calibration, _ = unknowns.calibration(solution.theta, range(count), source, covariance)
+    rows = np.arange(len(data))
+    difference = network.difference(solution.theta, solution.setup, rows)
+    whitened = network.residual(solution.theta, solution.setup)
+    names = solution.setup.names
+    u = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
+    return Identification(
+        calibration=calibration,
+        unidentified=_unidentified(machine, data, lost, wanted, unknowns, solution),
+        setup=solution.setup,
+        setup_u=dict(zip(names, (float(v) for v in u), strict=True)),
+        misfit=misfit(whitened, network.read, data, solution.determined, used),
+        choice=choice,
+        spread=spread,
+        data=data,
+        used=locked(used),
+        residual_mm=locked(np.where(network.read, difference / MM, np.nan)),
+        whitened=locked(whitened),
+        set_aside=(*data.set_aside, *explained(network, difference, whitened, ~used)),
+        notices=(*data.notices, *_notices(solution, unknowns)),
+        converged=solution.converged,
+        network=network,
+        solution=solution,
+    )
+
+
+def _unidentified(
+    machine: Machine,
+    data: Measurements,
+    lost: list[str],
+    wanted: Callable[[str], bool],
+    unknowns: Unknowns,
+    solution: Solution,
+) -> tuple[Unidentified, ...]:
+    """What was asked for and is not reported, and why."""
+    found = []
+    names = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
+    for name in names:
+        axis = split_name(name)[2]
+        moved = np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0
+        if not wanted(name):
+            continue
+        if not moved:
+            found.append(Unidentified(name, f"{axis} was not moved"))
+        elif name in lost:
+            found.append(Unidentified(name, _cause(name, machine, solution.setup)))
+    return tuple(found)
+
+
+def _cause(name: str, machine: Machine, setup: SetUp) -> str:
+    _, average, axis = split_name(name)
+    if average and not machine.by_name[axis].linear and not setup.target_known.all():
+        return "a shift of stations and targets together looks the same: give the targets' places, or a reference on the machine"
+    if average:
+        return "the other axes' motions, which would be its reference, are not among these data"
+    return "these targets move alike with and without it: it takes three targets apart from one line, or other poses of the other axes"
+
+
+def _notices(solution: Solution, unknowns: Unknowns) -> list[str]:
+    """What the set-up leaves open that shows in the errors."""
+    silent = solution.silent * solution.scale[:, None]
+    if silent.shape[1] == 0:
+        return []
+    carried = np.sqrt(np.sum(silent[: len(unknowns)] ** 2, axis=1))
+    seen = solution.covariance(silent=False)
+    own = np.sqrt(np.diag(seen)[: len(unknowns)])
+    names = dict.fromkeys(
+        column.entity for column, open_, u in zip(unknowns.columns, carried, own, strict=True) if open_ > u
+    )
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
+        "their uncertainty allows for 0.2 m. Give the targets' places (place_x_mm …) to narrow it"
+    ]

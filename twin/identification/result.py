@@ -1,0 +1,297 @@
+"""What an identification found, in values, words and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+from scipy import stats
+
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.effects import split_name
+from twin.identification.network import Network
+from twin.identification.orders import Choice
+from twin.identification.setup import SetUp
+from twin.identification.solve import Solution
+from twin.identification.spread import Misfit
+from twin.measurement import Measurements, RowNote
+from twin.units import DEG, MM, UM, URAD
+
+SCHEMA = "twin.identification/1"
+COVERAGE = float(stats.norm.isf(0.025))
+"""Of the 95 % intervals."""
+THESIS_FUNCTIONS = 9
+"""Functions of the thesis's degree 8."""
+
+
+@final
+@dataclass(frozen=True)
+class Unidentified:
+    """Something these data cannot tell.
+
+    Attributes:
+        name: ISO 230-1 name.
+        reason: why, and what would change it.
+    """
+
+    name: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True)
+class Identification:
+    """An estimate of a machine's errors from measured points.
+
+    Attributes:
+        calibration: what the data determine, with its joint covariance.
+        unidentified: what they do not.
+        setup: stations and targets as found.
+        setup_u: standard uncertainty of each of its numbers, by name; metres and radians.
+        misfit: chi², lack of fit, pure error.
+        choice: how many functions each curve has, and what the others would predict.
+        spread: whose scatter the covariance is: ``stated``, ``repeats`` or ``between poses``.
+        data: the rows used and those left out as outliers.
+        used: (n,) which were used.
+        residual_mm: (n, 3) read less predicted, in each station's frame; NaN where nothing was read.
+        whitened: (n, 3) the same over the stated standard deviations.
+        set_aside, notices: what a reader of the result must know.
+        converged: whether the estimate settled.
+        network, solution: the problem and its solution, for whoever builds on them.
+    """
+
+    calibration: Calibration
+    unidentified: tuple[Unidentified, ...]
+    setup: SetUp
+    setup_u: Mapping[str, float]
+    misfit: Misfit
+    choice: Choice
+    spread: str
+    data: Measurements
+    used: np.ndarray
+    residual_mm: np.ndarray
+    whitened: np.ndarray
+    set_aside: tuple[RowNote, ...]
+    notices: tuple[str, ...]
+    converged: bool
+    network: Network
+    solution: Solution
+
+    @property
+    def complete(self) -> bool:
+        """Whether every row was used and the estimate settled."""
+        return self.converged and not self.set_aside
+
+    @cached_property
+    def rms_um(self) -> float:
+        """RMS of the residuals of the coordinates read and used."""
+        left = self.residual_mm[self.used]
+        return float(np.sqrt(np.nanmean(left**2))) * 1e3
+
+    def predicted_mm(self, data: Measurements) -> np.ndarray:
+        """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
+
+        Args:
+            data: measurements this estimate has not seen.
+
+        Raises:
+            KeyError: a station or target that this estimate does not know.
+        """
+        order = self.setup
+        stations = [order.stations.index(name) for name in dict.fromkeys(data.station) if name in order.stations]
+        targets = [order.targets.index(name) for name in dict.fromkeys(data.target) if name in order.targets]
+        for name in (*dict.fromkeys(data.station), *dict.fromkeys(data.target)):
+            if name not in order.stations and name not in order.targets:
+                raise KeyError(name)
+        setup = SetUp(
+            tuple(order.stations[i] for i in stations),
+            order.rotation[stations],
+            order.origin[stations],
+            order.dead[stations],
+            tuple(order.targets[i] for i in targets),
+            order.place[targets],
+            order.station_known[stations],
+            order.target_known[targets],
+            order.lengths_only,
+        )
+        other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
+        left = other.difference(self.solution.theta, setup, np.arange(len(data)))
+        return locked(np.where(other.read, left / MM, np.nan))
+
+    def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
+        """An error motion and its standard uncertainty.
+
+        Args:
+            name: ISO 230-1 name of a curve of the calibration.
+            q: positions, mm or degrees.
+
+        Returns:
+            Value and standard uncertainty at each position, µm or µrad.
+        """
+        curve = self.calibration.curves[name]
+        values = curve(q)
+        effect = next(e for e in self.calibration.effects if e.name == name)
+        axis = split_name(name)[2]
+        shapes = effect.derivatives({axis: np.asarray(q, dtype=float)})
+        (matrix,) = (np.stack([next(iter(shape.values())) for shape in shapes], axis=-1),)
+        names = [parameter.name for parameter in effect.parameters]
+        covariance = self.calibration.covariance.of(names).matrix
+        variance = np.einsum("...i,ij,...j->...", matrix, covariance, matrix)
+        return locked(np.asarray(values)), locked(np.sqrt(np.maximum(variance, 0.0)))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One entry an error: name, unit, functions, RMS and peak over the range, largest standard uncertainty."""
+        found: list[dict[str, Any]] = []
+        for name, curve in self.calibration.curves.items():
+            value, u = self.interval(name, np.linspace(*curve.domain, 201))
+            count = self.choice.counts[name]
+            found.append(
+                {
+                    "name": name,
+                    "unit": curve.unit,
+                    "basis": curve.basis,
+                    "order": max((count - 1) // 2 if curve.basis == "fourier" else count - 1, 0),
+                    "peak": float(np.abs(value).max()),
+                    "u_max": float(u.max()),
+                    "held_out": self.choice.by_curve.get(name, {}).get(count),
+                    "held_out_thesis": _nearest(self.choice.by_curve.get(name, {}), THESIS_FUNCTIONS),
+                }
+            )
+        for name, number in (*self.calibration.squareness.items(), *self.calibration.location.items()):
+            u_number = float(np.sqrt(self.calibration.covariance.of([name]).matrix[0, 0]))
+            unit = "um" if split_name(name)[0] < 3 else "urad"
+            found.append({"name": name, "unit": unit, "value": number, "u": u_number})
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as JSON (``schema: twin.identification/1``)."""
+        fit = self.misfit
+        stations = {}
+        for i, name in enumerate(self.setup.stations):
+            stations[name] = {"origin_mm": _list(self.setup.origin[i] / MM), "known": bool(self.setup.station_known[i])}
+            if self.setup.lengths_only:
+                stations[name]["dead_path_mm"] = float(self.setup.dead[i] / MM)
+        return {
+            "schema": SCHEMA,
+            "machine": self.calibration.machine.name,
+            "data": self.data.source,
+            "points": {"used": int(self.used.sum()), "set_aside": len(self.set_aside)},
+            "uncertainty": self.spread,
+            "errors": self.rows(),
+            "not_identifiable": [{"name": one.name, "reason": one.reason} for one in self.unidentified],
+            "stations": stations,
+            "targets": {
+                name: {"place_mm": _list(self.setup.place[i] / MM), "known": bool(self.setup.target_known[i])}
+                for i, name in enumerate(self.setup.targets)
+            },
+            "misfit": {
+                "rms_um": self.rms_um,
+                "chi2": fit.chi2,
+                "dof": fit.dof,
+                "reduced_chi2": fit.reduced,
+                "p_value": fit.p_value,
+                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": _number(fit.pure_reduced)},
+                "lack_of_fit_p_value": _number(fit.lack_p_value),
+            },
+            "orders": {
+                "held_out_rms": self.choice.held_out,
+                "uniform": {str(size): value for size, value in self.choice.uniform.items()},
+                "readings_held_out": self.choice.readings,
+            },
+            "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
+            "notices": list(self.notices),
+            "converged": self.converged,
+        }
+
+    def to_text(self) -> str:
+        """The report for people."""
+        fit = self.misfit
+        stations = len(self.setup.stations)
+        lines = [
+            f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
+            f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} numbers determined",
+            "",
+            f"what is left: {self.rms_um:.3g} µm RMS a coordinate; reduced chi² {fit.reduced:.3f} "
+            f"({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})",
+        ]
+        if fit.pure_dof:
+            lines.append(
+                f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
+                f"p = {fit.lack_p_value:.2g}"
+            )
+        lines += [_verdict(fit), "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
+        lines += [_row_text(row) for row in self.rows()]
+        lines += [
+            "  degree 0: nothing beyond the noise on held-out data. What lies beyond the orders given is not taken as zero:",
+            "  the intervals allow for it.",
+        ]
+        if self.unidentified:
+            lines += ["", "not identifiable from these data, not reported:"]
+            lines += [f"  {', '.join(names)}: {reason}" for reason, names in self._by_reason().items()]
+        degree8 = _nearest(self.choice.uniform, THESIS_FUNCTIONS)
+        if degree8 is not None:
+            text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
+            lines += ["", f"held-out readings, RMS in their standard deviations: {text}"]
+        if self.set_aside:
+            lines += ["", f"set aside ({len(self.set_aside)}):"]
+            lines += [f"  line {note.line}: {note.text}" for note in self.set_aside]
+        lines += [f"note: {notice}" for notice in self.notices]
+        if not self.converged:
+            lines.append("THE ESTIMATE DID NOT SETTLE: do not use it")
+        return "\n".join(lines) + "\n"
+
+    def _by_reason(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for one in self.unidentified:
+            found.setdefault(one.reason, []).append(one.name)
+        return found
+
+
+def _row_text(row: Mapping[str, Any]) -> str:
+    unit = "µm" if row["unit"] == "um" else "µrad"
+    if "peak" not in row:
+        return f"  {row['name']:<7}      {row['value']:8.2f} {unit:<4} ± {COVERAGE * row['u']:6.2f}"
+    kind = "harmonics" if row["basis"] == "fourier" else "degree"
+    text = f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {COVERAGE * row['u_max']:6.2f} at most, {kind} {row['order']}"
+    if row["held_out_thesis"] is not None:
+        text += f", held-out {row['held_out']:.4f} (degree 8: {row['held_out_thesis']:.4f})"
+    return text
+
+
+def _verdict(fit: Misfit) -> str:
+    if fit.dof <= 0:
+        return "as many numbers as readings: nothing left to judge the model by"
+    if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < 1e-3:
+        return "THE MODEL LEAVES SOMETHING OUT that repeats: the intervals below do not cover it. `twin diagnose` says what."
+    if fit.p_value < 1e-3:
+        return "MORE SCATTER THAN THE INSTRUMENT'S: the intervals below rest on its stated uncertainty, which the data exceed."
+    return "consistent with the stated uncertainty of the readings"
+
+
+def _whose(spread: str) -> str:
+    return {
+        "stated": "the stated uncertainty of the readings",
+        "repeats": "the scatter of repeats",
+        "between poses": "the scatter from pose to pose",
+    }[spread]
+
+
+def _nearest(scores: Mapping[int, float], size: int) -> float | None:
+    """The score at the largest number of functions up to ``size``."""
+    fitting = [n for n in scores if n <= size]
+    return scores[max(fitting)] if fitting and max(fitting) >= size - 1 else None
+
+
+def _list(values: np.ndarray) -> list[float]:
+    return [float(v) for v in values]
+
+
+def _number(value: float) -> float | None:
+    return None if value != value else value
+
+
+__all__ = ["COVERAGE", "DEG", "UM", "URAD", "Identification", "Unidentified"]
