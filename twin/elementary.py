@@ -18,6 +18,11 @@ def sin(x: Any) -> Any:
     return ca.sin(x) if isinstance(x, ca.SX) else np.sin(x)
 
 
+def exp(x: Any) -> Any:
+    """Exponential."""
+    return ca.exp(x) if isinstance(x, ca.SX) else np.exp(x)
+
+
 def floor(x: Any) -> Any:
     """Largest whole number not above x."""
     return ca.floor(x) if isinstance(x, ca.SX) else np.floor(x)

@@ -56,11 +56,15 @@ def tool_in_work(machine: Machine, q: Any, e: Any, length: Any) -> Pose:
 
 def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:
     """A frame of the model in the base frame."""
+    placed = machine.model.frames[frame]
+    return _joint_in_base(machine, placed.parentJoint, q, e).then(_constant(placed.placement))
+
+
+def _joint_in_base(machine: Machine, joint: int, q: Any, e: Any) -> Pose:
     model = machine.model
     moving = {joint: q[i] for i, joint in enumerate(machine.axis_joints)}
     erring = {frame.joint: e[6 * i : 6 * i + 6] for i, frame in enumerate(machine.frames)}
-    pose = _constant(model.frames[frame].placement)
-    joint = model.frames[frame].parentJoint
+    pose = _constant(pin.SE3.Identity())
     while joint != 0:
         if joint in erring:
             error = erring[joint]
@@ -70,6 +74,25 @@ def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:
         pose = _constant(model.jointPlacements[joint]).then(motion).then(pose)
         joint = model.parents[joint]
     return pose
+
+
+def gravity_load(machine: Machine) -> ca.Function:
+    """What gravity does along each axis of the machine as drawn: q (axes,) → (axes,) N or N·m, minus the slope of its potential.
+
+    From the masses of the URDF; zero where it gives none.
+    """
+    model = machine.model
+    q = ca.SX.sym("q", len(machine.axes))
+    gravity = ca.DM(np.asarray(model.gravity.linear))
+    none = ca.SX.zeros(6 * len(machine.frames))
+    potential = ca.SX(0.0)
+    for joint in range(1, model.njoints):
+        inertia = model.inertias[joint]
+        if inertia.mass > 0.0:
+            pose = _joint_in_base(machine, joint, q, none)
+            centre = pose.rotation @ ca.DM(np.asarray(inertia.lever)) + pose.translation
+            potential = potential - inertia.mass * ca.dot(gravity, centre)
+    return ca.Function("load", [q], [ca.densify(-ca.jacobian(potential, q)).T], ["q"], ["load"])
 
 
 def error_vector(machine: Machine, effects: tuple[Effect, ...], q: Any) -> Any:

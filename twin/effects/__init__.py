@@ -1,8 +1,31 @@
 """What makes a machine differ from its drawing, one small class an effect; a model is an ordered tuple of them."""
 
+from twin.effects.along import PitchError, Reversal, ZeroOffset
 from twin.effects.base import Effect, Frame, Parameter, assemble, split_name
+from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
 from twin.effects.error_motion import ErrorMotion
+from twin.effects.load import GravityCompliance
 from twin.effects.location import AxisLocation
 from twin.effects.squareness import Squareness
+from twin.effects.thermal import ThermalDrift, ThermalExpansion, ThermalGrowth
 
-__all__ = ["AxisLocation", "Effect", "ErrorMotion", "Frame", "Parameter", "Squareness", "assemble", "split_name"]
+__all__ = [
+    "AxisLocation",
+    "CrossAxis",
+    "Effect",
+    "ErrorMotion",
+    "Frame",
+    "GravityCompliance",
+    "Harmonic",
+    "Parameter",
+    "PitchError",
+    "Reversal",
+    "Squareness",
+    "TableLoad",
+    "ThermalDrift",
+    "ThermalExpansion",
+    "ThermalGrowth",
+    "ZeroOffset",
+    "assemble",
+    "split_name",
+]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, final
 
+from twin.errors import InputError
 from twin.machine import DIRECTIONS, ErrorFrame
 from twin.units import UM, URAD
 
@@ -56,7 +57,11 @@ class Effect(ABC):
         """Its contribution, by component index in ``XYZABC``: µm for the first three, µrad for the others.
 
         Args:
-            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape.
+            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; where they are known also
+                ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
+
+        Raises:
+            InputError: the effect needs a channel that is not given.
         """
 
     @property
@@ -67,6 +72,17 @@ class Effect(ABC):
     @abstractmethod
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """Derivative of `components` by each parameter: µm or µrad a unit of the parameter, by component index."""
+
+
+def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
+    """A channel beside the positions.
+
+    Raises:
+        InputError: it is not given.
+    """
+    if name not in positions:
+        raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="nothing")
+    return positions[name]
 
 
 def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:
