@@ -38,6 +38,32 @@ class Piece:
 
 
 @final
+@dataclass(frozen=True)
+class View:
+    """Some points as their stations see them; metres, derivatives whitened.
+
+    Attributes:
+        rows: in the data.
+        residual: (k, 3) whitened.
+        seen: (k, 3) the points in their stations' frames.
+        whitening: (k, 3, 3).
+        by_seen: (k, 3, 3) reading by the point in the station's frame.
+        by_base: (k, 3, 3) by the point in the base frame.
+        by_error: (k, 3, 6·frames) by every component of every error frame.
+        by_place: (k, 3, 3) by the target's place on its carrier.
+    """
+
+    rows: np.ndarray
+    residual: np.ndarray
+    seen: np.ndarray
+    whitening: np.ndarray
+    by_seen: np.ndarray
+    by_base: np.ndarray
+    by_error: np.ndarray
+    by_place: np.ndarray
+
+
+@final
 class Network:
     """Data, instrument and model together.
 
@@ -121,39 +147,54 @@ class Network:
             predicted[:, 0] -= setup.dead[self._station[rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
-    def _piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+    def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
+        """Some points as the stations see them, with every derivative an effect may need."""
         station, target = self._station[rows], self._target[rows]
         carried = self._observation.carried(
             self._q[rows], self.errors(theta, rows), self.data.carrier[rows], setup.place[target]
         )
         seen = self._seen(carried.points, setup, rows)
         whitening = self.whitening[rows]
-        residual = np.einsum("nij,nj->ni", whitening, self._left(seen, setup, rows))
         by_seen = whitening @ self.instrument.jacobian(seen)
         by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
-        by_error = by_base @ carried.by_error
+        return View(
+            rows=rows,
+            residual=np.einsum("nij,nj->ni", whitening, self._left(seen, setup, rows)),
+            seen=seen,
+            whitening=whitening,
+            by_seen=by_seen,
+            by_base=by_base,
+            by_error=by_base @ carried.by_error,
+            by_place=by_base @ carried.rotation,
+        )
+
+    def _piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+        view = self.view(theta, setup, rows)
         machine = len(self._shapes)
         jacobian = np.zeros((len(rows), 3, machine + len(setup)))
         for column, shapes in enumerate(self._shapes):
             for at, values in shapes:
-                jacobian[:, :, column] += by_error[:, :, at] * values[rows, None]
+                jacobian[:, :, column] += view.by_error[:, :, at] * values[rows, None]
+        self.by_setup(view, setup, jacobian[:, :, machine:])
+        return Piece(rows, view.residual, jacobian)
+
+    def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
+        """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""
+        station, target = self._station[view.rows], self._target[view.rows]
         stations, targets = setup.slots()
-        own = jacobian[:, :, machine:]
         for i, (turn, shift, path) in enumerate(stations):
             of = np.flatnonzero(station == i)
             # y = Rᵀ(p − o); R → R·Exp(φ): dy = y × φ.
             if turn.stop > turn.start:
-                own[of, :, turn] = by_seen[of] @ _cross(seen[of])
+                into[of, :, turn] = view.by_seen[of] @ cross_matrix(view.seen[of])
             if shift.stop > shift.start:
-                own[of, :, shift] = -by_base[of]
+                into[of, :, shift] = -view.by_base[of]
             if path.stop > path.start:
-                own[of, :, path] = -whitening[of][:, :, :1]
-        by_place = by_base @ carried.rotation
+                into[of, :, path] = -view.whitening[of][:, :, :1]
         for i, where in enumerate(targets):
             if where.stop > where.start:
                 of = np.flatnonzero(target == i)
-                own[of, :, where] = by_place[of]
-        return Piece(rows, residual, jacobian)
+                into[of, :, where] = view.by_place[of]
 
 
 def triangle(
@@ -201,7 +242,7 @@ def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:
     return found
 
 
-def _cross(vectors: np.ndarray) -> np.ndarray:
+def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """(n, 3, 3) matrices of ``v ×``."""
     found = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
