@@ -1,0 +1,432 @@
+"""The causes that are tried: every row of the contract's table of effects, wherever on this machine it can sit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.batch import BatchFunction
+from twin.curves import BASES
+from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, state_of
+from twin.effects import (
+    AxisLocation,
+    CrossAxis,
+    Effect,
+    ErrorMotion,
+    Frame,
+    GravityCompliance,
+    Harmonic,
+    PitchError,
+    Reversal,
+    Squareness,
+    TableLoad,
+    ThermalDrift,
+    ThermalExpansion,
+    ThermalGrowth,
+    ZeroOffset,
+    split_name,
+)
+from twin.identification.network import View, cross_matrix
+from twin.identification.unknowns import CurveSpace
+from twin.machine import Axis, Machine
+from twin.measurement import Measurements
+from twin.symbolic import gravity_load
+from twin.units import UM
+
+DEGREES: Final = 5
+"""Largest degree of a curve that is tried."""
+SHORTEST_PERIOD: Final = 2.0
+"""mm: pitch errors below it are not sought."""
+ORDERS: Final = 30
+TIME_CONSTANTS: Final = 12
+
+Build = Callable[[np.ndarray], tuple[Effect, ...]]
+
+
+@final
+@dataclass(frozen=True)
+class Cell:
+    """One form a candidate can take: some columns, some fixed non-linear parameters.
+
+    Attributes:
+        columns: their signatures.
+        fixed: non-linear parameters by name.
+    """
+
+    columns: tuple[Column, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True)
+class Candidate:
+    """One cause at one place.
+
+    Attributes:
+        effect: contract §5.
+        where: contract §5.
+        origin: ``machine`` or ``instrument``.
+        names: (name, unit) of its linear parameters, the first of as many as a cell has.
+        cells: the forms it can take.
+        tests: how many independent ones that is, for the price of the search.
+        build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
+    """
+
+    effect: str
+    where: str
+    origin: str
+    names: tuple[tuple[str, str], ...]
+    cells: tuple[Cell, ...]
+    tests: float
+    build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and where."""
+        return self.effect, self.where
+
+
+@final
+@dataclass(frozen=True)
+class Catalogue:
+    """What can be tried on these data, and what cannot.
+
+    Attributes:
+        candidates: tried.
+        not_evaluated: (effect, where, what is missing).
+    """
+
+    candidates: tuple[Candidate, ...]
+    not_evaluated: tuple[tuple[str, str, str], ...]
+
+
+def catalogue(machine: Machine, data: Measurements) -> Catalogue:
+    """Every effect of contract §5 that this machine can have, on data that have the columns for it."""
+    state = state_of(data, machine)
+    found: list[Candidate] = []
+    missing: list[tuple[str, str, str]] = []
+    linear = [axis for axis in machine.axes if axis.linear]
+    for axis in machine.axes:
+        unit = "um" if axis.linear else "urad"
+        if f"approach_{axis.name}" in state:
+            found.append(_single("reversal", axis.name, Reversal(axis, 1.0), machine, state, ("size", unit), _re(Reversal, axis)))
+        else:
+            missing.append(("reversal", axis.name, f"approach_{axis.name}"))
+        found.append(_single("zero_offset", axis.name, ZeroOffset(axis, 1.0), machine, state, ("offset", unit), _re(ZeroOffset, axis)))
+    for axis in linear:
+        found.append(_pitch(axis, machine, state))
+        if f"T_{axis.name}_degC" in state:
+            found.append(
+                _single(
+                    "thermal_expansion", axis.name, ThermalExpansion(axis, 1.0), machine, state,
+                    ("coefficient", "um/(m.K)"), _re(ThermalExpansion, axis),
+                )
+            )
+        else:
+            missing.append(("thermal_expansion", axis.name, f"T_{axis.name}_degC"))
+    found += _constants(machine, state)
+    found += _curves(machine, data, state)
+    found += _harmonics(machine, data, state)
+    found += _coupled(machine, state)
+    found += _base_side(machine, state, missing)
+    found += _loads(machine, state)
+    found += _instrument(machine, data, state, missing)
+    return Catalogue(tuple(found), tuple(missing))
+
+
+def _single(
+    effect: str,
+    where: str,
+    unit_effect: Effect,
+    machine: Machine,
+    state: Mapping[str, Any],
+    name: tuple[str, str],
+    build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]],
+) -> Candidate:
+    columns = tuple(of_effect(unit_effect, machine, state))
+    return Candidate(effect, where, "machine", (name,), (Cell(columns),), 1.0, build)
+
+
+def _re(kind: Callable[..., Effect], *first: Any) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
+    """The effect with its one linear parameter as found."""
+    return lambda values, fixed: (kind(*first, float(values[0])),)
+
+
+def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
+    q = state[axis.name]
+    span = max(float(np.ptp(q)), 1e-9)
+    # Half the resolution of the span a step; the best is refined afterwards.
+    frequencies = np.arange(1.0 / span, 1.0 / SHORTEST_PERIOD, 0.5 / span)
+    cells = []
+    for f in frequencies:
+        sine, cosine = PitchError(axis, 1.0, 1.0 / f, 0.0), PitchError(axis, 1.0, 1.0 / f, np.pi / 2.0)
+        columns = (*of_effect(sine, machine, state, [0]), *of_effect(cosine, machine, state, [0]))
+        cells.append(Cell(columns, {"period": float(1.0 / f)}))
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+        return (PitchError(axis, float(np.hypot(*values)), fixed["period"], float(np.arctan2(values[1], values[0]))),)
+
+    names = (("sin", "um"), ("cos", "um"))
+    return Candidate("pitch_error", axis.name, "machine", names, tuple(cells), max(len(cells), 1.0), build)
+
+
+def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+    found = []
+    for name in machine.squareness_names:
+        direction = machine.by_name[split_name(name)[2]].direction
+        one = Squareness(name, 1.0, direction)
+        found.append(
+            _single(
+                "squareness", name, one, machine, state, ("angle", "urad"),
+                lambda values, fixed, name=name, direction=direction: (Squareness(name, float(values[0]), direction),),  # type: ignore[misc]
+            )
+        )
+    for name in machine.location_names:
+        unit = "um" if split_name(name)[0] < 3 else "urad"
+        found.append(
+            _single("axis_location", name, AxisLocation(name, 1.0), machine, state, ("offset", unit), _re(AxisLocation, name))
+        )
+    return found
+
+
+def _curves(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
+    """Curves of the linear axes, in orthonormal functions; written as powers."""
+    power = next(basis for basis in BASES if not basis.periodic)
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+    found = []
+    for axis in machine.axes:
+        distinct = len(np.unique(np.round(state[axis.name], 3)))
+        if not axis.linear or axis.lower is None or axis.upper is None or distinct < 3:
+            continue
+        domain = (axis.lower, axis.upper)
+        count = min(DEGREES, distinct - 1) + 1
+        along = int(np.argmax(np.abs(axis.direction)))
+        for component, letter in enumerate("XYZABC"):
+            name = f"E_{letter}{axis.name}"
+            space = CurveSpace(name, power, domain, 0, count)
+            functions = space.functions(np.clip(state[axis.name], *domain))
+            at = 6 * index[axis.name, "motion"] + component
+            columns = tuple(of_components({at: functions[:, k]}) for k in range(count))
+            unit = "um" if component < 3 else "urad"
+            effect = (
+                "angular_error_motion" if component >= 3 else "positioning" if component == along else "straightness"
+            )
+            first = 2 if effect == "straightness" else 1
+
+            def build(values: np.ndarray, fixed: Mapping[str, float], space: CurveSpace = space) -> tuple[Effect, ...]:
+                n = len(values)
+                coefficients = tuple(float(v) for v in space.transform[:n, :n] @ values)
+                return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=False),)
+
+            cells = tuple(Cell(columns[: degree + 1]) for degree in range(first, count))
+            if cells:
+                names = tuple((f"g{k}", unit) for k in range(count))
+                found.append(Candidate(effect, name, "machine", names, cells, float(len(cells)), build))
+    return found
+
+
+def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
+    found = []
+    for axis in machine.axes:
+        distinct = np.unique(np.round(np.mod(state[axis.name], 360.0), 3))
+        if axis.linear or len(distinct) < 4:
+            continue
+        most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 60 else ORDERS)
+        for letter in "XYZABC":
+            name = f"E_{letter}{axis.name}"
+            unit = "um" if letter in "XYZ" else "urad"
+            cells = tuple(
+                Cell(tuple(of_effect(Harmonic(name, n, 1.0, 1.0), machine, state)), {"order": float(n)})
+                for n in range(1, most + 1)
+            )
+
+            def build(values: np.ndarray, fixed: Mapping[str, float], name: str = name) -> tuple[Effect, ...]:
+                return (Harmonic(name, round(fixed["order"]), float(values[0]), float(values[1])),)
+
+            names = (("cos", unit), ("sin", unit))
+            found.append(Candidate("harmonic", name, "machine", names, cells, float(len(cells)), build))
+    return found
+
+
+def _coupled(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+    found = []
+    linear = [axis for axis in machine.axes if axis.linear]
+    for axis in linear:
+        for by in linear:
+            if by is axis:
+                continue
+            for letter in "XYZABC":
+                name = f"E_{letter}{axis.name}"
+                unit = "um/m2" if letter in "XYZ" else "urad/m"
+                found.append(
+                    _single(
+                        "cross_axis", f"{name} by {by.name}", CrossAxis(name, by.name, 1.0), machine, state,
+                        ("coefficient", unit), _re(CrossAxis, name, by.name),
+                    )
+                )
+    return found
+
+
+def base_frame(machine: Machine) -> tuple[Frame, np.ndarray] | None:
+    """The error frame nearest the base on the tool side, and the base's directions in it (rows), at rest; None if there is none."""
+    import pinocchio as pin
+
+    tool = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
+    sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool" and frame.joint in tool]
+    if not sides:
+        return None
+    first = min(sides, key=lambda frame: tool.index(frame.joint))
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return Frame(first.axis, first.role), np.asarray(data.oMi[first.joint].rotation)
+
+
+def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[str, str, str]]) -> list[Candidate]:
+    nearest = base_frame(machine)
+    if nearest is None:
+        return []
+    frame, turn = nearest
+    found = []
+    sensors = [name[2:-5] for name in state if name.startswith("T_")]
+    if not sensors:
+        missing.append(("thermal_growth", "X, Y, Z", "T_<sensor>_degC"))
+    for i, direction in enumerate("XYZ"):
+        vector = tuple(float(v) if abs(v) > 1e-12 else 0.0 for v in turn[i])
+        for sensor in sensors:
+            found.append(
+                _single(
+                    "thermal_growth", f"{direction} by {sensor}",
+                    ThermalGrowth(frame, direction, vector, sensor, 1.0), machine, state,  # type: ignore[arg-type]
+                    ("coefficient", "um/K"), _re(ThermalGrowth, frame, direction, vector, sensor),
+                )
+            )
+        if "time_s" not in state:
+            missing.append(("thermal_drift", direction, "time_s"))
+            continue
+        span = max(float(np.ptp(state["time_s"])), 1.0)
+        cells = tuple(
+            Cell(
+                tuple(of_effect(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state, [0])),  # type: ignore[arg-type]
+                {"time_constant": float(tau)},
+            )
+            for tau in np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS)
+        )
+
+        def build(
+            values: np.ndarray, fixed: Mapping[str, float], direction: str = direction, vector: Any = vector
+        ) -> tuple[Effect, ...]:
+            return (ThermalDrift(frame, direction, vector, float(values[0]), fixed["time_constant"]),)
+
+        found.append(Candidate("thermal_drift", direction, "machine", (("amplitude", "um"),), cells, 3.0, build))
+    return found
+
+
+def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+    found = []
+    import pinocchio as pin
+
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    for axis in machine.axes:
+        if not axis.linear:
+            joint = next(f.joint for f in machine.frames if f.axis == axis.name and f.role == "motion")
+            vector = tuple(float(v) if abs(v) > 1e-12 else 0.0 for v in np.asarray(data.oMi[joint].rotation)[0])
+            # A rotary axis that stands upright droops under nothing.
+            down = np.asarray(data.oMi[joint].rotation) @ np.array(axis.direction)
+            if abs(down[2]) < 1.0 - 1e-9 and axis.side != "tool":
+                found.append(
+                    _single(
+                        "table_load", axis.name, TableLoad(axis.name, vector, 1.0), machine, state,  # type: ignore[arg-type]
+                        ("tilt", "urad"), _re(TableLoad, axis.name, vector),
+                    )
+                )
+    batch = BatchFunction(gravity_load(machine))
+
+    def load_of(index: int) -> Callable[[Mapping[str, Any]], Any]:
+        def load(positions: Mapping[str, Any]) -> Any:
+            q = np.stack([np.asarray(positions[a.name], dtype=float) for a in machine.axes], axis=1) * machine.scale
+            (values,) = batch(q)
+            return values[:, index]
+
+        return load
+
+    for i, axis in enumerate(machine.axes):
+        unit = "um/N" if axis.linear else "urad/(N.m)"
+        load = load_of(i)
+        found.append(
+            _single(
+                "gravity_compliance", axis.name, GravityCompliance(axis, load, 1.0), machine, state,
+                ("compliance", unit), _re(GravityCompliance, axis, load),
+            )
+        )
+    return found
+
+
+def _instrument(
+    machine: Machine, data: Measurements, state: Mapping[str, Any], missing: list[tuple[str, str, str]]
+) -> list[Candidate]:
+    found = []
+    n = len(data)
+
+    def reading(columns: Sequence[Callable[[View], np.ndarray]], mask: np.ndarray, scales: Sequence[float]) -> tuple[Column, ...]:
+        return tuple(
+            Column(lambda view, c=c: c(view) * mask[view.rows, None], scale)  # type: ignore[misc]
+            for c, scale in zip(columns, scales, strict=True)
+        )
+
+    shift = [lambda view, i=i: view.by_seen[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+    turn = [lambda view, i=i: -(view.by_seen @ cross_matrix(view.seen))[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+    six = tuple([(f"shift_{a}", "um") for a in "xyz"] + [(f"turn_{a}", "urad") for a in "xyz"])
+    rounds = list(dict.fromkeys(data.round))
+    stations = list(dict.fromkeys(data.station))
+    number = np.array([rounds.index(name) for name in data.round])
+    everything = np.ones(n)
+    for k in range(1, len(rounds)):
+        later = (number >= k).astype(float)
+        if len(stations) == 1:
+            found.append(
+                Candidate("frame_shift", f"round {rounds[k]}", "instrument", six, (Cell(reading([*shift, *turn], later, [LARGEST] * 6)),), 1.0)
+            )
+        else:
+            for name in stations:
+                mask = later * (data.station == name)
+                if 0 < mask.sum() < np.count_nonzero(data.station == name):
+                    where = f"station {name} from round {rounds[k]}"
+                    found.append(Candidate("frame_shift", where, "instrument", six, (Cell(reading([*shift, *turn], mask, [LARGEST] * 6)),), 1.0))
+        for target in dict.fromkeys(data.target):
+            of = data.target == target
+            mask = later * of
+            if 0 < mask.sum() < np.count_nonzero(of):
+                columns = [lambda view, i=i: view.by_place[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+                names = tuple((f"shift_{a}", "um") for a in "xyz")
+                found.append(
+                    Candidate("target_shift", f"{target} from round {rounds[k]}", "instrument", names, (Cell(reading(columns, mask, [LARGEST] * 3)),), 1.0)
+                )
+    scale = [lambda view: np.einsum("nij,nj->ni", view.by_seen, view.seen) * 1e-6]
+    found.append(Candidate("refraction_scale", "—", "instrument", (("scale", "ppm"),), (Cell(reading(scale, everything, [100.0])),), 1.0))
+    if "time_s" in state:
+        hours = (state["time_s"] - state["time_s"].min()) / 3600.0
+        for name in stations:
+            mask = hours * (data.station == name)
+            columns = [lambda view, i=i: -view.by_base[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+            names = tuple((f"rate_{a}", "um/h") for a in "xyz")
+            top = LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
+            found.append(Candidate("station_drift", name, "instrument", names, (Cell(reading(columns, mask, [top] * 3)),), 1.0))
+    else:
+        missing.append(("station_drift", ", ".join(stations), "time_s"))
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+    for i, axis in enumerate(machine.axes):
+        reported = data.readback[:, i]
+        if np.all(np.isnan(reported)):
+            missing.append(("read_back", axis.name, f"readback_{axis.name}_{axis.unit}"))
+            continue
+        off = np.where(np.isfinite(reported), (reported - data.positions[:, i]) * axis.scale / UM, 0.0)
+        if np.abs(off).max() < 1e-3:
+            continue
+        start = 6 * index[axis.name, "motion"] + (0 if axis.linear else 3)
+        parts = {start + k: off * part for k, part in enumerate(axis.direction) if part != 0.0}
+        found.append(Candidate("read_back", axis.name, "instrument", (("share", "1"),), (Cell((of_components(parts),)),), 1.0))
+    return found

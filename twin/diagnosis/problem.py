@@ -1,0 +1,89 @@
+"""The readings after everything the set-up and the fitted geometry can absorb has been projected out.
+
+Whitened residual r and signatures S are judged by what remains of them beside the set-up's derivatives B (and the calibration's own
+uncertainty, as directions with unit prior variance): xᵀMy = xᵀy − (Qᵀx)ᵀ(Qᵀy), Q the part in the readings of an orthonormal basis of
+[B, J·L; 0, 1].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.diagnosis.signatures import Column, of_effect, state_of
+from twin.identification.network import Network, View
+from twin.identification.setup import SetUp
+
+TOLD_APART: Final = 1e-9
+"""Relative size of a set-up direction below which it is no direction of its own."""
+
+
+@final
+class Problem:
+    """Readings, set-up and calibration of one data set, linearised at the fitted set-up.
+
+    Args:
+        network: data and calibration (as ``base``), no unknowns.
+        setup: the fitted set-up.
+        calibration: whose covariance counts as uncertainty; none if None.
+    """
+
+    def __init__(self, network: Network, setup: SetUp, calibration: Calibration | None) -> None:
+        self.network = network
+        self.setup = setup
+        n = len(network.data)
+        self.view: View = network.view(np.zeros(0), setup, np.arange(n))
+        self.residual = self.view.residual.reshape(-1)
+        by_setup = np.zeros((n, 3, len(setup)))
+        network.by_setup(self.view, setup, by_setup)
+        raw = by_setup.reshape(3 * n, -1) * setup.plausible
+        own = self._uncertain(calibration)
+        nuisance = np.concatenate([raw, own], axis=1)
+        prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
+        u, values, _ = np.linalg.svd(np.concatenate([nuisance, prior]), full_matrices=False)
+        kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
+        self.basis = u[: 3 * n, kept]
+        self.absorbed = int(np.count_nonzero(kept)) - own.shape[1]
+        self.projected = self.residual - self.basis @ (self.basis.T @ self.residual)
+        self.chi2 = float(self.residual @ self.projected)
+        self.readings = int(np.count_nonzero(network.read))
+
+    @property
+    def dof(self) -> int:
+        """Readings that the set-up does not settle."""
+        return self.readings - self.absorbed
+
+    def signature(self, columns: Sequence[Column]) -> np.ndarray:
+        """(3n, columns) whitened, in plausible sizes."""
+        return np.stack([(column.reading(self.view) * column.scale).reshape(-1) for column in columns], axis=1)
+
+    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """aᵀMb of signatures."""
+        return np.asarray(a.T @ b - (self.basis.T @ a).T @ (self.basis.T @ b))
+
+    def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
+        """aᵀMr; the data's residual, or another that is projected already."""
+        return np.asarray(a.T @ (self.projected if residual is None else residual))
+
+    def _uncertain(self, calibration: Calibration | None) -> np.ndarray:
+        """(3n, k) what one standard deviation of each direction of the calibration's covariance does."""
+        n = len(self.network.data)
+        if calibration is None or not calibration.covariance.names:
+            return np.zeros((3 * n, 0))
+        covariance = calibration.covariance
+        known = set(covariance.names)
+        machine = self.network.machine
+        state = state_of(self.network.data, machine)
+        found: dict[str, np.ndarray] = {}
+        for effect in calibration.effects:
+            names = [parameter.name for parameter in effect.parameters]
+            if names[0] in known:
+                for name, column in zip(names, of_effect(effect, machine, state), strict=True):
+                    found[name] = column.reading(self.view).reshape(-1)
+        values, vectors = np.linalg.eigh(covariance.matrix)
+        strong = values > 1e-12 * max(float(values[-1]), 1e-300)
+        root = vectors[:, strong] * np.sqrt(values[strong])
+        return np.asarray(np.stack([found[name] for name in covariance.names], axis=1) @ root)

@@ -1,0 +1,89 @@
+"""What each candidate cause would do to the readings: whitened, in plausible sizes, before anything is projected out.
+
+A machine's effect acts in error frames, so its signature is a reading's derivative by one component times a function of the state; an
+instrument's effect acts on the reading itself. Both come out as (n, 3, columns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.effects import Effect
+from twin.identification.network import View
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.units import UM
+
+LARGEST: Final = 1000.0
+"""µm or µrad: how much an effect may do at most anywhere; a column is scaled to it."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of a signature.
+
+    Attributes:
+        reading: view → (n, 3) whitened, a unit of the parameter.
+        scale: units of the parameter that make it as large as plausible.
+    """
+
+    reading: Callable[[View], np.ndarray]
+    scale: float
+
+
+def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
+    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``."""
+    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
+    for i, axis in enumerate(machine.axes):
+        if np.any(data.approach[:, i]):
+            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
+    if np.all(np.isfinite(data.time_s)):
+        found["time_s"] = np.asarray(data.time_s)
+    for name, values in data.temperature_degC.items():
+        if np.all(np.isfinite(values)):
+            found[f"T_{name}_degC"] = np.asarray(values)
+    return found
+
+
+def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any], which: Sequence[int] | None = None) -> list[Column]:
+    """Columns of a machine's effect, one a parameter (or some of them).
+
+    Args:
+        effect: with whatever values its non-linear parameters have.
+        machine: the machine.
+        state: positions and channels of all points.
+        which: indices of the parameters; all if None.
+    """
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+    at = 6 * index[effect.frame.axis, effect.frame.role]
+    shapes = effect.derivatives(state)
+    return [of_components({at + i: v for i, v in shapes[k].items()}) for k in (range(len(shapes)) if which is None else which)]
+
+
+def of_components(parts: Mapping[int, np.ndarray]) -> Column:
+    """A column from functions of the state in error components (µm or µrad a unit)."""
+    fixed = {at: np.asarray(values, dtype=float) for at, values in parts.items()}
+    largest = max((float(np.abs(values).max(initial=0.0)) for values in fixed.values()), default=0.0)
+
+    def reading(view: View) -> np.ndarray:
+        found = np.zeros((len(view.rows), 3))
+        for at, values in fixed.items():
+            found += view.by_error[:, :, at] * (values[view.rows, None] * UM)
+        return found
+
+    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
+
+
+def of_base(direction: int, values: np.ndarray) -> Column:
+    """A shift of the target along a direction of the base, ``values`` µm a unit."""
+    largest = float(np.abs(values).max(initial=0.0))
+
+    def reading(view: View) -> np.ndarray:
+        return view.by_base[:, :, direction] * (values[view.rows, None] * UM)
+
+    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
