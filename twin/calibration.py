@@ -111,6 +111,7 @@ class Calibration:
         curves: error motions by name.
         squareness: µrad by name.
         location: µm and µrad by name.
+        extra: effects a diagnosis added, beside those the names above stand for.
         joint: covariance of all identified parameters together, or None where only curves have their own.
         path: the file it was read from, or None.
     """
@@ -121,6 +122,7 @@ class Calibration:
     squareness: Mapping[str, float]
     location: Mapping[str, float]
     joint: Covariance | None = None
+    extra: tuple[Effect, ...] = ()
     path: Path | None = None
 
     @classmethod
@@ -210,7 +212,7 @@ class Calibration:
         for name, angle in self.squareness.items():
             found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
-        return tuple(found)
+        return (*found, *self.extra)
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
         """The same calibration with only the error motions, squareness and locations whose name is kept."""
@@ -220,6 +222,7 @@ class Calibration:
             squareness=MappingProxyType({name: value for name, value in self.squareness.items() if keep(name)}),
             location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
             joint=None if self.joint is None else self.joint.where(lambda name: keep(name.partition("[")[0])),
+            extra=tuple(effect for effect in self.extra if keep(effect.name)),
         )
 
     @property
@@ -243,7 +246,7 @@ class Calibration:
     @property
     def empty(self) -> bool:
         """Whether nothing is named: the machine as drawn."""
-        return not (self.curves or self.squareness or self.location)
+        return not (self.curves or self.squareness or self.location or self.extra)
 
     @property
     def illustrative(self) -> bool:

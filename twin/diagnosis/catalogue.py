@@ -72,6 +72,7 @@ class Candidate:
         names: (name, unit) of its linear parameters, the first of as many as a cell has.
         cells: the forms it can take.
         tests: how many independent ones that is, for the price of the search.
+        space: the functions a curve's columns are, if it is one.
         build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
     """
 
@@ -82,6 +83,7 @@ class Candidate:
     cells: tuple[Cell, ...]
     tests: float
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
+    space: CurveSpace | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -112,17 +114,28 @@ def catalogue(machine: Machine, data: Measurements) -> Catalogue:
     for axis in machine.axes:
         unit = "um" if axis.linear else "urad"
         if f"approach_{axis.name}" in state:
-            found.append(_single("reversal", axis.name, Reversal(axis, 1.0), machine, state, ("size", unit), _re(Reversal, axis)))
+            found.append(
+                _single("reversal", axis.name, Reversal(axis, 1.0), machine, state, ("size", unit), _re(Reversal, axis))
+            )
         else:
             missing.append(("reversal", axis.name, f"approach_{axis.name}"))
-        found.append(_single("zero_offset", axis.name, ZeroOffset(axis, 1.0), machine, state, ("offset", unit), _re(ZeroOffset, axis)))
+        found.append(
+            _single(
+                "zero_offset", axis.name, ZeroOffset(axis, 1.0), machine, state, ("offset", unit), _re(ZeroOffset, axis)
+            )
+        )
     for axis in linear:
         found.append(_pitch(axis, machine, state))
         if f"T_{axis.name}_degC" in state:
             found.append(
                 _single(
-                    "thermal_expansion", axis.name, ThermalExpansion(axis, 1.0), machine, state,
-                    ("coefficient", "um/(m.K)"), _re(ThermalExpansion, axis),
+                    "thermal_expansion",
+                    axis.name,
+                    ThermalExpansion(axis, 1.0),
+                    machine,
+                    state,
+                    ("coefficient", "um/(m.K)"),
+                    _re(ThermalExpansion, axis),
                 )
             )
         else:
@@ -180,14 +193,27 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
         one = Squareness(name, 1.0, direction)
         found.append(
             _single(
-                "squareness", name, one, machine, state, ("angle", "urad"),
+                "squareness",
+                name,
+                one,
+                machine,
+                state,
+                ("angle", "urad"),
                 lambda values, fixed, name=name, direction=direction: (Squareness(name, float(values[0]), direction),),  # type: ignore[misc]
             )
         )
     for name in machine.location_names:
         unit = "um" if split_name(name)[0] < 3 else "urad"
         found.append(
-            _single("axis_location", name, AxisLocation(name, 1.0), machine, state, ("offset", unit), _re(AxisLocation, name))
+            _single(
+                "axis_location",
+                name,
+                AxisLocation(name, 1.0),
+                machine,
+                state,
+                ("offset", unit),
+                _re(AxisLocation, name),
+            )
         )
     return found
 
@@ -224,7 +250,7 @@ def _curves(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> l
             cells = tuple(Cell(columns[: degree + 1]) for degree in range(first, count))
             if cells:
                 names = tuple((f"g{k}", unit) for k in range(count))
-                found.append(Candidate(effect, name, "machine", names, cells, float(len(cells)), build))
+                found.append(Candidate(effect, name, "machine", names, cells, float(len(cells)), build, space))
     return found
 
 
@@ -263,8 +289,13 @@ def _coupled(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
                 unit = "um/m2" if letter in "XYZ" else "urad/m"
                 found.append(
                     _single(
-                        "cross_axis", f"{name} by {by.name}", CrossAxis(name, by.name, 1.0), machine, state,
-                        ("coefficient", unit), _re(CrossAxis, name, by.name),
+                        "cross_axis",
+                        f"{name} by {by.name}",
+                        CrossAxis(name, by.name, 1.0),
+                        machine,
+                        state,
+                        ("coefficient", unit),
+                        _re(CrossAxis, name, by.name),
                     )
                 )
     return found
@@ -298,9 +329,13 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
         for sensor in sensors:
             found.append(
                 _single(
-                    "thermal_growth", f"{direction} by {sensor}",
-                    ThermalGrowth(frame, direction, vector, sensor, 1.0), machine, state,  # type: ignore[arg-type]
-                    ("coefficient", "um/K"), _re(ThermalGrowth, frame, direction, vector, sensor),
+                    "thermal_growth",
+                    f"{direction} by {sensor}",
+                    ThermalGrowth(frame, direction, vector, sensor, 1.0),
+                    machine,
+                    state,  # type: ignore[arg-type]
+                    ("coefficient", "um/K"),
+                    _re(ThermalGrowth, frame, direction, vector, sensor),
                 )
             )
         if "time_s" not in state:
@@ -339,8 +374,13 @@ def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
             if abs(down[2]) < 1.0 - 1e-9 and axis.side != "tool":
                 found.append(
                     _single(
-                        "table_load", axis.name, TableLoad(axis.name, vector, 1.0), machine, state,  # type: ignore[arg-type]
-                        ("tilt", "urad"), _re(TableLoad, axis.name, vector),
+                        "table_load",
+                        axis.name,
+                        TableLoad(axis.name, vector, 1.0),
+                        machine,
+                        state,  # type: ignore[arg-type]
+                        ("tilt", "urad"),
+                        _re(TableLoad, axis.name, vector),
                     )
                 )
     batch = BatchFunction(gravity_load(machine))
@@ -358,8 +398,13 @@ def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
         load = load_of(i)
         found.append(
             _single(
-                "gravity_compliance", axis.name, GravityCompliance(axis, load, 1.0), machine, state,
-                ("compliance", unit), _re(GravityCompliance, axis, load),
+                "gravity_compliance",
+                axis.name,
+                GravityCompliance(axis, load, 1.0),
+                machine,
+                state,
+                ("compliance", unit),
+                _re(GravityCompliance, axis, load),
             )
         )
     return found
@@ -371,7 +416,9 @@ def _instrument(
     found = []
     n = len(data)
 
-    def reading(columns: Sequence[Callable[[View], np.ndarray]], mask: np.ndarray, scales: Sequence[float]) -> tuple[Column, ...]:
+    def reading(
+        columns: Sequence[Callable[[View], np.ndarray]], mask: np.ndarray, scales: Sequence[float]
+    ) -> tuple[Column, ...]:
         return tuple(
             Column(lambda view, c=c: c(view) * mask[view.rows, None], scale)  # type: ignore[misc]
             for c, scale in zip(columns, scales, strict=True)
@@ -388,14 +435,30 @@ def _instrument(
         later = (number >= k).astype(float)
         if len(stations) == 1:
             found.append(
-                Candidate("frame_shift", f"round {rounds[k]}", "instrument", six, (Cell(reading([*shift, *turn], later, [LARGEST] * 6)),), 1.0)
+                Candidate(
+                    "frame_shift",
+                    f"round {rounds[k]}",
+                    "instrument",
+                    six,
+                    (Cell(reading([*shift, *turn], later, [LARGEST] * 6)),),
+                    1.0,
+                )
             )
         else:
             for name in stations:
                 mask = later * (data.station == name)
                 if 0 < mask.sum() < np.count_nonzero(data.station == name):
                     where = f"station {name} from round {rounds[k]}"
-                    found.append(Candidate("frame_shift", where, "instrument", six, (Cell(reading([*shift, *turn], mask, [LARGEST] * 6)),), 1.0))
+                    found.append(
+                        Candidate(
+                            "frame_shift",
+                            where,
+                            "instrument",
+                            six,
+                            (Cell(reading([*shift, *turn], mask, [LARGEST] * 6)),),
+                            1.0,
+                        )
+                    )
         for target in dict.fromkeys(data.target):
             of = data.target == target
             mask = later * of
@@ -403,10 +466,26 @@ def _instrument(
                 columns = [lambda view, i=i: view.by_place[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
                 names = tuple((f"shift_{a}", "um") for a in "xyz")
                 found.append(
-                    Candidate("target_shift", f"{target} from round {rounds[k]}", "instrument", names, (Cell(reading(columns, mask, [LARGEST] * 3)),), 1.0)
+                    Candidate(
+                        "target_shift",
+                        f"{target} from round {rounds[k]}",
+                        "instrument",
+                        names,
+                        (Cell(reading(columns, mask, [LARGEST] * 3)),),
+                        1.0,
+                    )
                 )
     scale = [lambda view: np.einsum("nij,nj->ni", view.by_seen, view.seen) * 1e-6]
-    found.append(Candidate("refraction_scale", "—", "instrument", (("scale", "ppm"),), (Cell(reading(scale, everything, [100.0])),), 1.0))
+    found.append(
+        Candidate(
+            "refraction_scale",
+            "—",
+            "instrument",
+            (("scale", "ppm"),),
+            (Cell(reading(scale, everything, [100.0])),),
+            1.0,
+        )
+    )
     if "time_s" in state:
         hours = (state["time_s"] - state["time_s"].min()) / 3600.0
         for name in stations:
@@ -414,7 +493,9 @@ def _instrument(
             columns = [lambda view, i=i: -view.by_base[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
             names = tuple((f"rate_{a}", "um/h") for a in "xyz")
             top = LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
-            found.append(Candidate("station_drift", name, "instrument", names, (Cell(reading(columns, mask, [top] * 3)),), 1.0))
+            found.append(
+                Candidate("station_drift", name, "instrument", names, (Cell(reading(columns, mask, [top] * 3)),), 1.0)
+            )
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
     index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
@@ -428,5 +509,7 @@ def _instrument(
             continue
         start = 6 * index[axis.name, "motion"] + (0 if axis.linear else 3)
         parts = {start + k: off * part for k, part in enumerate(axis.direction) if part != 0.0}
-        found.append(Candidate("read_back", axis.name, "instrument", (("share", "1"),), (Cell((of_components(parts),)),), 1.0))
+        found.append(
+            Candidate("read_back", axis.name, "instrument", (("share", "1"),), (Cell((of_components(parts),)),), 1.0)
+        )
     return found

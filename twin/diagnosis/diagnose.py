@@ -2,91 +2,175 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from twin.arrays import locked
 from twin.calibration import Calibration
-from twin.diagnosis.catalogue import Candidate, Cell, catalogue
+from twin.diagnosis.account import account
+from twin.diagnosis.catalogue import Candidate, Catalogue, catalogue
+from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats
 from twin.diagnosis.problem import Problem
+from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search import Pool, Screen, Selection, few, prices, select
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.network import Network, stated_covariance
-from twin.identification.screen import fitting, outliers, robust_weights
+from twin.identification.screen import explained, fitting, outliers
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
-from twin.identification.spread import covariance_from_repeats
+from twin.identification.spread import repeats
 from twin.identification.unknowns import Unknowns
 from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
 from twin.measurement import Measurements
+from twin.units import MM
 
 UNNAMED: Final = 3.0
-"""Log of how much more an unnamed pattern must show than a named cause."""
+"""Natural log of how much more an unnamed pattern must show than a named cause."""
 LOOPS: Final = 4
+ROBUST: Final = 4
 Say = Callable[[str, float], None]
+
+
+def diagnose(
+    data: Measurements,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    instrument: Instrument | None = None,
+    say: Say | None = None,
+) -> Diagnosis:
+    """Show what the model gets wrong about measured data, and name the cause.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        calibration: the model to be judged; the machine file's own if None.
+        instrument: what read the data; None where the table's uncertainties or the repeats say how it scatters.
+        say: told what is being done and how far it is.
+
+    Raises:
+        InputError: data that cannot be a measurement of this machine.
+    """
+    tell = say or (lambda stage, part: None)
+    errors = Calibration.default(machine) if calibration is None else calibration
+    with threadpool_limits(limits=1, user_api="blas"):
+        tell("placing the stations", 0.0)
+        problem, known, scatter = problem_of(data, machine, errors, instrument)
+        tell("searching", 0.2)
+        searcher = Searcher(problem, machine, known)
+        pool, best = searcher.run()
+        tell("weighing", 0.7)
+        return account(problem, known, searcher.screen, pool, best, scatter, errors)
 
 
 def problem_of(
     data: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument | None
-) -> tuple[Problem, Measurements]:
-    """The data at their fitted set-up."""
+) -> tuple[Problem, Catalogue, Scatter]:
+    """The data at their fitted set-up, whitened by what is known of their scatter, and the causes to try."""
     lengths = bool(np.isnan(data.point_mm[:, 1:]).all())
     reader = instrument or (TrackingInterferometer() if lengths else LaserTracker())
     data, setup = fitting(machine, data, lengths_only=lengths)
-    covariance = _scatter(data, reader, instrument is not None)
-    network = Network(machine, data, reader, Unknowns(machine, (), ()), calibration, covariance)
-    setup = _placed(network, setup)
-    return Problem(network, setup, calibration), data
+    nothing = Unknowns(machine, (), ())
+    covariance = stated_covariance(data, reader)
+    stated = instrument is not None or bool(np.isfinite(data.u_mm).any())
+    repeated = None if stated else _first_look(data, covariance)
+    if repeated is not None:
+        covariance = repeated
+    source = "the table's uncertainties" if np.isfinite(data.u_mm).any() else f"the figures of the {reader.name}"
+    scatter = Scatter(covariance, np.inf, source)
+    known = catalogue(machine, data)
+    network = Network(machine, data, reader, nothing, calibration, covariance)
+    network, setup, data, scatter, known = _settled(network, setup, scatter, calibration, known)
+    if not stated:
+        view = network.view(np.zeros(0), setup, np.arange(len(data)))
+        own = from_repeats(data, view, network.read, known.candidates)
+        if own is not None:
+            network = Network(machine, data, reader, nothing, calibration, own.covariance)
+            network, setup, data, scatter, known = _settled(network, setup, own, calibration, known)
+    return Problem(network, setup, calibration), known, scatter
 
 
-def _scatter(data: Measurements, reader: Instrument, given: bool) -> np.ndarray:
-    if given or np.isfinite(data.u_mm).any():
-        return stated_covariance(data, reader)
-    try:
-        return covariance_from_repeats(data, reader)[0]
-    except Exception:
-        return stated_covariance(data, reader)
+def _first_look(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
+    """The same scatter in every direction, from the median distance of repeats: enough to see outliers by; None without repeats.
+
+    The instrument's figures will not do: along the beam they are many times smaller than across, and data that do not scatter
+    like that would be full of outliers.
+    """
+    group = repeats(data)
+    size = np.bincount(group)
+    if np.sum(np.maximum(size - 1, 0)) < ENOUGH // 2:
+        return None
+    points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
+    mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
+    again = size[group] > 1
+    off = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
+    dimensions = int(np.isfinite(data.point_mm).any(axis=0).sum())
+    sigma = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / stats.chi2.median(dimensions)))
+    if sigma <= 0.0:
+        return None
+    return locked(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
 
 
-def _placed(network: Network, setup: SetUp) -> SetUp:
-    weight = np.ones(len(network.data))
-    return solve(network, np.zeros(0), setup, weight).setup
-
-
-def search(problem: Problem, data: Measurements, machine: Machine) -> tuple[Pool, Selection]:
-    """The best set of causes, named and unnamed."""
-    return Searcher(problem, data, machine).run()
+def _settled(
+    network: Network, setup: SetUp, scatter: Scatter, calibration: Calibration, known: Catalogue
+) -> tuple[Network, SetUp, Measurements, Scatter, Catalogue]:
+    """Set-up fitted without outliers; they are listed and left out."""
+    data = network.data
+    bad = np.zeros(len(data), dtype=bool)
+    for _ in range(ROBUST):
+        setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
+        found, _ = outliers(network, network.residual(np.zeros(0), setup))
+        if np.array_equal(found, bad):
+            break
+        bad = found
+    if not np.any(bad):
+        return network, setup, data, scatter, known
+    rows = np.arange(len(data))
+    difference = network.difference(np.zeros(0), setup, rows)
+    notes = explained(network, difference, network.residual(np.zeros(0), setup), bad)
+    left = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
+    kept = replace(scatter, covariance=locked(np.array(scatter.covariance[~bad])))
+    fresh = Network(network.machine, left, network.instrument, network.unknowns, calibration, kept.covariance)
+    return fresh, setup, left, kept, catalogue(network.machine, left)
 
 
 class Searcher:
-    """The catalogue on one data set's plan; the residual may change."""
+    """The catalogue and its unnamed rivals on one data set.
 
-    def __init__(self, problem: Problem, data: Measurements, machine: Machine) -> None:
+    Args:
+        problem: the data.
+        machine: the machine.
+        known: the causes to try.
+    """
+
+    def __init__(self, problem: Problem, machine: Machine, known: Catalogue) -> None:
         self.problem = problem
-        self.known = catalogue(machine, data)
-        unnamed = surrogates(machine, data)
-        costs = prices(self.known.candidates)
-        costs[EFFECT] = float(np.log(3 * len(unnamed))) + UNNAMED
-        everything: list[Candidate] = [*self.known.candidates, *unnamed]
+        self.known = known
+        unnamed = surrogates(machine, problem.network.data)
+        costs = prices(known.candidates)
+        costs[EFFECT] = float(np.log(3 * max(len(unnamed), 1))) + UNNAMED
+        everything: list[Candidate] = [*known.candidates, *unnamed]
         self.screen = Screen(problem, everything, costs)
         self.pool = Pool(problem, few(everything, costs))
 
     def run(self) -> tuple[Pool, Selection]:
+        """The best set of causes, named and unnamed, and the pool it was chosen from."""
         self.pool.slope = self.problem.along(self.pool.signature)
         best = Selection((), 0.0)
         pool = self.pool
         for _ in range(LOOPS):
-            here = {(c.key, tuple(cell.fixed.items())) for c, cell, _ in ()}
-            fresh = self.screen.peaks(pool, best.forms)
             listed = {id(form.cell) for form in pool.forms}
-            fresh = [one for one in fresh if id(one[1]) not in listed]
+            fresh = [one for one in self.screen.peaks(pool, best.forms) if id(one[1]) not in listed]
             pool = Pool(self.problem, fresh, pool)
             found = select(pool)
-            again = select(pool, best.forms) if best.forms else found
-            found = max(found, again, key=lambda one: one.worth)
+            if best.forms:
+                found = max(found, select(pool, best.forms), key=lambda one: one.worth)
             if found.worth <= best.worth + 1e-6:
                 break
             best = found

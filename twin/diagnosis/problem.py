@@ -8,6 +8,7 @@ uncertainty, as directions with unit prior variance): xᵀMy = xᵀy − (Qᵀx)
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Final, final
 
 import numpy as np
@@ -41,15 +42,30 @@ class Problem:
         network.by_setup(self.view, setup, by_setup)
         raw = by_setup.reshape(3 * n, -1) * setup.plausible
         own = self._uncertain(calibration)
-        nuisance = np.concatenate([raw, own], axis=1)
-        prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
-        u, values, _ = np.linalg.svd(np.concatenate([nuisance, prior]), full_matrices=False)
-        kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
-        self.basis = u[: 3 * n, kept]
-        self.absorbed = int(np.count_nonzero(kept)) - own.shape[1]
+        self.nuisance = np.concatenate([raw, own], axis=1)
+        self.prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
+        self.basis = _basis(self.nuisance, self.prior)
+        self.absorbed = self.basis.shape[1] - own.shape[1]
         self.projected = self.residual - self.basis @ (self.basis.T @ self.residual)
         self.chi2 = float(self.residual @ self.projected)
         self.readings = int(np.count_nonzero(network.read))
+
+    def without(self, held: np.ndarray) -> Problem | None:
+        """The same with some rows taken out (zero); None if a station or target would be lost.
+
+        Args:
+            held: (3n,) rows to take out.
+        """
+        part = copy(self)
+        keep = np.where(held, 0.0, 1.0)
+        part.nuisance = self.nuisance * keep[:, None]
+        if np.any((np.linalg.norm(part.nuisance, axis=0) == 0.0) & (np.linalg.norm(self.nuisance, axis=0) > 0.0)):
+            return None
+        part.residual = self.residual * keep
+        part.basis = _basis(part.nuisance, self.prior)
+        part.projected = part.residual - part.basis @ (part.basis.T @ part.residual)
+        part.chi2 = float(part.residual @ part.projected)
+        return part
 
     @property
     def dof(self) -> int:
@@ -87,3 +103,10 @@ class Problem:
         strong = values > 1e-12 * max(float(values[-1]), 1e-300)
         root = vectors[:, strong] * np.sqrt(values[strong])
         return np.asarray(np.stack([found[name] for name in covariance.names], axis=1) @ root)
+
+
+def _basis(nuisance: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """The readings' part of an orthonormal basis of what the set-up and the calibration's doubt can do."""
+    u, values, _ = np.linalg.svd(np.concatenate([nuisance, prior]), full_matrices=False)
+    kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
+    return np.asarray(u[: len(nuisance), kept])

@@ -8,6 +8,7 @@ search. Sets of causes are compared by what they explain less what each must exp
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -87,9 +88,16 @@ class Pool:
             self.gram = np.block([[known.gram, cross], [cross.T, problem.inner(new, new)]])
         self.slope = problem.along(self.signature)
 
-    def listed(self) -> set[tuple[tuple[str, str], tuple[int, ...]]]:
-        """Which forms are here, by cause and columns."""
-        return {(form.key, tuple(form.columns)) for form in self.forms}
+    def on(self, part: Problem) -> Pool:
+        """The same forms on other rows of the same data."""
+        other = copy(self)
+        other.problem = part
+        # Rows that are taken out are zero in the basis and the residual; in the signatures they are left out here.
+        kept = np.flatnonzero(np.abs(part.nuisance).sum(axis=1) > 0.0)
+        within = part.basis[kept].T @ self.signature[kept]
+        other.gram = self.signature[kept].T @ self.signature[kept] - within.T @ within
+        other.slope = self.signature[kept].T @ part.projected[kept]
+        return other
 
     def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray, float]:
         """Coefficients (plausible sizes) of all columns of some forms, their covariance, and what they explain."""

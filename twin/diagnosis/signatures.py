@@ -50,7 +50,9 @@ def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     return found
 
 
-def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any], which: Sequence[int] | None = None) -> list[Column]:
+def of_effect(
+    effect: Effect, machine: Machine, state: Mapping[str, Any], which: Sequence[int] | None = None
+) -> list[Column]:
     """Columns of a machine's effect, one a parameter (or some of them).
 
     Args:
@@ -62,7 +64,10 @@ def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any], which:
     index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
     at = 6 * index[effect.frame.axis, effect.frame.role]
     shapes = effect.derivatives(state)
-    return [of_components({at + i: v for i, v in shapes[k].items()}) for k in (range(len(shapes)) if which is None else which)]
+    return [
+        of_components({at + i: v for i, v in shapes[k].items()})
+        for k in (range(len(shapes)) if which is None else which)
+    ]
 
 
 def of_components(parts: Mapping[int, np.ndarray]) -> Column:

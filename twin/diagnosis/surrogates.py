@@ -46,7 +46,9 @@ def surrogates(machine: Machine, data: Measurements) -> list[Candidate]:
     return found
 
 
-def _candidates(names: tuple[str, ...], functions: np.ndarray, side: str, mask: np.ndarray, machine: Machine) -> list[Candidate]:
+def _candidates(
+    names: tuple[str, ...], functions: np.ndarray, side: str, mask: np.ndarray, machine: Machine
+) -> list[Candidate]:
     where = f"{side}|{'|'.join(column_name(name, machine) for name in names)}"
     directions = [tuple(_shift(i, functions[:, k] * mask) for k in range(functions.shape[1])) for i in range(3)]
     cells = [Cell(columns) for columns in directions]

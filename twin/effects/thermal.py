@@ -112,6 +112,10 @@ class ThermalDrift(Effect):
         self._frame = frame
         self._vector = vector
 
+    def changed(self, amplitude: float, time_constant: float) -> ThermalDrift:
+        """The same with other numbers."""
+        return ThermalDrift(self._frame, self.direction, self._vector, amplitude, time_constant)
+
     @property
     def frame(self) -> Frame:
         """The frame nearest the base."""

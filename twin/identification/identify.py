@@ -19,7 +19,7 @@ from twin.identification.result import Identification, Unidentified
 from twin.identification.screen import explained, fitting, outliers, robust_weights
 from twin.identification.setup import SetUp
 from twin.identification.solve import UNSEEN, Solution, solve
-from twin.identification.spread import between_poses, covariance_from_repeats, misfit
+from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
 from twin.identification.unknowns import Column, CurveSpace, Unknowns, spaces_for
 from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
@@ -30,7 +30,7 @@ MOST: Final = 13
 """Functions of a curve at most: degree 12, six harmonics."""
 ROBUST_ROUNDS: Final = 8
 Say = Callable[[str, float], None]
-Spread = Literal["stated", "repeats", "between poses"]
+Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 
 
 def identify(
@@ -53,7 +53,7 @@ def identify(
         instrument: what read them; a tracking interferometer if only lengths were read, else a laser tracker (AT960).
         wanted: whether an error of that ISO 230-1 name is sought at all; all if None.
         spread: whose scatter the covariance carries: the stated uncertainty of the readings; the scatter of their repeats; or the
-            scatter from pose to pose, for a model that leaves something out (`twin.identification.spread.between_poses`).
+            scatter from pose to pose or from round to round, for a model that leaves something out (`twin.identification.spread`).
         say: told what is being done and how far it is.
 
     Raises:
@@ -92,13 +92,16 @@ def _identify(
             raise InputError(
                 "no axis moved", expected="two or more positions of an axis", file=data.source, line=int(data.lines[0])
             )
-        whole = network(Unknowns(machine, spaces, constants))
-        solution, weight = _robust(whole, setup)
-        # What the data cannot tell goes first, so that it does not compete.
-        seen, lost = _seen(whole.unknowns, solution)
-        if lost:
-            whole = network(seen)
-            solution, weight = _robust(whole, solution.setup)
+        if best is not None and not spaces:
+            break  # constants alone: all families are the same
+        every = Unknowns(machine, spaces, constants)
+        whole = network(every)
+        # What the data cannot tell of the machine as drawn goes first, so that it does not compete.
+        drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
+        seen, lost = _seen(every, drawn)
+        kept = [every.index[column] for column in seen.columns] + list(range(len(every), drawn.triangle.shape[1]))
+        whole = whole if seen is every else network(seen)
+        solution, weight = _robust(whole, setup, drawn.triangle[:, kept])
         choice = choose(whole, solution, weight, Folds.of(data))
         if best is None or choice.held_out < best[0].held_out * (1.0 - 1e-6):
             best = choice, whole.unknowns, solution, weight
@@ -149,11 +152,16 @@ def _families(machine: Machine, data: Measurements) -> list[dict[str, Basis]]:
     return [first, other] if moved else [first]
 
 
-def _robust(network: Network, setup: SetUp) -> tuple[Solution, np.ndarray]:
-    """An estimate that a few wrong points do not pull, and (n,) the weights it ended with."""
-    theta = np.zeros(len(network.unknowns))
+def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solution, np.ndarray]:
+    """An estimate that a few wrong points do not pull, and (n,) the weights it ended with.
+
+    Args:
+        network: data and model.
+        setup: to start from, the machine as drawn.
+        triangle: factor of [J | r] there.
+    """
     weight = np.ones(len(network.data))
-    solution = solve(network, theta, setup, weight)
+    solution = solve(network, np.zeros(len(network.unknowns)), setup, weight, triangle=triangle)
     for _ in range(ROBUST_ROUNDS):
         whitened = network.residual(solution.theta, solution.setup)
         bad, _ = outliers(network, whitened)
@@ -204,8 +212,17 @@ def _without_outliers(
     """Least squares on all points that are no outliers of it: one is let back in when it fits after all."""
     bad = weight == 0.0
     seen: set[bytes] = set()
+    triangle: np.ndarray | None = solution.triangle
     while True:
-        solution = solve(network, solution.theta, solution.setup, (~bad).astype(float), precision=precision)
+        solution = solve(
+            network,
+            solution.theta,
+            solution.setup,
+            (~bad).astype(float),
+            precision=precision,
+            triangle=triangle,
+        )
+        triangle = None
         found, _ = outliers(network, network.residual(solution.theta, solution.setup))
         if np.array_equal(found, bad) or found.tobytes() in seen:
             return solution, bad
@@ -225,7 +242,12 @@ def _result(
     data, machine, unknowns = network.data, network.machine, network.unknowns
     count = len(unknowns)
     weight = used.astype(float)
-    whole = between_poses(network, solution, weight) if spread == "between poses" else solution.covariance()
+    if spread == "between poses":
+        whole = between_poses(network, solution, weight)
+    elif spread == "between rounds":
+        whole = between_rounds(network, solution, weight)
+    else:
+        whole = solution.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
     calibration, _ = unknowns.calibration(solution.theta, range(count), source, covariance)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg.lapack import dtpqrt
 
 from twin.arrays import locked
 from twin.calibration import Calibration
@@ -23,18 +24,32 @@ from twin.measurement import Measurements
 from twin.observation import Observation
 from twin.units import MM
 
-PIECE: Final = 2048
+PIECE: Final = 4096
 """Points worked on at a time."""
+PANEL: Final = 32
+"""Columns of a block of the factorisation: of no consequence but time."""
 
 
 @final
 @dataclass(frozen=True)
 class Piece:
-    """Some points: their rows in the data, whitened residuals (k, 3) and derivatives (k, 3, unknowns); zero where nothing was read."""
+    """Some points: their rows in the data, and (unknowns + 1, k, 3) whitened derivatives by each unknown, residuals last.
+
+    Zero where nothing was read.
+    """
 
     rows: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(k, 3)."""
+        return self.columns[-1]
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """(k, 3, unknowns)."""
+        return self.columns[:-1].transpose(1, 2, 0)
 
 
 @final
@@ -171,12 +186,15 @@ class Network:
     def _piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
-        jacobian = np.zeros((len(rows), 3, machine + len(setup)))
-        for column, shapes in enumerate(self._shapes):
+        # An unknown a row: each is then written, and factorised, as it lies in memory.
+        by_error = np.ascontiguousarray(view.by_error.transpose(2, 0, 1))
+        columns = np.zeros((machine + len(setup) + 1, len(rows), 3))
+        columns[-1] = view.residual
+        for column, shapes in zip(columns, self._shapes, strict=False):
             for at, values in shapes:
-                jacobian[:, :, column] += view.by_error[:, :, at] * values[rows, None]
-        self.by_setup(view, setup, jacobian[:, :, machine:])
-        return Piece(rows, view.residual, jacobian)
+                column += by_error[at] * values[rows, None]
+        self.by_setup(view, setup, columns[machine:-1].transpose(1, 2, 0))
+        return Piece(rows, columns)
 
     def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
         """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""
@@ -209,14 +227,16 @@ def triangle(
         weight: (n,) of each point; zero leaves it out.
         say: told the fraction done.
     """
-    found = np.zeros((0, len(theta) + len(setup) + 1))
+    size = len(theta) + len(setup) + 1
+    found = np.zeros((size, size), order="F")
     for piece in network.pieces(theta, setup):
-        both = np.concatenate([piece.jacobian, piece.residual[:, :, None]], axis=2)
-        both *= np.sqrt(weight[piece.rows])[:, None, None]
-        found = np.asarray(np.linalg.qr(np.concatenate([found, both.reshape(-1, both.shape[2])]), mode="r"))
+        both = piece.columns
+        both *= np.sqrt(weight[piece.rows])[:, None]
+        # A triangle on top of rows: LAPACK's factorisation that knows it is one.
+        found, _, _, _ = dtpqrt(0, min(PANEL, size), found, both.reshape(size, -1).T, overwrite_a=1, overwrite_b=1)
         if say is not None:
             say(float(piece.rows[-1] + 1) / len(network.data))
-    return found
+    return np.triu(found)
 
 
 def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:

@@ -242,12 +242,12 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
     scale = np.append(solution.scale, 1.0)
     for piece in network.pieces(solution.theta, solution.setup):
-        both = np.concatenate([piece.jacobian, piece.residual[:, :, None]], axis=2) * scale
-        both *= np.sqrt(weight[piece.rows])[:, None, None]
+        both = piece.columns * scale[:, None, None]
+        both *= np.sqrt(weight[piece.rows])[:, None]
         of = folds.round_of[piece.rows] * (folds.poses + 1) + pose[piece.rows]
         for cell in np.unique(of):
-            rows = both[of == cell].reshape(-1, size)
-            normal.reshape(-1, size, size)[cell] += rows.T @ rows
+            rows = both[:, of == cell].reshape(size, -1)
+            normal.reshape(-1, size, size)[cell] += rows @ rows.T
             count.reshape(-1)[cell] += np.sum(
                 network.read[piece.rows][of == cell] * (weight[piece.rows][of == cell] > 0)[:, None]
             )

@@ -50,7 +50,7 @@ def remainder_precision(unknowns: Unknowns, solution: Solution, choice: Choice) 
             precision[beyond[name]] = prior[len(columns) - len(beyond[name]) :]
         spread = np.linalg.inv(normal + free.T @ (precision[:, None] * free))
         mean = free @ (spread @ pull)
-        variance = np.einsum("ij,jk,ik->i", free, spread, free)
+        variance = np.sum((free @ spread) * free, axis=1)
         for name, columns in own.items():
             # One less than there are: the size itself was estimated from them.
             size[name] = float(np.sum((mean[columns] ** 2 + variance[columns]) / fall[name])) / max(len(columns) - 1, 1)

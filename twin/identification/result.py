@@ -54,7 +54,7 @@ class Identification:
         setup_u: standard uncertainty of each of its numbers, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
         choice: how many functions each curve has, and what the others would predict.
-        spread: whose scatter the covariance is: ``stated``, ``repeats`` or ``between poses``.
+        spread: whose scatter the covariance is: ``stated``, ``repeats``, ``between poses`` or ``between rounds``.
         data: the rows used and those left out as outliers.
         used: (n,) which were used.
         residual_mm: (n, 3) read less predicted, in each station's frame; NaN where nothing was read.
@@ -277,6 +277,7 @@ def _whose(spread: str) -> str:
         "stated": "the stated uncertainty of the readings",
         "repeats": "the scatter of repeats",
         "between poses": "the scatter from pose to pose",
+        "between rounds": "the scatter from round to round",
     }[spread]
 
 

@@ -12,7 +12,8 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.identification.network import Network, triangle
+from twin.identification.network import Network
+from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import PLAUSIBLE
 
@@ -21,8 +22,9 @@ WEAKEST: Final = 0.1
 UNSEEN: Final = 0.25
 """An unknown whose variance stays above this share of its plausible one has not been determined."""
 STEPS: Final = 25
-STILL: Final = 1e-7
-"""A step that changes no reading's whitened residual sum by more than this (root of the sum) is the last."""
+STILL: Final = 1e-4
+"""A step that changes the whitened residuals by no more than this (root of the sum of squares) is the last: the errors of a machine
+are small, the next step is a thousandth of it or less, and what is left 1e-7 of a standard uncertainty."""
 
 
 @final
@@ -82,6 +84,7 @@ def solve(
     *,
     precision: np.ndarray | None = None,
     steps: int = STEPS,
+    triangle: np.ndarray | None = None,
 ) -> Solution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
@@ -93,6 +96,7 @@ def solve(
         precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.remainder`); none
             if None.
         steps: at most.
+        triangle: factor of [J | r] at the start, for whoever has it; found if None.
     """
     machine = len(network.unknowns)
     scale = np.concatenate([np.full(machine, PLAUSIBLE), setup.plausible])
@@ -102,7 +106,8 @@ def solve(
         root[:, :machine] = np.diag(np.sqrt(precision))
     taken, converged = 0, False
     while True:
-        found = triangle(network, theta, setup, weight)
+        found = factor(network, theta, setup, weight) if triangle is None else triangle
+        triangle = None
         data = found[:, :-1] * scale @ free
         u, values, v = np.linalg.svd(np.concatenate([data, root * scale @ free]), full_matrices=True)
         strong = int(np.count_nonzero(values > WEAKEST))

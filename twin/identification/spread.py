@@ -134,8 +134,8 @@ def covariance_from_repeats(data: Measurements, instrument: Instrument) -> tuple
 def between_poses(network: Network, solution: Solution, weight: np.ndarray) -> np.ndarray:
     """Covariance of an estimate whose model leaves something out that changes from pose to pose.
 
-    The sandwich A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a pose (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986): it
-    holds whatever the scatter between poses is, as long as the poses are many and drawn as those the machine will work in.
+    Holds for poses drawn one by one, as those the machine will work in. Where neighbours were measured together they miss alike, and
+    `between_rounds` is the one that holds.
 
     Args:
         network: data and model.
@@ -143,11 +143,40 @@ def between_poses(network: Network, solution: Solution, weight: np.ndarray) -> n
         weight: (n,) of each point.
     """
     _, pose = np.unique(np.round(network.data.positions, 3), axis=0, return_inverse=True)
-    pose = pose.reshape(-1)
-    scores = np.zeros((pose.max() + 1, len(solution.scale)))
+    return _sandwich(network, solution, weight, pose.reshape(-1))
+
+
+def between_rounds(network: Network, solution: Solution, weight: np.ndarray) -> np.ndarray:
+    """The same where what is left out is shared by the points of a round: poses about one place, one warming up.
+
+    Args:
+        network: data and model.
+        solution: the estimate.
+        weight: (n,) of each point.
+
+    Raises:
+        InputError: fewer rounds than numbers determined.
+    """
+    names, group = np.unique(network.data.round.astype(str), return_inverse=True)
+    if len(names) <= len(solution.strength):
+        raise InputError(
+            "too few rounds to know their scatter from",
+            expected=f"more than the {len(solution.strength)} numbers determined",
+            file=network.data.source,
+            value=len(names),
+        )
+    return _sandwich(network, solution, weight, group.reshape(-1))
+
+
+def _sandwich(network: Network, solution: Solution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
+
+    It holds whatever the scatter between groups is, as long as the groups are many and drawn as those to come.
+    """
+    scores = np.zeros((group.max() + 1, len(solution.scale)))
     for piece in network.pieces(solution.theta, solution.setup):
         own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
-        np.add.at(scores, pose[piece.rows], own)
+        np.add.at(scores, group[piece.rows], own)
     bread = solution.scale[:, None] * (solution.directions / solution.strength**2) @ solution.directions.T
     flat = (scores * solution.scale) @ bread.T
     count = len(scores)

@@ -54,16 +54,17 @@ def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> 
 def _by_points(
     told: SetUp, base: np.ndarray, turn: np.ndarray, data: Measurements, station: np.ndarray, target: np.ndarray
 ) -> tuple[SetUp, np.ndarray]:
-    whole = np.isfinite(data.point_mm).all(axis=1)
+    point = _filled(told, data.point_mm, station)
+    whole = np.isfinite(point).all(axis=1)
     for i, name in enumerate(told.stations):
         if not told.station_known[i] and np.count_nonzero(whole & (station == i)) < 3:
             raise InputError(
-                f"station {name} has fewer than 3 points with all three coordinates",
-                expected="whole points to place a tracker by, or its pose in the station columns",
+                f"station {name} has fewer than 3 points with all three coordinates, or with the same two",
+                expected="points to place it by, or its pose in the station columns",
                 file=data.source,
                 line=int(data.lines[np.flatnonzero(station == i)[0]]),
             )
-    y, b, a = np.where(whole[:, None], data.point_mm, 0.0) * MM, base, turn
+    y, b, a = np.where(whole[:, None], point, 0.0) * MM, base, turn
     n, stations, targets = len(y), len(told.stations), len(told.targets)
     matrix = np.zeros((n, 3, 12 * stations + 3 * targets))
     rows = np.arange(n)
@@ -88,7 +89,8 @@ def _by_points(
     for _ in range(SWEEPS):
         root = np.sqrt(weight)[:, None]
         flat = (matrix[:, :, ~known] * root[:, :, None]).reshape(3 * n, -1)
-        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
+        size = np.linalg.norm(flat, axis=0)
+        scale = np.where(size > 0.0, size, 1.0)
         # A motion along one line leaves directions that nothing determines: the smallest answer is as good as any.
         solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-9)[0] / scale
         found = np.array(values)
@@ -131,6 +133,20 @@ def _by_points(
     place = full[12 * stations :].reshape(-1, 3)
     setup = replace(told, rotation=locked(rotation), origin=locked(origin), place=locked(np.array(place)))
     return setup, np.where(whole, misfit, 0.0)
+
+
+def _filled(told: SetUp, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
+    """(n, 3) points, mm, in which a station that read two coordinates has zero as the third: it read a plane, and stands in it."""
+    point = np.array(point_mm)
+    for i in np.flatnonzero(~told.station_known):
+        of = np.flatnonzero(station == i)
+        read = np.isfinite(point[of])
+        if np.count_nonzero(read.all(axis=1)) >= 3:
+            continue
+        flat = (read.sum(axis=1) == 2)[:, None] & ~read
+        third = int(np.argmax(flat.sum(axis=0)))
+        point[of[flat[:, third]], third] = 0.0
+    return point
 
 
 def _by_lengths(

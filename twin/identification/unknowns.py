@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Final, final
 
 import numpy as np
@@ -55,7 +55,7 @@ class CurveSpace:
     @cached_property
     def transform(self) -> np.ndarray:
         """(count, count) coefficients of the basis for each orthonormal function, a column each; upper triangular."""
-        x, w = np.polynomial.legendre.leggauss(NODES)
+        x, w = _rule()
         lo, hi = self.domain
         values = self._raw((lo + hi) / 2.0 + x * (hi - lo) / 2.0)
         _, triangle = np.linalg.qr(values * np.sqrt(w / 2.0)[:, None])
@@ -67,7 +67,7 @@ class CurveSpace:
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and weights of a mean over the domain."""
-        x, w = np.polynomial.legendre.leggauss(NODES)
+        x, w = _rule()
         lo, hi = self.domain
         return (lo + hi) / 2.0 + x * (hi - lo) / 2.0, w / 2.0
 
@@ -171,7 +171,7 @@ class Unknowns:
                                 row[self.index[Column(space.name, k)]] = inner[k]
                     if np.abs(row).max(initial=0.0) > 1e-9:
                         rows.append(row / np.linalg.norm(row))
-        return locked(np.array(rows).reshape(-1, len(self)))
+        return locked(np.array(rows).reshape(len(rows), len(self)))
 
     def calibration(
         self, theta: np.ndarray, kept: Sequence[int], source: str, covariance: np.ndarray | None
@@ -272,6 +272,13 @@ def spaces_for(
             if split_name(name)[2] == axis.name and wanted(name)
         ]
     return curves, constants
+
+
+@cache
+def _rule() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of the Gauss-Legendre rule, found once."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return locked(x), locked(w)
 
 
 def distinct_positions(q: np.ndarray) -> np.ndarray:

@@ -1,0 +1,339 @@
+"""From a set of causes to an answer: sizes, doubts, what is left, what modelling it gains, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import stats
+
+from twin.arrays import locked
+from twin.budget import volume
+from twin.calibration import Calibration
+from twin.diagnosis.catalogue import Catalogue
+from twin.diagnosis.estimate import Estimate, estimate
+from twin.diagnosis.noise import Scatter
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
+from twin.diagnosis.search import Form, Pool, Screen, Selection, cost, select
+from twin.diagnosis.surrogates import EFFECT, depends_on
+from twin.effects import Effect, assemble
+from twin.kinematics import Kinematics
+
+DOUBT: Final = 9.21
+"""Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
+LARGE: Final = 1e-4
+BOOTSTRAP: Final = 2000
+RANKED: Final = 12
+
+
+def account(
+    problem: Problem,
+    known: Catalogue,
+    screen: Screen,
+    pool: Pool,
+    best: Selection,
+    scatter: Scatter,
+    calibration: Calibration,
+) -> Diagnosis:
+    """The whole answer.
+
+    Args:
+        problem: the data.
+        known: the causes that were tried.
+        screen: the candidates with many forms.
+        pool: what was compared.
+        best: the set that was chosen.
+        scatter: of the readings.
+        calibration: the model that was judged.
+    """
+    named = [form for form in best.forms if form.candidate.effect != EFFECT]
+    unnamed = [form for form in best.forms if form.candidate.effect == EFFECT]
+    forms = [*named, *unnamed]
+    found = estimate(problem, forms)
+    excess = max(problem.chi2 - problem.dof, found.explained, 1e-30)
+    causes = []
+    for k, form in enumerate(named):
+        others = [one for one in forms if one is not form]
+        explained, dof, log_p = pool.scores(others, [_index(pool, form)])[0]
+        causes.append(
+            Cause(
+                effect=form.candidate.effect,
+                where=form.candidate.where,
+                origin=form.candidate.origin,
+                parameters=found.quantities[k],
+                p_value=float(np.exp(log_p)),
+                share=float(np.clip(explained / excess, 0.0, 1.0)),
+                equivalent=_equivalent(pool, form, others, explained - cost(dof, form.price)),
+                evidence=_evidence(form, found, k),
+                effects=found.effects[k],
+            )
+        )
+    alone = [float(np.exp(pool.scores([], [_index(pool, form)])[0, 2])) for form in unnamed]
+    causes.sort(key=lambda cause: -cause.share)
+    left = _unexplained(pool, unnamed, forms, excess)
+    p_value = _p_value(problem, scatter)
+    if left is None and not causes and p_value < LARGE:
+        left = Unexplained(1.0, (), "both", "more scatter than stated, without any pattern in the columns given")
+    elif left is None and causes:
+        after = problem.chi2 - found.explained
+        if stats.chi2.sf(after, problem.dof - len(causes)) < LARGE and not np.isfinite(scatter.dof):
+            share = float((after - problem.dof) / excess)
+            left = Unexplained(
+                share, (), "both", "more scatter than stated is left, without any pattern in the columns given"
+            )
+    verdict = (
+        "unexplained"
+        if left is not None
+        else "consistent"
+        if not causes
+        else "ambiguous"
+        if any(cause.equivalent for cause in causes)
+        else "explained"
+    )
+    extended = (
+        replace(
+            calibration,
+            extra=(*calibration.extra, *(effect for cause in causes for effect in cause.effects)),
+            path=None,
+        )
+        if causes
+        else calibration
+    )
+    weights = problem.network.whitening
+    before_um = _unwhitened(problem, problem.projected)
+    rest = problem.residual - found.signature.sum(axis=1)
+    after_um = _unwhitened(problem, rest - problem.basis @ (problem.basis.T @ rest))
+    read = problem.network.read
+    return Diagnosis(
+        verdict=verdict,  # type: ignore[arg-type]
+        rms_um=_rms(before_um, read),
+        expected_rms_um=_expected(problem, weights),
+        points=len(problem.network.data),
+        dof=problem.dof,
+        p_value=min(
+            [
+                p_value,
+                *(cause.p_value for cause in causes),
+                *(float(np.exp(pool.scores([], [_index(pool, f)])[0, 2])) for f in unnamed),
+            ]
+        ),
+        causes=tuple(causes),
+        unexplained=left,
+        unidentifiable=_unidentifiable(pool, screen, known),
+        not_evaluated=known.not_evaluated,
+        gain=_gain(problem, pool, forms, found, before_um, after_um) if causes else None,
+        next_measurement=(),
+        ranking=_ranking(pool),
+        scatter=scatter.source,
+        calibration=calibration,
+        extended=extended,
+        data=problem.network.data,
+        residual_um=locked(before_um),
+        after_um=locked(after_um),
+    )
+
+
+def _index(pool: Pool, form: Form) -> int:
+    return next(i for i, one in enumerate(pool.forms) if one is form)
+
+
+def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -> tuple[tuple[str, str], ...]:
+    """What could stand in this cause's place, the others kept, without the data objecting."""
+    used = {one.key for one in others} | {form.key}
+    tried = [i for i, one in enumerate(pool.forms) if one.key not in used and one.candidate.effect != EFFECT]
+    scores = pool.scores(others, tried)
+    best: dict[tuple[str, str], float] = {}
+    for i, (explained, dof, _) in zip(tried, scores, strict=True):
+        if dof > 0:
+            worth = float(explained - cost(dof, pool.forms[i].price))
+            best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
+    return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
+
+
+def _unexplained(pool: Pool, unnamed: Sequence[Form], forms: Sequence[Form], excess: float) -> Unexplained | None:
+    if not unnamed:
+        return None
+    columns: list[str] = []
+    sides: set[str] = set()
+    share = 0.0
+    for form in unnamed:
+        others = [one for one in forms if one is not form]
+        explained = pool.scores(others, [_index(pool, form)])[0, 0]
+        share += float(explained) / excess
+        side, names = depends_on(form.candidate)
+        sides.add(side)
+        columns += [name for name in names if name not in columns]
+    carrier = sides.pop() if len(sides) == 1 else "both"
+    text = (
+        f"a pattern that goes with {' and '.join(columns)} on the {carrier} side, {100 * min(share, 1.0):.0f} % of the excess, "
+        "fits no effect that is known here"
+    )
+    return Unexplained(min(share, 1.0), tuple(columns), carrier, text)
+
+
+def _evidence(form: Form, found: Estimate, k: int) -> str:
+    size = max(found.quantities[k], key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
+    unit = size.unit.replace("urad", "µrad").replace("um", "µm")
+    where = form.candidate.where
+    text = {
+        "reversal": f"{where} stands {abs(size.value):.3g} {unit} apart depending on the side it came from",
+        "pitch_error": f"{where} errs periodically along its travel",
+        "squareness": f"{where}: the axes are out of square by {size.value:.3g} {unit} more than the model says",
+        "axis_location": f"{where}: the axis's average line lies {size.value:.3g} {unit} from where the model has it",
+        "angular_error_motion": f"{where}: the axis turns as it travels, otherwise than the model says",
+        "straightness": f"{where}: the axis runs along another curve than the model says",
+        "positioning": f"{where}: the axis stands elsewhere along its travel than the model says",
+        "harmonic": f"{where}: an error that repeats with the turn of the axis",
+        "thermal_expansion": f"{where}'s scale lengthens by {size.value:.3g} {unit} as it warms",
+        "thermal_growth": f"the tool side moves along {where} as that sensor warms",
+        "thermal_drift": f"the tool side creeps along {where} as the machine warms up",
+        "cross_axis": f"{where}: one axis's error grows with another axis's position",
+        "table_load": f"the cradle on {where} droops by {size.value:.3g} {unit} when turned",
+        "frame_shift": f"the instrument's frame was re-aligned from {where} on",
+        "gravity_compliance": f"{where} gives way under gravity",
+        "zero_offset": f"{where}'s zero is off by {size.value:.3g} {unit}",
+        "read_back": f"the positions reported for {where} are not those the measurement follows",
+        "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
+        "station_drift": f"station {where} creeps while it measures",
+        "target_shift": f"target {where} sits elsewhere than before",
+    }[form.candidate.effect]
+    return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+
+
+def _p_value(problem: Problem, scatter: Scatter) -> float:
+    if np.isfinite(scatter.dof):
+        return float(stats.f.sf(problem.chi2 / problem.dof, problem.dof, scatter.dof))
+    return float(stats.chi2.sf(problem.chi2, problem.dof))
+
+
+def _unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(n, 3) µm."""
+    read = problem.network.read
+    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening, np.eye(3))
+    found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    return np.where(read, found * 1e6, np.nan)
+
+
+def _rms(values: np.ndarray, read: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values[read] ** 2)))
+
+
+def _expected(problem: Problem, weights: np.ndarray) -> float:
+    variances = np.einsum("nii->ni", problem.network.covariance)[problem.network.read]
+    return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
+
+
+def _unidentifiable(pool: Pool, screen: Screen, known: Catalogue) -> tuple[tuple[str, str], ...]:
+    everything = list(range(len(pool.forms)))
+    seen: dict[tuple[str, str], bool] = {}
+    for form, score in zip(pool.forms, pool.scores([], everything), strict=True):
+        seen[form.key] = seen.get(form.key, False) or score[1] > 0
+    return tuple(candidate.key for candidate in known.candidates if not seen.get(candidate.key, True))
+
+
+def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
+    everything = list(range(len(pool.forms)))
+    best: dict[tuple[str, str], tuple[float, float]] = {}
+    for form, (explained, _, log_p) in zip(pool.forms, pool.scores([], everything), strict=True):
+        if form.candidate.effect != EFFECT and log_p < best.get(form.key, (0.0, 1.0))[1]:
+            best[form.key] = float(explained), float(log_p)
+    ranked = sorted(best.items(), key=lambda one: one[1][1])[:RANKED]
+    return tuple((effect, where, explained, float(np.exp(log_p))) for (effect, where), (explained, log_p) in ranked)
+
+
+def _gain(
+    problem: Problem, pool: Pool, forms: Sequence[Form], found: Estimate, before: np.ndarray, after: np.ndarray
+) -> Gain:
+    read = problem.network.read
+    held_before, held_after, interval = _held_out(problem, pool)
+    machine_effects = [effect for effects in found.effects for effect in effects]
+    tool_before, tool_after = _at_tool(problem, machine_effects, found, forms)
+    return Gain(_rms(before, read), _rms(after, read), held_before, held_after, interval, tool_before, tool_after)
+
+
+def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, float]]:
+    """Residuals of rounds that neither the selection nor the fit has seen, without and with the causes chosen then."""
+    data = problem.network.data
+    rounds = list(dict.fromkeys(data.round))
+    if len(rounds) < 2:
+        return float("nan"), float("nan"), (float("nan"), float("nan"))
+    sums = []
+    for name in rounds:
+        held = np.repeat(data.round == name, 3)
+        part = problem.without(held)
+        if part is None:
+            return float("nan"), float("nan"), (float("nan"), float("nan"))
+        small = pool.on(part)
+        chosen = select(small).forms
+        columns = np.unique(np.concatenate([form.columns for form in chosen])) if chosen else np.zeros(0, dtype=int)
+        signature = pool.signature[:, columns]
+        plain = _predicted(problem, held, np.zeros((len(held), 0)))
+        better = _predicted(problem, held, signature)
+        sums.append(
+            [
+                _squares(problem, plain, held),
+                _squares(problem, better, held),
+                float(np.count_nonzero(problem.network.read[data.round == name])),
+            ]
+        )
+    table = np.array(sums)
+    rng = np.random.default_rng(2001)
+    drawn = table[rng.integers(0, len(table), (BOOTSTRAP, len(table)))].sum(axis=1)
+    gains = np.sqrt(drawn[:, 0] / drawn[:, 2]) - np.sqrt(drawn[:, 1] / drawn[:, 2])
+    total = table.sum(axis=0)
+    low, high = np.quantile(gains, [0.025, 0.975])
+    return float(np.sqrt(total[0] / total[2])), float(np.sqrt(total[1] / total[2])), (float(low), float(high))
+
+
+def _predicted(problem: Problem, held: np.ndarray, signature: np.ndarray) -> np.ndarray:
+    """Whitened residual of held-out readings after a fit of set-up and causes to the others."""
+    whole = np.concatenate([problem.nuisance, signature], axis=1)
+    prior = np.concatenate([problem.prior, np.zeros((len(problem.prior), signature.shape[1]))], axis=1)
+    train = np.concatenate([whole[~held], prior])
+    right = np.concatenate([problem.residual[~held], np.zeros(len(prior))])
+    scale = np.maximum(np.linalg.norm(train, axis=0), 1e-300)
+    solved = np.linalg.lstsq(train / scale, right, rcond=1e-9)[0] / scale
+    return np.asarray(problem.residual[held] - whole[held] @ solved)
+
+
+def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> float:
+    """Sum of squares in µm² of whitened residuals."""
+    rows = held.reshape(-1, 3)[:, 0]
+    read = problem.network.read[rows]
+    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
+    found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0] * 1e6
+    return float(np.sum(np.where(read, found, 0.0) ** 2))
+
+
+def _at_tool(
+    problem: Problem, effects: Sequence[Effect], found: Estimate, forms: Sequence[Form]
+) -> tuple[float, float]:
+    """RMS at the tool over the volume that compensating with the old model leaves, and with the new one (its uncertainty)."""
+    if not effects:
+        return 0.0, 0.0
+    network = problem.network
+    machine = network.machine
+    positions = volume(machine, 400)
+    rng = np.random.default_rng(16907)
+    state: dict[str, Any] = {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
+    state |= {f"approach_{axis.name}": rng.choice([-1.0, 1.0], len(positions)) for axis in machine.axes}
+    rows = rng.integers(0, len(network.data), len(positions))
+    state["time_s"] = np.asarray(network.data.time_s)[rows]
+    state |= {f"T_{name}_degC": np.asarray(values)[rows] for name, values in network.data.temperature_degC.items()}
+    by_error = Kinematics(machine, Calibration.zero(machine)).sensitivities(positions).error[:, :3]
+    frames = assemble(effects, machine.frames, state)
+    errors = np.stack(
+        [np.broadcast_to(np.asarray(v, dtype=float), len(positions)) for row in frames for v in row], axis=1
+    )
+    moved = np.einsum("nij,nj->ni", by_error, errors) * 1e6
+    before = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    # What is left is what the sizes are uncertain by.
+    share = [
+        min((q.u / abs(q.value)) for q in own if q.u > 0.0 and q.value != 0.0)
+        for own, made in zip(found.quantities, found.effects, strict=True)
+        if made and any(q.u > 0.0 and q.value != 0.0 for q in own)
+    ]
+    return before, before * min(1.0, float(np.sqrt(np.mean(np.square(share))))) if share else before

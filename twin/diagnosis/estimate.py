@@ -1,0 +1,177 @@
+"""How large each cause is: all their parameters together, the non-linear ones too, with the set-up free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.result import Quantity
+from twin.diagnosis.search import Form
+from twin.diagnosis.signatures import of_effect, state_of
+from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
+
+STEPS: Final = 12
+STILL: Final = 1e-6
+
+
+@final
+@dataclass(frozen=True)
+class Estimate:
+    """Parameters of some causes.
+
+    Attributes:
+        quantities: by cause.
+        effects: by cause; empty for an instrument's.
+        signature: (3n, k) what the causes do to the whitened readings, one column a cause.
+        explained: of the misfit.
+    """
+
+    quantities: tuple[tuple[Quantity, ...], ...]
+    effects: tuple[tuple[Effect, ...], ...]
+    signature: np.ndarray
+    explained: float
+
+
+def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
+    """Gauss-Newton on all parameters of the causes, the set-up projected out.
+
+    Args:
+        problem: the data.
+        forms: the causes, named or not.
+    """
+    if not forms:
+        return Estimate((), (), np.zeros((len(problem.residual), 0)), 0.0)
+    machine = problem.network.machine
+    state = state_of(problem.network.data, machine)
+    columns = [problem.signature(form.cell.columns) / _scales(form) for form in forms]
+    values = _linear(problem, columns)
+    effects: list[tuple[Effect, ...]] = [
+        () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
+        for form, value in zip(forms, values, strict=True)
+    ]
+    curved = [bool(found) and isinstance(found[0], PitchError | ThermalDrift) for found in effects]
+    for _ in range(STEPS if any(curved) else 1):
+        blocks, current = [], []
+        for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
+            if bent:
+                blocks.append(
+                    np.stack([c.reading(problem.view).reshape(-1) for c in of_effect(found[0], machine, state)], axis=1)
+                )
+                current.append(np.array([p.value for p in found[0].parameters]))
+            else:
+                blocks.append(columns[k])
+                current.append(values[k])
+        made = [
+            _made(problem, machine, state, effects[k]) if curved[k] else columns[k] @ current[k]
+            for k in range(len(forms))
+        ]
+        left = problem.residual - np.sum(made, axis=0) if made else problem.residual
+        whole = np.concatenate(blocks, axis=1)
+        inverse, step = _solved(problem, whole, left)
+        moved = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
+        at = 0
+        for k, block in enumerate(blocks):
+            own = step[at : at + block.shape[1]]
+            at += block.shape[1]
+            if curved[k]:
+                effects[k] = (_with(effects[k][0], current[k] + own),)
+            else:
+                values[k] = values[k] + own
+                if forms[k].candidate.build is not None:
+                    effects[k] = forms[k].candidate.build(values[k], forms[k].cell.fixed)  # type: ignore[misc]
+        if moved < STILL:
+            break
+    made = [
+        _made(problem, machine, state, effects[k]) if curved[k] else columns[k] @ values[k] for k in range(len(forms))
+    ]
+    signature = np.stack(made, axis=1) if made else np.zeros((len(problem.residual), 0))
+    total = signature.sum(axis=1)
+    left = problem.residual - total
+    after = float(left @ left - np.sum((problem.basis.T @ left) ** 2))
+    quantities, at = [], 0
+    for k, form in enumerate(forms):
+        width = blocks[k].shape[1]
+        own = inverse[at : at + width, at : at + width]
+        at += width
+        quantities.append(_quantities(form, effects[k], values[k], own))
+    return Estimate(tuple(quantities), tuple(effects), signature, problem.chi2 - after)
+
+
+def _scales(form: Form) -> np.ndarray:
+    return np.array([column.scale for column in form.cell.columns])
+
+
+def _linear(problem: Problem, columns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    if not columns:
+        return []
+    _, found = _solved(problem, np.concatenate(columns, axis=1), problem.residual)
+    return list(np.split(found, np.cumsum([c.shape[1] for c in columns])[:-1]))
+
+
+def _solved(problem: Problem, columns: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and least-squares step; nothing along what the data do not see."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / size
+    gram = problem.inner(scaled, scaled)
+    values, vectors = np.linalg.eigh(gram)
+    seen = values > 1e-9 * max(float(values[-1]), 1e-300)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    slope = scaled.T @ (residual - problem.basis @ (problem.basis.T @ residual))
+    return inverse / np.outer(size, size), (inverse @ slope) / size
+
+
+def _made(problem: Problem, machine: object, state: object, effects: Sequence[Effect]) -> np.ndarray:
+    """(3n,) what effects do to the whitened readings."""
+    view, frames = problem.view, problem.network.machine.frames
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
+    found = np.zeros((len(view.rows), 3))
+    for effect in effects:
+        at = 6 * index[effect.frame.axis, effect.frame.role]
+        for i, values in effect.components(state).items():  # type: ignore[arg-type]
+            found += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
+    return found.reshape(-1)
+
+
+def _with(effect: Effect, values: np.ndarray) -> Effect:
+    numbers = [float(v) for v in values]
+    if isinstance(effect, PitchError):
+        amplitude, period, phase = numbers
+        if amplitude < 0.0:
+            amplitude, phase = -amplitude, phase + np.pi
+        return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
+    if isinstance(effect, ThermalDrift):
+        tau = max(numbers[1], 0.3 * effect.time_constant)
+        return effect.changed(numbers[0], min(tau, 3.0 * effect.time_constant))
+    return effect
+
+
+def _quantities(
+    form: Form, effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
+) -> tuple[Quantity, ...]:
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if effects and isinstance(effects[0], PitchError | ThermalDrift):
+        return tuple(
+            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
+            for p, one in zip(effects[0].parameters, u, strict=True)
+        )
+    if effects and isinstance(effects[0], ErrorMotion):
+        # Orthonormal functions to the file's powers, with their covariance.
+        space = form.candidate.space
+        n = len(values)
+        matrix = np.eye(n) if space is None else space.transform[:n, :n]
+        spread = np.sqrt(np.maximum(np.diag(matrix @ covariance @ matrix.T), 0.0))
+        return tuple(
+            Quantity(f"c{k}", p.value, p.unit, float(one))
+            for k, (p, one) in enumerate(zip(effects[0].parameters, spread, strict=True))
+        )
+    found = tuple(
+        Quantity(name, float(value), unit, float(one))
+        for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
+    )
+    if "order" in form.cell.fixed:
+        found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)
+    return found

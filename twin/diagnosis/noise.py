@@ -1,0 +1,111 @@
+"""How far readings scatter when nothing changes: as the table says, as the instrument says, or as the repeats say.
+
+Repeats are compared after everything that may honestly differ between them (a frame, a target, time, temperature) is taken out, or a
+drift would pass for scatter and hide itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.signatures import Column
+from twin.identification.network import View
+from twin.identification.spread import repeats
+from twin.instruments.base import along_and_across
+from twin.measurement import Measurements
+
+ENOUGH: Final = 60
+"""Degrees of freedom of repeats below which the instrument's own figures are taken."""
+CHANGING: Final = (
+    "frame_shift",
+    "target_shift",
+    "station_drift",
+    "thermal_expansion",
+    "thermal_growth",
+    "thermal_drift",
+    "refraction_scale",
+)
+"""Effects that may make two readings of one point differ."""
+
+
+@final
+@dataclass(frozen=True)
+class Scatter:
+    """Covariance of the readings.
+
+    Attributes:
+        covariance: (n, 3, 3) m².
+        dof: degrees of freedom it is known with; infinite where it is given.
+        source: in words.
+    """
+
+    covariance: np.ndarray
+    dof: float
+    source: str
+
+
+def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...]) -> Scatter | None:
+    """Scatter along and across the beam from repeats; None if they are too few.
+
+    Args:
+        data: the measurements.
+        view: all points, whitened by anything that is isotropic (its whitening is taken out again).
+        read: (n, 3) coordinates that were read.
+        known: the catalogue.
+    """
+    group = repeats(data)
+    size = np.bincount(group)
+    again = size[group] > 1
+    if np.sum(np.maximum(size - 1, 0)) < ENOUGH // 2:
+        return None
+    columns: list[Column] = [
+        column
+        for c in known
+        if c.effect in CHANGING
+        for cell in c.cells[:: max(len(c.cells) // 4, 1)]
+        for column in cell.columns
+    ]
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    residual = np.einsum("nij,nj->ni", raw, view.residual)
+    nuisance = [np.einsum("nij,nj->ni", raw, column.reading(view) * column.scale) for column in columns]
+    every = np.stack([residual, *nuisance], axis=2)
+    every *= read[:, :, None]
+    total = np.zeros((len(size), *every.shape[1:]))
+    np.add.at(total, group, every)
+    every = (every - total[group] / size[group][:, None, None]) * again[:, None, None]
+    flat = every.reshape(-1, every.shape[2])
+    scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
+    u, values, _ = np.linalg.svd(flat[:, 1:] / scale, full_matrices=False)
+    basis = u[:, values > 1e-8] if len(values) and values[0] > 0.0 else u[:, :0]
+    left = (flat[:, 0] - basis @ (basis.T @ flat[:, 0])).reshape(-1, 3)
+    taken = basis.reshape(-1, 3, basis.shape[1])
+    free = np.where(again, 1.0 - 1.0 / size[group], 0.0)
+    if not read[:, 1:].any():
+        dof = float(np.sum(free) - np.sum(taken[:, 0] ** 2))
+        if dof < ENOUGH:
+            return None
+        found = np.zeros((len(data), 3, 3))
+        found[:, 0, 0] = np.sum(left[:, 0] ** 2) / dof
+        return Scatter(
+            locked(found), dof, f"repeats: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
+        )
+    beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
+    along = np.einsum("ni,ni->n", left, beam)
+    used = float(np.sum(np.einsum("nik,ni->nk", taken, beam) ** 2))
+    dof_along = float(np.sum(free)) - used
+    dof_across = 2.0 * float(np.sum(free)) - (basis.shape[1] - used)
+    if dof_along < ENOUGH:
+        return None
+    a = float(np.sqrt(np.sum(along**2) / dof_along))
+    c = float(np.sqrt((np.sum(left**2) - np.sum(along**2)) / dof_across))
+    if abs(np.log(a / c)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
+        # The same in all directions as far as the repeats can tell: one number, known better.
+        a = c = float(np.sqrt(np.sum(left**2) / (dof_along + dof_across)))
+    n = len(data)
+    text = f"repeats: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
+    return Scatter(locked(along_and_across(view.seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)

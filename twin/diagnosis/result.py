@@ -1,0 +1,233 @@
+"""What a diagnosis says, in values, words and JSON (contract §4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.effects import Effect
+from twin.measurement import Measurements
+
+SCHEMA: Final = "twin.diagnosis/1"
+Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
+
+
+@final
+@dataclass(frozen=True)
+class Quantity:
+    """One number found: value and standard uncertainty in a unit."""
+
+    name: str
+    value: float
+    unit: str
+    u: float
+
+
+@final
+@dataclass(frozen=True)
+class Cause:
+    """One cause found.
+
+    Attributes:
+        effect, where, origin: contract §5.
+        parameters: with standard uncertainties.
+        p_value: of what it explains given the other causes, the search paid for.
+        share: of the excess residual sum of squares.
+        equivalent: (effect, where) of what these data cannot tell from it.
+        evidence: one sentence a machinist can read.
+        effects: what extends the model; empty for an instrument's.
+    """
+
+    effect: str
+    where: str
+    origin: str
+    parameters: tuple[Quantity, ...]
+    p_value: float
+    share: float
+    equivalent: tuple[tuple[str, str], ...]
+    evidence: str
+    effects: tuple[Effect, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON."""
+        return {
+            "effect": self.effect,
+            "where": self.where,
+            "origin": self.origin,
+            "parameters": [{"name": q.name, "value": q.value, "unit": q.unit, "u": q.u} for q in self.parameters],
+            "p_value": self.p_value,
+            "share": self.share,
+            "equivalent": [{"effect": effect, "where": where} for effect, where in self.equivalent],
+            "evidence": self.evidence,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Unexplained:
+    """Structure no known effect accounts for."""
+
+    share: float
+    depends_on: tuple[str, ...]
+    carrier: str
+    evidence: str
+
+
+@final
+@dataclass(frozen=True)
+class Gain:
+    """What modelling the causes changes.
+
+    Attributes:
+        rms_before_um, rms_after_um: of the residuals a coordinate, all data.
+        held_before_um, held_after_um: on rounds that neither selection nor fit has seen; NaN with one round.
+        held_ci95_um: 95 % bootstrap interval, by round, of the difference of the two.
+        tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each model, the extended one
+            taken as the machine.
+    """
+
+    rms_before_um: float
+    rms_after_um: float
+    held_before_um: float
+    held_after_um: float
+    held_ci95_um: tuple[float, float]
+    tool_before_um: float
+    tool_after_um: float
+
+
+@final
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer.
+
+    Attributes:
+        verdict: ``consistent``, ``explained``, ``ambiguous`` or ``unexplained``.
+        rms_um, expected_rms_um: of the residuals a coordinate, as read and as the readings' scatter lets expect.
+        points, dof, p_value: how many, and the chance of as large a misfit without any cause.
+        causes: strongest first.
+        unexplained: structure that is left, or None.
+        unidentifiable: (effect, where) that these data could not show, however large.
+        not_evaluated: (effect, where, column that is missing).
+        gain: None where nothing was found.
+        next_measurement: points worth measuring next, with what they would tell.
+        ranking: (effect, where, what it explains, p-value) of the causes tried alone, best first.
+        scatter: whose scatter the readings are judged by.
+        calibration, extended: before and after.
+        data: what was used; set-aside rows are listed there.
+        residual_um, after_um: (n, 3) residuals a coordinate before and after.
+    """
+
+    verdict: Verdict
+    rms_um: float
+    expected_rms_um: float
+    points: int
+    dof: int
+    p_value: float
+    causes: tuple[Cause, ...]
+    unexplained: Unexplained | None
+    unidentifiable: tuple[tuple[str, str], ...]
+    not_evaluated: tuple[tuple[str, str, str], ...]
+    gain: Gain | None
+    next_measurement: tuple[Mapping[str, Any], ...]
+    ranking: tuple[tuple[str, str, float, float], ...]
+    scatter: str
+    calibration: Calibration
+    extended: Calibration
+    data: Measurements
+    residual_um: np.ndarray
+    after_um: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """``schema: twin.diagnosis/1``."""
+        gain = self.gain
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "residual": {
+                "rms_um": self.rms_um,
+                "expected_rms_um": self.expected_rms_um,
+                "points": self.points,
+                "dof": self.dof,
+                "p_value": self.p_value,
+            },
+            "causes": [cause.to_dict() for cause in self.causes],
+            "unexplained": None
+            if self.unexplained is None
+            else {
+                "share": self.unexplained.share,
+                "depends_on": list(self.unexplained.depends_on),
+                "carrier": self.unexplained.carrier,
+                "evidence": self.unexplained.evidence,
+            },
+            "unidentifiable": [{"effect": effect, "where": where} for effect, where in self.unidentifiable],
+            "not_evaluated": [{"effect": e, "where": w, "missing": column} for e, w, column in self.not_evaluated],
+            "gain": None
+            if gain is None
+            else {
+                "rms_before_um": gain.rms_before_um,
+                "rms_after_um": gain.rms_after_um,
+                "held_out": None
+                if np.isnan(gain.held_before_um)
+                else {
+                    "rms_before_um": gain.held_before_um,
+                    "rms_after_um": gain.held_after_um,
+                    "ci95_um": list(gain.held_ci95_um),
+                },
+                "tool_point": {"before_um": gain.tool_before_um, "after_um": gain.tool_after_um},
+            },
+            "next_measurement": [dict(one) for one in self.next_measurement],
+            "scatter": self.scatter,
+            "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
+            "notices": list(self.data.notices),
+        }
+
+    def to_text(self) -> str:
+        """For people."""
+        lines = [
+            {
+                "consistent": "CONSISTENT: nothing beyond the scatter of the readings.",
+                "explained": "EXPLAINED: causes found, nothing else left.",
+                "ambiguous": "AMBIGUOUS: a cause is found, but these data cannot tell it from others.",
+                "unexplained": "UNEXPLAINED: structure is left that no known effect accounts for.",
+            }[self.verdict],
+            f"residuals {self.rms_um:.3g} µm RMS a coordinate, expected {self.expected_rms_um:.3g} µm from {self.scatter}; "
+            f"p = {self.p_value:.2g}",
+        ]
+        for cause in self.causes:
+            lines += ["", f"{cause.effect} {cause.where} ({cause.origin}): {cause.evidence}"]
+            lines += [f"    {q.name} = {q.value:.4g} ± {q.u:.2g} {_unit(q.unit)} (k = 1)" for q in cause.parameters]
+            lines.append(f"    {100 * cause.share:.0f} % of the excess, p = {cause.p_value:.2g}")
+            if cause.equivalent:
+                lines.append(f"    could as well be: {', '.join(f'{e} {w}' for e, w in cause.equivalent)}")
+        if self.unexplained is not None:
+            lines += ["", f"unexplained: {self.unexplained.evidence}"]
+        if self.gain is not None:
+            g = self.gain
+            lines += ["", f"modelling it: residuals {g.rms_before_um:.3g} -> {g.rms_after_um:.3g} µm"]
+            if not np.isnan(g.held_before_um):
+                lines[-1] += (
+                    f"; on rounds not seen {g.held_before_um:.3g} -> {g.held_after_um:.3g} µm (less by {g.held_ci95_um[0]:.3g} to "
+                    f"{g.held_ci95_um[1]:.3g}, 95 %)"
+                )
+            lines.append(
+                f"at the tool over the volume after compensation {g.tool_before_um:.3g} -> {g.tool_after_um:.3g} µm RMS"
+            )
+        if self.next_measurement:
+            lines += ["", "measure next:"] + [f"  {one['text']}" for one in self.next_measurement]
+        if self.unidentifiable:
+            lines += ["", "these data could not show: " + ", ".join(f"{e} {w}" for e, w in self.unidentifiable)]
+        if self.not_evaluated:
+            lines.append(
+                "not evaluated, for want of a column: " + ", ".join(f"{e} {w} ({c})" for e, w, c in self.not_evaluated)
+            )
+        lines += [f"line {note.line} set aside: {note.text}" for note in self.data.set_aside]
+        lines += [f"note: {notice}" for notice in self.data.notices]
+        return "\n".join(lines) + "\n"
+
+
+def _unit(unit: str) -> str:
+    return unit.replace("urad", "µrad").replace("um", "µm").replace("m2", "m²").replace(".", "·")
