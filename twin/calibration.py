@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError
+from twin.extension import effect_named, entry_of
 from twin.files import Place, line_of, load_yaml, write_whole
 from twin.machine import Machine
 
@@ -36,6 +37,13 @@ class _CurveEntry(BaseModel):
     source: str = ""
 
 
+class _EffectEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    effect: str
+    where: str
+    parameters: dict[str, float]
+
+
 class _CovarianceEntry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     parameters: tuple[str, ...]
@@ -51,7 +59,7 @@ class _CalibrationFile(BaseModel):
     squareness: dict[str, float] = {}
     location: dict[str, float] = {}
     covariance: _CovarianceEntry | None = None
-    effects: tuple[dict[str, Any], ...] = ()
+    effects: tuple[_EffectEntry, ...] = ()
 
 
 @final
@@ -148,8 +156,7 @@ class Calibration:
                 value=entries.machine,
             )
         check = _Check(path, lines, machine)
-        if entries.effects:
-            raise check.fail(("effects", 0), "an effect this version does not know", "no entries", entries.effects[0])
+        extra = tuple(check.effect(i, entry) for i, entry in enumerate(entries.effects))
         curves = {name: check.curve(name, entry) for name, entry in entries.curves.items()}
         for kind, given, allowed in (
             ("squareness", entries.squareness, machine.squareness_names),
@@ -165,6 +172,7 @@ class Calibration:
             curves=MappingProxyType(curves),
             squareness=MappingProxyType(dict(entries.squareness)),
             location=MappingProxyType(dict(entries.location)),
+            extra=extra,
             path=path,
         )
         return loaded if entries.covariance is None else replace(loaded, joint=check.joint(entries.covariance, loaded))
@@ -182,7 +190,7 @@ class Calibration:
 
     def to_yaml(self) -> str:
         """The file's text; reading it gives the same calibration."""
-        data = {
+        data: dict[str, Any] = {
             "schema": SCHEMA,
             "machine": self.machine.name,
             "source": self.source,
@@ -190,6 +198,8 @@ class Calibration:
             "squareness": {name: float(value) for name, value in self.squareness.items()},
             "location": {name: float(value) for name, value in self.location.items()},
         }
+        if self.extra:
+            data["effects"] = [entry_of(effect) for effect in self.extra]
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
         if self.joint is not None and self.joint.names:
             names = (
@@ -243,6 +253,37 @@ class Calibration:
         known = {name.partition("[")[0] for name in self.covariance.names}
         return tuple(name for name in (*self.curves, *self.squareness, *self.location) if name not in known)
 
+    def extended(self, effects: Sequence[Effect], covariance: Covariance, source: str) -> Calibration:
+        """This calibration with effects added: to the curves, squareness and locations they belong to, or beside them.
+
+        Args:
+            effects: what a diagnosis found.
+            covariance: of their parameters.
+            source: said after this calibration's own.
+        """
+        curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
+        extra = list(self.extra)
+        for effect in effects:
+            if isinstance(effect, ErrorMotion):
+                curves[effect.name] = _added(curves.get(effect.name), effect)
+            elif isinstance(effect, Squareness):
+                squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
+            elif isinstance(effect, AxisLocation):
+                location[effect.name] = location.get(effect.name, 0.0) + effect.offset
+            else:
+                extra.append(effect)
+        whole = replace(
+            self,
+            source=f"{self.source}; {source}",
+            curves=MappingProxyType(curves),
+            squareness=MappingProxyType(squareness),
+            location=MappingProxyType(location),
+            extra=tuple(extra),
+            joint=None,
+            path=None,
+        )
+        return replace(whole, joint=self.covariance.plus(covariance))
+
     @property
     def empty(self) -> bool:
         """Whether nothing is named: the machine as drawn."""
@@ -264,6 +305,24 @@ class Calibration:
         return bounds
 
 
+def _added(curve: Curve | None, motion: ErrorMotion) -> Curve:
+    """A curve with another of the same basis and domain added."""
+    unit = "um" if split_name(motion.name)[0] < 3 else "urad"
+    if curve is None:
+        return Curve(motion.name, unit, motion.domain, motion.basis.name, motion.coefficients)
+    if curve.basis != motion.basis.name or curve.domain != motion.domain:
+        raise InputError(
+            f"{motion.name} cannot be added to a curve of another basis or domain",
+            expected=f"{curve.basis} over {curve.domain}",
+            value=f"{motion.basis.name} over {motion.domain}",
+        )
+    count = max(len(curve.coefficients), len(motion.coefficients))
+    total = np.zeros(count)
+    total[: len(curve.coefficients)] += curve.coefficients
+    total[: len(motion.coefficients)] += motion.coefficients
+    return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
+
+
 @final
 @dataclass(frozen=True)
 class _Check:
@@ -281,6 +340,12 @@ class _Check:
             raise self.fail(
                 place, f"{self.machine.name} has no such entry under {place[0]}", f"one of {', '.join(allowed)}", name
             )
+
+    def effect(self, index: int, entry: _EffectEntry) -> Effect:
+        try:
+            return effect_named(entry.effect, entry.where, entry.parameters, self.machine)
+        except InputError as error:
+            raise self.fail(("effects", index), error.what, str(error.expected), error.value) from None
 
     def curve(self, name: str, entry: _CurveEntry) -> Curve:
         place: Place = ("curves", name)

@@ -22,6 +22,7 @@ from rich.table import Table
 from twin.budget import BudgetRow, error_budget
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
+from twin.diagnosis import diagnose as run_diagnosis
 from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole
@@ -385,6 +386,49 @@ def identify(
     print(found.to_text(), end="")
     print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
     if not found.complete:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+@app.command()
+def diagnose(
+    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            "--instrument", help="Whose scatter to take; if not given: the table's uncertainties, else the repeats'."
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+    extended: Annotated[
+        Path | None, typer.Option("--extended", help="Write the calibration with what was found of the machine.")
+    ] = None,
+) -> None:
+    """Show what the model gets wrong about measured data, and name the cause.
+
+    twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --extended better.yaml
+    """
+    loaded = Machine.load(machine)
+    outputs = [path for path in (json_file, extended) if path is not None]
+    check_writable(outputs)
+    inputs = {path.resolve() for path in (measured, calibration) if path is not None}
+    if inputs & {path.resolve() for path in outputs}:
+        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
+    errors = _calibration(calibration, loaded)
+    with _progress() as say:
+        say("reading", 0.0)
+        data = load_measurements(measured, loaded)
+        reader = None if instrument is None else _instrument(instrument)
+        found = run_diagnosis(data, loaded, errors, instrument=reader, say=say)
+    if extended is not None:
+        found.extended.save(extended)
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    print(found.to_text(), end="")
+    if outputs:
+        print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+    if found.data.set_aside:
         raise typer.Exit(NOT_ALL_MET)
 
 

@@ -58,6 +58,16 @@ class Covariance:
         """The part of the names that are kept."""
         return self.of([name for name in self.names if keep(name)])
 
+    def plus(self, other: Covariance) -> Covariance:
+        """Of the sums of independent estimates; a name that only one has keeps its own."""
+        names = tuple(dict.fromkeys((*self.names, *other.names)))
+        index = {name: i for i, name in enumerate(names)}
+        matrix = np.zeros((len(names), len(names)))
+        for one in (self, other):
+            rows = [index[name] for name in one.names]
+            matrix[np.ix_(rows, rows)] += one.matrix
+        return Covariance(names, locked(matrix))
+
     def to_text(self) -> str:
         """Lower triangle, one row a line, every digit."""
         return "".join(" ".join(repr(float(v)) for v in row[: i + 1]) + "\n" for i, row in enumerate(self.matrix))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -71,7 +70,6 @@ def account(
                 effects=found.effects[k],
             )
         )
-    alone = [float(np.exp(pool.scores([], [_index(pool, form)])[0, 2])) for form in unnamed]
     causes.sort(key=lambda cause: -cause.share)
     left = _unexplained(pool, unnamed, forms, excess)
     p_value = _p_value(problem, scatter)
@@ -93,15 +91,9 @@ def account(
         if any(cause.equivalent for cause in causes)
         else "explained"
     )
-    extended = (
-        replace(
-            calibration,
-            extra=(*calibration.extra, *(effect for cause in causes for effect in cause.effects)),
-            path=None,
-        )
-        if causes
-        else calibration
-    )
+    effects = [effect for found_effects in found.effects for effect in found_effects]
+    source = "extended by twin diagnose from " + problem.network.data.source
+    extended = calibration.extended(effects, found.covariance, source) if effects else calibration
     weights = problem.network.whitening
     before_um = _unwhitened(problem, problem.projected)
     rest = problem.residual - found.signature.sum(axis=1)
@@ -146,9 +138,12 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
     tried = [i for i, one in enumerate(pool.forms) if one.key not in used and one.candidate.effect != EFFECT]
     scores = pool.scores(others, tried)
     best: dict[tuple[str, str], float] = {}
+    own = pool.scores(others, [_index(pool, form)])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
             worth = float(explained - cost(dof, pool.forms[i].price))
+            if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
+                continue  # the same thing, said with more
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
     return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
 
@@ -175,7 +170,8 @@ def _unexplained(pool: Pool, unnamed: Sequence[Form], forms: Sequence[Form], exc
 
 
 def _evidence(form: Form, found: Estimate, k: int) -> str:
-    size = max(found.quantities[k], key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
+    sizes = [q for q in found.quantities[k] if q.name not in ("order", "period", "phase", "time_constant")]
+    size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     unit = size.unit.replace("urad", "µrad").replace("um", "µm")
     where = form.candidate.where
     text = {

@@ -8,7 +8,6 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.batch import BatchFunction
 from twin.curves import BASES
 from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, state_of
 from twin.effects import (
@@ -16,7 +15,6 @@ from twin.effects import (
     CrossAxis,
     Effect,
     ErrorMotion,
-    Frame,
     GravityCompliance,
     Harmonic,
     PitchError,
@@ -29,11 +27,11 @@ from twin.effects import (
     ZeroOffset,
     split_name,
 )
+from twin.extension import at_rest, base_vector, load_of, tool_base_frame
 from twin.identification.network import View, cross_matrix
 from twin.identification.unknowns import CurveSpace
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
-from twin.symbolic import gravity_load
 from twin.units import UM
 
 DEGREES: Final = 5
@@ -168,6 +166,12 @@ def _re(kind: Callable[..., Effect], *first: Any) -> Callable[[np.ndarray, Mappi
     return lambda values, fixed: (kind(*first, float(values[0])),)
 
 
+def _turned(
+    name: str, direction: tuple[float, float, float]
+) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
+    return lambda values, fixed: (Squareness(name, float(values[0]), direction),)
+
+
 def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
@@ -199,7 +203,7 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
                 machine,
                 state,
                 ("angle", "urad"),
-                lambda values, fixed, name=name, direction=direction: (Squareness(name, float(values[0]), direction),),  # type: ignore[misc]
+                _turned(name, direction),
             )
         )
     for name in machine.location_names:
@@ -301,22 +305,8 @@ def _coupled(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
     return found
 
 
-def base_frame(machine: Machine) -> tuple[Frame, np.ndarray] | None:
-    """The error frame nearest the base on the tool side, and the base's directions in it (rows), at rest; None if there is none."""
-    import pinocchio as pin
-
-    tool = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
-    sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool" and frame.joint in tool]
-    if not sides:
-        return None
-    first = min(sides, key=lambda frame: tool.index(frame.joint))
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    return Frame(first.axis, first.role), np.asarray(data.oMi[first.joint].rotation)
-
-
 def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[str, str, str]]) -> list[Candidate]:
-    nearest = base_frame(machine)
+    nearest = tool_base_frame(machine)
     if nearest is None:
         return []
     frame, turn = nearest
@@ -324,8 +314,8 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
     sensors = [name[2:-5] for name in state if name.startswith("T_")]
     if not sensors:
         missing.append(("thermal_growth", "X, Y, Z", "T_<sensor>_degC"))
-    for i, direction in enumerate("XYZ"):
-        vector = tuple(float(v) if abs(v) > 1e-12 else 0.0 for v in turn[i])
+    for direction in "XYZ":
+        vector = base_vector(turn, direction)
         for sensor in sensors:
             found.append(
                 _single(
@@ -333,7 +323,7 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
                     f"{direction} by {sensor}",
                     ThermalGrowth(frame, direction, vector, sensor, 1.0),
                     machine,
-                    state,  # type: ignore[arg-type]
+                    state,
                     ("coefficient", "um/K"),
                     _re(ThermalGrowth, frame, direction, vector, sensor),
                 )
@@ -344,14 +334,17 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
         span = max(float(np.ptp(state["time_s"])), 1.0)
         cells = tuple(
             Cell(
-                tuple(of_effect(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state, [0])),  # type: ignore[arg-type]
+                tuple(of_effect(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state, [0])),
                 {"time_constant": float(tau)},
             )
             for tau in np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS)
         )
 
         def build(
-            values: np.ndarray, fixed: Mapping[str, float], direction: str = direction, vector: Any = vector
+            values: np.ndarray,
+            fixed: Mapping[str, float],
+            direction: str = direction,
+            vector: tuple[float, float, float] = vector,
         ) -> tuple[Effect, ...]:
             return (ThermalDrift(frame, direction, vector, float(values[0]), fixed["time_constant"]),)
 
@@ -361,52 +354,20 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
 
 def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
     found = []
-    import pinocchio as pin
-
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
     for axis in machine.axes:
-        if not axis.linear:
+        if not axis.linear and axis.side != "tool":
             joint = next(f.joint for f in machine.frames if f.axis == axis.name and f.role == "motion")
-            vector = tuple(float(v) if abs(v) > 1e-12 else 0.0 for v in np.asarray(data.oMi[joint].rotation)[0])
-            # A rotary axis that stands upright droops under nothing.
-            down = np.asarray(data.oMi[joint].rotation) @ np.array(axis.direction)
-            if abs(down[2]) < 1.0 - 1e-9 and axis.side != "tool":
-                found.append(
-                    _single(
-                        "table_load",
-                        axis.name,
-                        TableLoad(axis.name, vector, 1.0),
-                        machine,
-                        state,  # type: ignore[arg-type]
-                        ("tilt", "urad"),
-                        _re(TableLoad, axis.name, vector),
-                    )
-                )
-    batch = BatchFunction(gravity_load(machine))
-
-    def load_of(index: int) -> Callable[[Mapping[str, Any]], Any]:
-        def load(positions: Mapping[str, Any]) -> Any:
-            q = np.stack([np.asarray(positions[a.name], dtype=float) for a in machine.axes], axis=1) * machine.scale
-            (values,) = batch(q)
-            return values[:, index]
-
-        return load
-
-    for i, axis in enumerate(machine.axes):
+            turn = at_rest(machine, joint)
+            # An axis that stands upright turns nothing against gravity.
+            if abs(float((turn @ np.array(axis.direction))[2])) < 1.0 - 1e-9:
+                one = TableLoad(axis.name, base_vector(turn, "X"), 1.0)
+                build = _re(TableLoad, axis.name, base_vector(turn, "X"))
+                found.append(_single("table_load", axis.name, one, machine, state, ("tilt", "urad"), build))
+        load = load_of(machine, axis.name)
+        one_load = GravityCompliance(axis, load, 1.0)
         unit = "um/N" if axis.linear else "urad/(N.m)"
-        load = load_of(i)
-        found.append(
-            _single(
-                "gravity_compliance",
-                axis.name,
-                GravityCompliance(axis, load, 1.0),
-                machine,
-                state,
-                ("compliance", unit),
-                _re(GravityCompliance, axis, load),
-            )
-        )
+        build = _re(GravityCompliance, axis, load)
+        found.append(_single("gravity_compliance", axis.name, one_load, machine, state, ("compliance", unit), build))
     return found
 
 
@@ -419,13 +380,10 @@ def _instrument(
     def reading(
         columns: Sequence[Callable[[View], np.ndarray]], mask: np.ndarray, scales: Sequence[float]
     ) -> tuple[Column, ...]:
-        return tuple(
-            Column(lambda view, c=c: c(view) * mask[view.rows, None], scale)  # type: ignore[misc]
-            for c, scale in zip(columns, scales, strict=True)
-        )
+        return tuple(Column(_masked(c, mask), scale) for c, scale in zip(columns, scales, strict=True))
 
-    shift = [lambda view, i=i: view.by_seen[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
-    turn = [lambda view, i=i: -(view.by_seen @ cross_matrix(view.seen))[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+    shift = [lambda view, i=i: view.by_seen[:, :, i] * UM for i in range(3)]
+    turn = [lambda view, i=i: -(view.by_seen @ cross_matrix(view.seen))[:, :, i] * UM for i in range(3)]
     six = tuple([(f"shift_{a}", "um") for a in "xyz"] + [(f"turn_{a}", "urad") for a in "xyz"])
     rounds = list(dict.fromkeys(data.round))
     stations = list(dict.fromkeys(data.station))
@@ -463,7 +421,7 @@ def _instrument(
             of = data.target == target
             mask = later * of
             if 0 < mask.sum() < np.count_nonzero(of):
-                columns = [lambda view, i=i: view.by_place[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+                columns = [lambda view, i=i: view.by_place[:, :, i] * UM for i in range(3)]
                 names = tuple((f"shift_{a}", "um") for a in "xyz")
                 found.append(
                     Candidate(
@@ -490,7 +448,7 @@ def _instrument(
         hours = (state["time_s"] - state["time_s"].min()) / 3600.0
         for name in stations:
             mask = hours * (data.station == name)
-            columns = [lambda view, i=i: -view.by_base[:, :, i] * UM for i in range(3)]  # type: ignore[misc]
+            columns = [lambda view, i=i: -view.by_base[:, :, i] * UM for i in range(3)]
             names = tuple((f"rate_{a}", "um/h") for a in "xyz")
             top = LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
             found.append(
@@ -513,3 +471,7 @@ def _instrument(
             Candidate("read_back", axis.name, "instrument", (("share", "1"),), (Cell((of_components(parts),)),), 1.0)
         )
     return found
+
+
+def _masked(column: Callable[[View], np.ndarray], mask: np.ndarray) -> Callable[[View], np.ndarray]:
+    return lambda view: column(view) * mask[view.rows, None]

@@ -8,6 +8,8 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.arrays import locked
+from twin.covariance import Covariance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.diagnosis.search import Form
@@ -26,12 +28,14 @@ class Estimate:
     Attributes:
         quantities: by cause.
         effects: by cause; empty for an instrument's.
+        covariance: of the parameters of all effects, under their names in a calibration.
         signature: (3n, k) what the causes do to the whitened readings, one column a cause.
         explained: of the misfit.
     """
 
     quantities: tuple[tuple[Quantity, ...], ...]
     effects: tuple[tuple[Effect, ...], ...]
+    covariance: Covariance
     signature: np.ndarray
     explained: float
 
@@ -44,7 +48,7 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
         forms: the causes, named or not.
     """
     if not forms:
-        return Estimate((), (), np.zeros((len(problem.residual), 0)), 0.0)
+        return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     machine = problem.network.machine
     state = state_of(problem.network.data, machine)
     columns = [problem.signature(form.cell.columns) / _scales(form) for form in forms]
@@ -92,13 +96,28 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     total = signature.sum(axis=1)
     left = problem.residual - total
     after = float(left @ left - np.sum((problem.basis.T @ left) ** 2))
-    quantities, at = [], 0
+    quantities, rows, names, at = [], [], [], 0
     for k, form in enumerate(forms):
         width = blocks[k].shape[1]
-        own = inverse[at : at + width, at : at + width]
-        at += width
+        matrix = _matrix(form, effects[k], width)
+        own = matrix @ inverse[at : at + width, at : at + width] @ matrix.T
         quantities.append(_quantities(form, effects[k], values[k], own))
-    return Estimate(tuple(quantities), tuple(effects), signature, problem.chi2 - after)
+        if effects[k]:
+            placed = np.zeros((len(matrix), len(inverse)))
+            placed[:, at : at + width] = matrix
+            rows.append(placed)
+            names += [parameter.name for parameter in effects[k][0].parameters]
+        at += width
+    whole_matrix = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
+    spread = whole_matrix @ inverse @ whole_matrix.T
+    covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
+    return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after)
+
+
+def _matrix(form: Form, effects: Sequence[Effect], width: int) -> np.ndarray:
+    """From what was fitted to the parameters as a calibration has them: orthonormal functions to powers."""
+    space = form.candidate.space
+    return space.transform[:width, :width] if space is not None and effects else np.eye(width)
 
 
 def _scales(form: Form) -> np.ndarray:
@@ -159,14 +178,9 @@ def _quantities(
             for p, one in zip(effects[0].parameters, u, strict=True)
         )
     if effects and isinstance(effects[0], ErrorMotion):
-        # Orthonormal functions to the file's powers, with their covariance.
-        space = form.candidate.space
-        n = len(values)
-        matrix = np.eye(n) if space is None else space.transform[:n, :n]
-        spread = np.sqrt(np.maximum(np.diag(matrix @ covariance @ matrix.T), 0.0))
         return tuple(
             Quantity(f"c{k}", p.value, p.unit, float(one))
-            for k, (p, one) in enumerate(zip(effects[0].parameters, spread, strict=True))
+            for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
         )
     found = tuple(
         Quantity(name, float(value), unit, float(one))

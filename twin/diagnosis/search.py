@@ -1,8 +1,8 @@
 """Which causes account for the misfit: forward selection with re-examination, every search paid for.
 
-A form of a candidate (a cell) explains F = bᵀG⁻¹b of the misfit, given the causes already in. Its p-value is that of a chi² with as many
-degrees of freedom as the data see of it, times the number of forms tried in its family times the number of families: the price of the
-search. Sets of causes are compared by what they explain less what each must explain to be believed.
+A form of a candidate (a cell) explains F = bᵀG⁻¹b of the misfit, given the causes already in. Its p-value is that of a chi² with as
+many degrees of freedom as the data see of it, times the number of forms tried in its family times the number of families: the price
+of the search. Sets of causes are compared by what they explain less what each must explain to be believed.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ class Pool:
         self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]], known: Pool | None = None
     ) -> None:
         self.problem = problem
+        self.signature: np.ndarray
         self.forms: list[Form] = [] if known is None else list(known.forms)
         self._at: dict[Column, int] = {} if known is None else dict(known._at)
         fresh: list[Column] = []
@@ -116,6 +117,13 @@ class Pool:
         inverse, _ = _pseudo(self.gram[np.ix_(columns, columns)])
         cross = self.gram[:, columns]
         return self.gram - cross @ inverse @ cross.T, self.slope - cross @ (inverse @ self.slope[columns])
+
+    def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
+        """Whether what a form can do beside some others is done by a larger set already."""
+        columns = form.columns
+        alone = self.rest(others)[0][np.ix_(columns, columns)]
+        left = self.rest(larger)[0][np.ix_(columns, columns)]
+        return bool(np.trace(left) < 1e-3 * np.trace(alone))
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """(tried, 3) explained, degrees of freedom and log p (price paid) of forms, given others."""

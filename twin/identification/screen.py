@@ -81,8 +81,8 @@ def _limit(data: Measurements, miss: np.ndarray) -> float:
     each; rows that do not belong stand out from the others. A typical miss that is no small part of the motion is neither.
     """
     typical = float(np.median(miss))
-    read = np.where(np.isfinite(data.point_mm), data.point_mm, np.nanmean(data.point_mm))
-    span = float(np.linalg.norm(np.ptp(read, axis=0))) * MM
+    read = data.point_mm[:, np.isfinite(data.point_mm).any(axis=0)]
+    span = float(np.linalg.norm(np.nanmax(read, axis=0) - np.nanmin(read, axis=0))) * MM
     return max(FITS, STANDS_OUT * typical) if typical < DRAWN * span else FITS
 
 

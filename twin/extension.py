@@ -1,0 +1,162 @@
+"""Effects beside the named error motions, as a calibration file has them: ``effects:`` entries to and from `Effect`.
+
+    effects:
+      - {effect: reversal, where: Y, parameters: {size: 5.1}}
+
+Names, places and parameters are those of the contract's table (§5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from twin.batch import BatchFunction
+from twin.effects import (
+    CrossAxis,
+    Effect,
+    Frame,
+    GravityCompliance,
+    Harmonic,
+    PitchError,
+    Reversal,
+    TableLoad,
+    ThermalDrift,
+    ThermalExpansion,
+    ThermalGrowth,
+    ZeroOffset,
+)
+from twin.errors import InputError
+from twin.machine import Axis, Machine
+from twin.symbolic import gravity_load
+
+Vector = tuple[float, float, float]
+
+
+def tool_base_frame(machine: Machine) -> tuple[Frame, np.ndarray] | None:
+    """The error frame nearest the base on the tool side, and the base's directions in it (rows), at rest; None if there is none."""
+    supports = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
+    sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool"]
+    if not sides:
+        return None
+    first = min(sides, key=lambda frame: supports.index(frame.joint))
+    return Frame(first.axis, first.role), at_rest(machine, first.joint)
+
+
+def at_rest(machine: Machine, joint: int) -> np.ndarray:
+    """(3, 3) a joint's orientation in the base frame with all axes at zero."""
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return np.asarray(data.oMi[joint].rotation)
+
+
+def base_vector(turn: np.ndarray, direction: str) -> Vector:
+    """A direction of the base in a frame that is turned by ``turn`` against it."""
+    x, y, z = (float(v) if abs(v) > 1e-12 else 0.0 for v in turn["XYZ".index(direction)])
+    return x, y, z
+
+
+def load_of(machine: Machine, axis: str) -> Callable[[Mapping[str, Any]], Any]:
+    """What gravity does along an axis, N or N·m, at positions as effects are given them (arrays or expressions)."""
+    function = gravity_load(machine)
+    batch = BatchFunction(function)
+    index = machine.names.index(axis)
+
+    def load(positions: Mapping[str, Any]) -> Any:
+        import casadi as ca
+
+        parts = [positions[one.name] * one.scale for one in machine.axes]
+        if any(isinstance(part, ca.SX) for part in parts):
+            return function(ca.vertcat(*parts))[index]
+        (values,) = batch(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1))
+        return values[:, index]
+
+    return load
+
+
+def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine: Machine) -> Effect:
+    """An effect of the contract's table.
+
+    Args:
+        effect: its name.
+        where: its place.
+        numbers: its parameters by name.
+        machine: the machine.
+
+    Raises:
+        InputError: no such effect, place or parameter; a parameter that is missing.
+    """
+    if effect not in PARAMETERS:
+        raise InputError("no such effect", expected=f"one of {', '.join(PARAMETERS)}", value=effect)
+    wanted = PARAMETERS[effect]
+    if set(numbers) != set(wanted):
+        raise InputError(
+            f"parameters of {effect} {where}", expected=", ".join(wanted), value=", ".join(numbers) or "nothing"
+        )
+    value = [float(numbers[name]) for name in wanted]
+    if effect in ("reversal", "zero_offset", "gravity_compliance"):
+        axis = _axis(machine, effect, where)
+        if effect == "gravity_compliance":
+            return GravityCompliance(axis, load_of(machine, where), value[0])
+        return Reversal(axis, value[0]) if effect == "reversal" else ZeroOffset(axis, value[0])
+    if effect in ("pitch_error", "thermal_expansion"):
+        axis = _axis(machine, effect, where, linear=True)
+        return PitchError(axis, *value) if effect == "pitch_error" else ThermalExpansion(axis, value[0])
+    if effect in ("thermal_growth", "thermal_drift"):
+        nearest = tool_base_frame(machine)
+        direction, _, sensor = where.partition(" by ")
+        if nearest is None or direction not in tuple("XYZ") or bool(sensor) != (effect == "thermal_growth"):
+            expected = "X, Y or Z of the base" + (" by <sensor>" if effect == "thermal_growth" else "")
+            raise InputError(f"no such place for {effect}", expected=expected, value=where)
+        vector = base_vector(nearest[1], direction)
+        if effect == "thermal_growth":
+            return ThermalGrowth(nearest[0], direction, vector, sensor, value[0])
+        return ThermalDrift(nearest[0], direction, vector, *value)
+    if effect == "table_load":
+        axis = _axis(machine, effect, where, linear=False)
+        joint = next(frame.joint for frame in machine.frames if frame.axis == where and frame.role == "motion")
+        return TableLoad(where, base_vector(at_rest(machine, joint), "X"), value[0])
+    if effect == "harmonic":
+        if where not in machine.motion_names or machine.by_name[where[3:]].linear:
+            raise InputError("no such place for harmonic", expected="an error motion of a rotary axis", value=where)
+        return Harmonic(where, round(value[0]), value[1], value[2])
+    name, _, by = where.partition(" by ")
+    if name not in machine.motion_names or by not in machine.by_name:
+        raise InputError("no such place for cross_axis", expected="an error motion by an axis: E_ZY by Z", value=where)
+    return CrossAxis(name, by, value[0])
+
+
+PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "reversal": ("size",),
+    "zero_offset": ("offset",),
+    "gravity_compliance": ("compliance",),
+    "pitch_error": ("amplitude", "period", "phase"),
+    "thermal_expansion": ("coefficient",),
+    "thermal_growth": ("coefficient",),
+    "thermal_drift": ("amplitude", "time_constant"),
+    "table_load": ("tilt",),
+    "harmonic": ("order", "cos", "sin"),
+    "cross_axis": ("coefficient",),
+}
+"""Linear and non-linear parameters of every effect that is no curve, squareness or location."""
+
+
+def entry_of(effect: Effect) -> dict[str, Any]:
+    """The entry that `effect_named` reads back."""
+    name, _, where = effect.name.partition(":")
+    numbers = {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in effect.parameters}
+    if isinstance(effect, Harmonic):
+        where = where.partition("[")[0]
+        numbers = {"order": effect.order, **numbers}
+    return {"effect": name, "where": where, "parameters": numbers}
+
+
+def _axis(machine: Machine, effect: str, where: str, *, linear: bool | None = None) -> Axis:
+    axis = machine.by_name.get(where)
+    if axis is None or (linear is not None and axis.linear is not linear):
+        fitting = [one.name for one in machine.axes if linear is None or one.linear is linear]
+        raise InputError(f"no such place for {effect}", expected=f"one of {', '.join(fitting)}", value=where)
+    return axis
