@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import json
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,17 +26,16 @@ from twin.errors import InputError, OutputError
 from twin.execute import execute
 from twin.files import check_writable, write_whole
 from twin.identification import identify as run_identification
-from twin.instruments import INSTRUMENTS, Air, Instrument
+from twin.instruments import INSTRUMENTS
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import NAMES, Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import load as load_measurements
 from twin.nc import dialect_for, find_program, read_program
-from twin.samples import PLANS
-from twin.simulate import Surroundings
+from twin.options import gathered, instrument_named, plan_file, positive, setup, surroundings
 from twin.simulate import simulate as run_simulation
-from twin.toolpath import Setup, WordSpace, follow
+from twin.toolpath import WordSpace, follow
 from twin.uncertainty import DEFINITION, ToolUncertainty
 
 BAD_INPUT = 2
@@ -183,8 +181,8 @@ def compensate(
     """
     loaded = Machine.load(machine)
     source = find_program(program)
-    _positive("--tolerance", tolerance)
-    _positive("--rotary-limit", rotary_limit)
+    positive("--tolerance", tolerance)
+    positive("--rotary-limit", rotary_limit)
     read, dialect = read_program(source)
     target = dialect_for(output)
     if target.name != dialect.name and dialect.name != "apt":
@@ -198,7 +196,7 @@ def compensate(
     if source.resolve() in {path.resolve() for path in outputs}:
         raise InputError("the output is the program itself", expected="another file", file=output)
     options = Options(
-        setup=_setup(loaded, work_offset, work_origin),
+        setup=setup(loaded, work_offset, work_origin),
         tool_length_mm=tool_length,
         tcp=mode is Mode.tcp,
         scope=None if scope is None else Scope.parse(scope),
@@ -244,10 +242,10 @@ def scene(
     read, dialect = read_program(source)
     check_writable([output])
     if exaggeration is not None:
-        _positive("--exaggeration", exaggeration)
+        positive("--exaggeration", exaggeration)
     errors = _calibration(calibration, loaded)
     real = Kinematics(loaded, errors, tool_length_mm=tool_length)
-    space = WordSpace(loaded, _setup(loaded, work_offset, work_origin), tool_length)
+    space = WordSpace(loaded, setup(loaded, work_offset, work_origin), tool_length)
     with _progress() as say:
         say("reading", 0.0)
         path = follow(read, dialect.moves(read, space.axes, tcp=mode is Mode.tcp), space)
@@ -303,22 +301,22 @@ def simulate(
     twin simulate thesis_plan.csv -o measured.csv --instrument tracker --seed 7
     """
     loaded = Machine.load(machine)
-    reader = _instrument(instrument)
+    reader = instrument_named(instrument)
     if seed < 0:
         raise InputError("--seed is negative", expected="0 or more", value=seed)
-    surroundings = _surroundings(air, drift)
-    source = _plan(plan)
+    around = surroundings(air, drift)
+    source = plan_file(plan)
     check_writable([output])
     if source.resolve() == output.resolve():
         raise InputError("the output is the plan itself", expected="another file", file=output)
     truth = _calibration(calibration, loaded)
     planned = load_measurements(source, loaded, plan=True)
     rng = np.random.default_rng(seed)
-    measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=surroundings)
+    measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
     comment = [
         f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, instrument {reader.name}, "
         f"seed {seed}, {'with' if noise else 'without'} noise",
-        surroundings.describe(),
+        around.describe(),
         setting.describe(),
     ]
     measured.save(output, loaded, comment="\n".join(part for part in comment if part))
@@ -375,7 +373,7 @@ def identify(
         found = run_identification(
             data,
             loaded,
-            instrument=None if instrument is None else _instrument(instrument),
+            instrument=None if instrument is None else instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=spread.value,
             say=say,
@@ -419,7 +417,7 @@ def diagnose(
     with _progress() as say:
         say("reading", 0.0)
         data = load_measurements(measured, loaded)
-        reader = None if instrument is None else _instrument(instrument)
+        reader = None if instrument is None else instrument_named(instrument)
         found = run_diagnosis(data, loaded, errors, instrument=reader, say=say)
     if extended is not None:
         found.extended.save(extended)
@@ -432,48 +430,10 @@ def diagnose(
         raise typer.Exit(NOT_ALL_MET)
 
 
-def _instrument(name: str) -> Instrument:
-    for one in INSTRUMENTS:
-        if one.name == name:
-            return one
-    raise InputError("no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=name)
-
-
-def _plan(path: Path) -> Path:
-    try:
-        return find_program(path)  # looks for a file of any kind
-    except InputError:
-        known = " ".join(plan.name for plan in PLANS)
-        raise InputError(
-            "no such plan", expected=f"a measurement table, or one that comes with twin: {known}", file=path
-        ) from None
-
-
-def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
-    rates: dict[str, tuple[float, float, float]] = {}
-    for entry in drift or []:
-        name, equals, text = entry.rpartition("=")
-        if not equals or not name or name in rates:
-            raise InputError("--drift does not fit", expected="STATION=x,y,z in µm/h, each station once", value=entry)
-        rates[name] = _three("--drift", text, entry, "x,y,z in µm/h")
-    if air is None:
-        return Surroundings(None, rates)
-    temperature, pressure, humidity = _three("--air", air, air, "T,p,RH in °C, hPa and %")
-    return Surroundings(Air(temperature, pressure, humidity / 100.0), rates)
-
-
-def _three(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise InputError(f"{option} is not three numbers", expected=expected, value=shown)
-    x, y, z = (_number(option, part, shown) for part in parts)
-    return x, y, z
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: exit 0 done, 2 bad input or usage, 3 done but something could not be met, all of it listed."""
     try:
-        app(args=_gathered(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        app(args=gathered(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except InputError as error:
         print(f"twin: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -485,70 +445,8 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(INTERRUPTED)
 
 
-def _gathered(arguments: list[str]) -> list[str]:
-    """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
-    patterns = {
-        "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
-        "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
-        "--only": re.compile(r"E_[A-Z0-9*?]+"),
-    }
-    out: list[str] = []
-    gathering: str | None = None
-    fresh = False
-    for word in arguments:
-        if word in patterns:
-            gathering, fresh = word, True
-        elif gathering and fresh:
-            parts = [part for part in re.split(r"[\s,]+", word) if part] or [word]
-            for part in parts:
-                out += [gathering, part]
-            fresh = False
-        elif gathering and patterns[gathering].fullmatch(word):
-            out += [gathering, word]
-        else:
-            gathering = None
-            out.append(word)
-    return [*out, gathering] if gathering and fresh else out
-
-
 def _calibration(path: Path | None, machine: Machine) -> Calibration:
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
-
-
-def _setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:
-    found = {}
-    for entry in offsets or []:
-        name, _, text = entry.partition("=")
-        if name not in machine.by_name:
-            raise InputError(
-                "--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry
-            )
-        if name in found:
-            raise InputError("--work-offset given twice", expected="each axis once", value=entry)
-        found[name] = _number("--work-offset", text, entry)
-    place = (0.0, 0.0, 0.0)
-    if origin is not None:
-        parts = origin.split(",")
-        if len(parts) != 3:
-            raise InputError("--work-origin is not three numbers", expected="x,y,z in mm", value=origin)
-        x, y, z = (_number("--work-origin", part, origin) for part in parts)
-        place = (x, y, z)
-    return Setup(found, place)
-
-
-def _number(option: str, text: str, shown: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise InputError(f"{option} is no number", expected="a finite number", value=shown)
-    return value
-
-
-def _positive(option: str, value: float) -> None:
-    if not 0.0 < value < float("inf"):
-        raise InputError(f"{option} is out of place", expected="a positive number", value=value)
 
 
 def _uncertainty_lines(kinematics: Kinematics) -> list[str]:

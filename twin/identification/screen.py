@@ -40,13 +40,26 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
     Raises:
         InputError: more than a fifth of the rows do not fit; named with what would make them fit.
     """
-    setup, miss = first_setup(machine, data, lengths_only=lengths_only)
+    try:
+        setup, miss = first_setup(machine, data, lengths_only=lengths_only)
+    except InputError:
+        # A machine seen as in a mirror may be one command column that is wrong; several that would do are the mirror itself.
+        likely = _one_change(machine, data, lengths_only)
+        if len(likely) != 1:
+            raise
+        raise InputError(
+            f"the commands do not fit the measured motion: {likely[0][1]}",
+            expected=f"commands that the readings follow on {machine.name}",
+            file=data.source,
+            line=int(data.lines[0]),
+        ) from None
     limit = _limit(data, miss)
     bad = miss > limit
     if np.mean(bad) > SWAPPED:
         worst = int(np.argmax(miss))
+        likely = _one_change(machine, data, lengths_only)
         raise InputError(
-            f"the commands do not fit the measured motion: {_explained(machine, data, miss, lengths_only)}",
+            f"the commands do not fit the measured motion: {min(likely)[1] if likely else _where(machine, data, miss, limit)}",
             expected=f"commands that the readings follow within {limit / MM:.2g} mm on {machine.name}",
             file=data.source,
             line=int(data.lines[worst]),
@@ -86,22 +99,22 @@ def _limit(data: Measurements, miss: np.ndarray) -> float:
     return max(FITS, STANDS_OUT * typical) if typical < DRAWN * span else FITS
 
 
-def _explained(machine: Machine, data: Measurements, miss: np.ndarray, lengths_only: bool) -> str:
-    """What would make them fit: two columns swapped, or one with the other sign."""
-    rows = np.linspace(0, len(data) - 1, min(len(data), 600)).astype(int)
-    few = data.select(rows)
-    typical = float(np.median(miss))
-    tries: list[tuple[float, str]] = []
+def _one_change(machine: Machine, data: Measurements, lengths_only: bool) -> list[tuple[float, str]]:
+    """What would make nearly all rows fit: two columns swapped, or one with the other sign; typical miss and words of each."""
+    few = data.select(np.linspace(0, len(data) - 1, min(len(data), 600)).astype(int))
     names = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
+    found: list[tuple[float, str]] = []
 
     def attempt(positions: np.ndarray, text: str) -> None:
         changed = replace(few, positions=locked(positions))
         try:
-            tries.append((float(np.median(first_setup(machine, changed, lengths_only=lengths_only)[1])), text))
+            miss = first_setup(machine, changed, lengths_only=lengths_only)[1]
         except InputError:
             return
+        if np.mean(miss > _limit(changed, miss)) < SWAPPED / 2.0:
+            found.append((float(np.median(miss)), text))
 
-    moving = [i for i in range(len(names)) if np.ptp(few.positions[:, i]) > 0.0]
+    moving = _moving(few)
     for i, j in combinations(range(len(names)), 2):
         if i in moving or j in moving:
             swapped = np.array(few.positions)
@@ -111,14 +124,22 @@ def _explained(machine: Machine, data: Measurements, miss: np.ndarray, lengths_o
         turned = np.array(few.positions)
         turned[:, i] = -turned[:, i]
         attempt(turned, f"column {names[i]} looks as if its sign were wrong")
-    best = min(tries, default=(np.inf, ""))
-    if best[0] < min(FITS, typical / 10.0):
-        return best[1]
+    return found
+
+
+def _where(machine: Machine, data: Measurements, miss: np.ndarray, limit: float) -> str:
+    """How many rows miss, and the motion of which axis most of them share."""
     by_axis = [
-        (float(np.median(miss[data.positions[:, i] != np.median(data.positions[:, i])])), names[i]) for i in moving
+        (float(np.median(miss[data.positions[:, i] != np.median(data.positions[:, i])])), i) for i in _moving(data)
     ]
-    worst = max(by_axis, default=(0.0, "the machine"))
-    return f"half of all readings are more than {typical / MM:.1f} mm off, most where {worst[1]} moves"
+    _, worst = max(by_axis, default=(0.0, 0))
+    axis = machine.axes[worst]
+    share = f"{np.mean(miss > limit):.0%} of all readings are more than {limit / MM:.2g} mm off"
+    return f"{share}, most where {axis.name}_{axis.unit} moves"
+
+
+def _moving(data: Measurements) -> list[int]:
+    return [i for i in range(data.positions.shape[1]) if np.ptp(data.positions[:, i]) > 0.0]
 
 
 def outliers(network: Network, whitened: np.ndarray) -> tuple[np.ndarray, float]:

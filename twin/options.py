@@ -1,0 +1,150 @@
+"""What the words of the command line mean: options that are more than a path or a number, with errors that say what was expected."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.instruments import INSTRUMENTS, Air, Instrument
+from twin.iso16907 import NAMES
+from twin.machine import Machine
+from twin.nc import find_program
+from twin.samples import PLANS
+from twin.simulate import Surroundings
+from twin.toolpath import Setup
+
+
+def instrument_named(name: str) -> Instrument:
+    """An instrument by its name.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    for one in INSTRUMENTS:
+        if one.name == name:
+            return one
+    raise InputError("no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=name)
+
+
+def plan_file(path: Path) -> Path:
+    """A plan by its path, or one that comes with twin.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    try:
+        return find_program(path)  # looks for a file of any kind
+    except InputError:
+        known = " ".join(plan.name for plan in PLANS)
+        raise InputError(
+            "no such plan", expected=f"a measurement table, or one that comes with twin: {known}", file=path
+        ) from None
+
+
+def surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
+    """Air and drift of a simulation.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    rates: dict[str, tuple[float, float, float]] = {}
+    for entry in drift or []:
+        name, equals, text = entry.rpartition("=")
+        if not equals or not name or name in rates:
+            raise InputError("--drift does not fit", expected="STATION=x,y,z in µm/h, each station once", value=entry)
+        rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")
+    if air is None:
+        return Surroundings(None, rates)
+    temperature, pressure, humidity = three_numbers("--air", air, air, "T,p,RH in °C, hPa and %")
+    return Surroundings(Air(temperature, pressure, humidity / 100.0), rates)
+
+
+def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
+    """Three numbers with commas between.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise InputError(f"{option} is not three numbers", expected=expected, value=shown)
+    x, y, z = (number(option, part, shown) for part in parts)
+    return x, y, z
+
+
+def gathered(arguments: list[str]) -> list[str]:
+    """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
+    patterns = {
+        "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
+        "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
+        "--only": re.compile(r"E_[A-Z0-9*?]+"),
+    }
+    out: list[str] = []
+    gathering: str | None = None
+    fresh = False
+    for word in arguments:
+        if word in patterns:
+            gathering, fresh = word, True
+        elif gathering and fresh:
+            parts = [part for part in re.split(r"[\s,]+", word) if part] or [word]
+            for part in parts:
+                out += [gathering, part]
+            fresh = False
+        elif gathering and patterns[gathering].fullmatch(word):
+            out += [gathering, word]
+        else:
+            gathering = None
+            out.append(word)
+    return [*out, gathering] if gathering and fresh else out
+
+
+def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:
+    """Offsets and origin of a program.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    found = {}
+    for entry in offsets or []:
+        name, _, text = entry.partition("=")
+        if name not in machine.by_name:
+            raise InputError(
+                "--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry
+            )
+        if name in found:
+            raise InputError("--work-offset given twice", expected="each axis once", value=entry)
+        found[name] = number("--work-offset", text, entry)
+    place = (0.0, 0.0, 0.0)
+    if origin is not None:
+        parts = origin.split(",")
+        if len(parts) != 3:
+            raise InputError("--work-origin is not three numbers", expected="x,y,z in mm", value=origin)
+        x, y, z = (number("--work-origin", part, origin) for part in parts)
+        place = (x, y, z)
+    return Setup(found, place)
+
+
+def number(option: str, text: str, shown: str) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise InputError(f"{option} is no number", expected="a finite number", value=shown)
+    return value
+
+
+def positive(option: str, value: float) -> None:
+    """Nothing, if a value is a positive number.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    if not 0.0 < value < float("inf"):
+        raise InputError(f"{option} is out of place", expected="a positive number", value=value)
