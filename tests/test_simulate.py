@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.reference import D, about, error_frame, translation
-from tests.truth import TruthMachine
+from tests.truth import TruthMachine, carried, seen
 from twin import cli
 from twin.calibration import Calibration
 from twin.errors import InputError
@@ -38,19 +37,6 @@ def plan(dmu50: Machine, tmp_path: Path) -> Measurements:
     return load(path, dmu50, plan=True)
 
 
-def carried(truth: TruthMachine, q: np.ndarray, carrier: str, place: np.ndarray) -> np.ndarray:
-    """A reflector in the base frame, mm, from the contract's two chains."""
-    e = {axis: error_frame(six) for axis, six in truth.errors(q).items()}
-    b, c = np.radians(q[3:])
-    if carrier == "tool":
-        chain = translation(-250, -225, 400) @ translation(q[0], 0, 0) @ e["X"] @ translation(0, q[1], 0) @ e["Y"]
-        chain = chain @ translation(0, 0, q[2]) @ e["Z"]
-    else:
-        chain = translation(0, 0, D) @ about(0, np.pi / 4) @ e["L_B"] @ e["B"] @ about(2, b) @ about(0, -np.pi / 4)
-        chain = chain @ translation(0, 0, -D) @ e["L_C"] @ e["C"] @ about(2, -c)
-    return (chain @ np.append(place, 1.0))[:3]
-
-
 def test_without_noise_the_readings_are_the_truth(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     assert calibration.path is not None
     truth = TruthMachine(calibration.path)
@@ -59,8 +45,8 @@ def test_without_noise_the_readings_are_the_truth(dmu50: Machine, calibration: C
         station = setting.stations[measured.station[i]]
         place = np.array(setting.places_mm[measured.target[i]])
         base = carried(truth, measured.positions[i], measured.carrier[i], place)
-        turn = error_frame(np.concatenate([np.zeros(3), station.turn_rad]))[:3, :3]
-        assert np.abs(turn.T @ (base - station.origin_mm) - measured.point_mm[i]).max() <= 1e-9
+        read = seen(np.array(station.origin_mm), np.array(station.turn_rad), base)
+        assert np.abs(read - measured.point_mm[i]).max() <= 1e-9
 
 
 def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:

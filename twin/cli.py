@@ -399,6 +399,7 @@ def diagnose(
         ),
     ] = None,
     json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report as one HTML file.")] = None,
     extended: Annotated[
         Path | None, typer.Option("--extended", help="Write the calibration with what was found of the machine.")
     ] = None,
@@ -408,7 +409,7 @@ def diagnose(
     twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --extended better.yaml
     """
     loaded = Machine.load(machine)
-    outputs = [path for path in (json_file, extended) if path is not None]
+    outputs = [path for path in (json_file, html_file, extended) if path is not None]
     check_writable(outputs)
     inputs = {path.resolve() for path in (measured, calibration) if path is not None}
     if inputs & {path.resolve() for path in outputs}:
@@ -423,6 +424,10 @@ def diagnose(
         found.extended.save(extended)
     if json_file is not None:
         write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    if html_file is not None:
+        from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
+
+        write_whole(html_file, diagnosis_html(found))
     print(found.to_text(), end="")
     if outputs:
         print(f"\nwritten: {', '.join(str(path) for path in outputs)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from twin.budget import volume
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
+from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
@@ -26,6 +27,8 @@ DOUBT: Final = 9.21
 LARGE: Final = 1e-4
 BOOTSTRAP: Final = 2000
 RANKED: Final = 12
+RIVALS: Final = 2
+"""Rivals of a cause for which points are suggested."""
 
 
 def account(
@@ -67,6 +70,7 @@ def account(
                 share=float(np.clip(explained / excess, 0.0, 1.0)),
                 equivalent=_equivalent(pool, form, others, explained - cost(dof, form.price)),
                 evidence=_evidence(form, found, k),
+                pattern_um=locked(_unwhitened(problem, found.signature[:, k])),
                 effects=found.effects[k],
             )
         )
@@ -117,7 +121,7 @@ def account(
         unidentifiable=_unidentifiable(pool, screen, known),
         not_evaluated=known.not_evaluated,
         gain=_gain(problem, pool, forms, found, before_um, after_um) if causes else None,
-        next_measurement=(),
+        next_measurement=_next(problem, pool, named, forms, causes),
         ranking=_ranking(pool),
         scatter=scatter.source,
         calibration=calibration,
@@ -146,6 +150,24 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
                 continue  # the same thing, said with more
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
     return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
+
+
+def _next(
+    problem: Problem, pool: Pool, named: Sequence[Form], forms: Sequence[Form], causes: Sequence[Cause]
+) -> tuple[Mapping[str, Any], ...]:
+    found: list[Mapping[str, Any]] = []
+    for form in named:
+        cause = next(one for one in causes if (one.effect, one.where) == form.key)
+        others = [one for one in forms if one is not form and one.candidate.effect != EFFECT]
+        rivals = [_best(pool, key, others) for key in cause.equivalent[:RIVALS]]
+        if rivals:
+            found += next_points(problem, form, rivals, others)
+    return tuple(found)
+
+
+def _best(pool: Pool, key: tuple[str, str], others: Sequence[Form]) -> Form:
+    tried = [i for i, form in enumerate(pool.forms) if form.key == key]
+    return pool.forms[tried[int(np.argmin(pool.scores(others, tried)[:, 2]))]]
 
 
 def _unexplained(pool: Pool, unnamed: Sequence[Form], forms: Sequence[Form], excess: float) -> Unexplained | None:

@@ -39,6 +39,7 @@ class Cause:
         share: of the excess residual sum of squares.
         equivalent: (effect, where) of what these data cannot tell from it.
         evidence: one sentence a machinist can read.
+        pattern_um: (n, 3) what it does to each reading.
         effects: what extends the model; empty for an instrument's.
     """
 
@@ -50,6 +51,7 @@ class Cause:
     share: float
     equivalent: tuple[tuple[str, str], ...]
     evidence: str
+    pattern_um: np.ndarray
     effects: tuple[Effect, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -199,7 +201,9 @@ class Diagnosis:
         ]
         for cause in self.causes:
             lines += ["", f"{cause.effect} {cause.where} ({cause.origin}): {cause.evidence}"]
-            lines += [f"    {q.name} = {q.value:.4g} ± {q.u:.2g} {_unit(q.unit)} (k = 1)" for q in cause.parameters]
+            lines += [
+                f"    {q.name} = {q.value:.4g} ± {q.u:.2g} {readable_unit(q.unit)} (k = 1)" for q in cause.parameters
+            ]
             lines.append(f"    {100 * cause.share:.0f} % of the excess, p = {cause.p_value:.2g}")
             if cause.equivalent:
                 lines.append(f"    could as well be: {', '.join(f'{e} {w}' for e, w in cause.equivalent)}")
@@ -229,5 +233,6 @@ class Diagnosis:
         return "\n".join(lines) + "\n"
 
 
-def _unit(unit: str) -> str:
+def readable_unit(unit: str) -> str:
+    """A unit as people write it: ``um/(m.K)`` → µm/(m·K)."""
     return unit.replace("urad", "µrad").replace("um", "µm").replace("m2", "m²").replace(".", "·")

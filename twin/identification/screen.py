@@ -21,6 +21,8 @@ from twin.units import MM
 
 SWAPPED: Final = 0.2
 """Share of rows that miss by centimetres beyond which it is not rows but columns."""
+ASKED: Final = 0.02
+"""Share beyond which it is asked whether it is columns."""
 DRAWN: Final = 0.01
 """Share of the measured motion that a machine may differ from its drawing by."""
 STANDS_OUT: Final = 10.0
@@ -38,13 +40,14 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
         lengths_only: whether only lengths were read.
 
     Raises:
-        InputError: more than a fifth of the rows do not fit; named with what would make them fit.
+        InputError: more than a fifth of the rows do not fit, or fewer that one change of the columns would make fit; named with what
+            would.
     """
     try:
         setup, miss = first_setup(machine, data, lengths_only=lengths_only)
     except InputError:
         # A machine seen as in a mirror may be one command column that is wrong; several that would do are the mirror itself.
-        likely = _one_change(machine, data, lengths_only)
+        likely = _one_change(machine, data, 1.0, lengths_only)
         if len(likely) != 1:
             raise
         raise InputError(
@@ -55,9 +58,10 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
         ) from None
     limit = _limit(data, miss)
     bad = miss > limit
-    if np.mean(bad) > SWAPPED:
+    share = float(np.mean(bad))
+    likely = _one_change(machine, data, share, lengths_only) if share > ASKED else []
+    if likely or share > SWAPPED:
         worst = int(np.argmax(miss))
-        likely = _one_change(machine, data, lengths_only)
         raise InputError(
             f"the commands do not fit the measured motion: {min(likely)[1] if likely else _where(machine, data, miss, limit)}",
             expected=f"commands that the readings follow within {limit / MM:.2g} mm on {machine.name}",
@@ -99,8 +103,18 @@ def _limit(data: Measurements, miss: np.ndarray) -> float:
     return max(FITS, STANDS_OUT * typical) if typical < DRAWN * span else FITS
 
 
-def _one_change(machine: Machine, data: Measurements, lengths_only: bool) -> list[tuple[float, str]]:
-    """What would make nearly all rows fit: two columns swapped, or one with the other sign; typical miss and words of each."""
+def _one_change(machine: Machine, data: Measurements, share: float, lengths_only: bool) -> list[tuple[float, str]]:
+    """What would make most of the rows fit that do not: two columns swapped, or one with the other sign.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        share: of rows that do not fit.
+        lengths_only: whether only lengths were read.
+
+    Returns:
+        Typical miss and words of each.
+    """
     few = data.select(np.linspace(0, len(data) - 1, min(len(data), 600)).astype(int))
     names = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
     found: list[tuple[float, str]] = []
@@ -111,7 +125,7 @@ def _one_change(machine: Machine, data: Measurements, lengths_only: bool) -> lis
             miss = first_setup(machine, changed, lengths_only=lengths_only)[1]
         except InputError:
             return
-        if np.mean(miss > _limit(changed, miss)) < SWAPPED / 2.0:
+        if np.mean(miss > _limit(changed, miss)) < share / 5.0:
             found.append((float(np.median(miss)), text))
 
     moving = _moving(few)

@@ -1,0 +1,174 @@
+"""What `identify` says of its own uncertainty, against many simulated measurements of one machine: an AT960 on the thesis's plan.
+
+The truth is the bundled calibration in the estimate's datum, which a measurement without noise gives to 1e-7 µm (test_identify.py).
+By default a few seeds, with the allowance that so few need; `pytest -m slow` asks for the numbers themselves, on 200.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from twin.calibration import Calibration
+from twin.identification import Identification, identify
+from twin.identification.result import COVERAGE
+from twin.instruments import LaserTracker
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.samples import thesis_plan
+from twin.simulate import simulate
+from twin.thesis_identification import identify_as_thesis
+
+FEW, MANY = 8, 200
+AXES = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One seed: which of the stated intervals hold, by name; mean square errors of E_XX, E_YY, E_ZZ, ours and the thesis's, µm²."""
+
+    inside: dict[str, np.ndarray]
+    ours: np.ndarray
+    thesis: np.ndarray
+    alarms: int
+    chi2: float
+    dof: float
+
+
+@cache
+def machine() -> Machine:
+    return Machine.load("dmu50")
+
+
+def measured(seed: int, *, noise: bool = True) -> Measurements:
+    """Places and stations are drawn by what the plan says and then not told."""
+    rng = np.random.default_rng(seed)
+    truth = Calibration.default(machine())
+    return simulate(thesis_plan.plan(machine()), machine(), truth, LaserTracker(), rng, noise=noise)[0]
+
+
+@cache
+def truth() -> Calibration:
+    found = identify(measured(0, noise=False), machine())
+    assert found.rms_um < 1e-6, "the bundled machine is no longer one that the estimate can write down"
+    return found.calibration
+
+
+def one(seed: int) -> Run:
+    data, true = measured(seed), truth()
+    found = identify(data, machine())
+    inside = {}
+    for name, curve in true.curves.items():
+        q = thesis_plan.POSITIONS[name[3]]
+        value, u = found.interval(name, q)
+        inside[name] = np.abs(value - curve(q)) <= COVERAGE * u
+    numbers = {**found.calibration.squareness, **found.calibration.location}
+    for name, number in {**true.squareness, **true.location}.items():
+        u = np.sqrt(found.calibration.covariance.of([name]).matrix[0, 0])
+        inside[name] = np.array([abs(numbers[name] - number) <= COVERAGE * u])
+    as_thesis = identify_as_thesis(data, machine()).calibration
+    return Run(
+        inside,
+        np.array([_mean_square(found.calibration, true, f"E_{axis}{axis}") for axis in AXES]),
+        np.array([_mean_square(as_thesis, true, f"E_{axis}{axis}") for axis in AXES]),
+        len(found.set_aside),
+        found.misfit.chi2,
+        found.misfit.dof,
+    )
+
+
+def _mean_square(found: Calibration, true: Calibration, name: str) -> float:
+    """Over the range; less the constant, which is each datum's own."""
+    q = np.linspace(*true.curves[name].domain, 201)
+    error = found.curves[name](q) - true.curves[name](q)
+    return float(np.var(error))
+
+
+def runs(seeds: range) -> list[Run]:
+    # Spawned: a forked process would inherit the threads' locks of the libraries underneath.
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(one, seeds, chunksize=max(1, min(10, len(seeds) // 2))))
+
+
+@pytest.fixture(scope="module")
+def few() -> list[Run]:
+    return runs(range(1, 1 + FEW))
+
+
+@pytest.fixture(scope="module")
+def many() -> list[Run]:
+    return runs(range(1, 1 + MANY))
+
+
+def coverage(found: list[Run]) -> tuple[float, float]:
+    """Share of all intervals that hold, and its standard error: a seed's intervals rest on one noise, seeds are independent."""
+    by_seed = [np.concatenate(list(run.inside.values())).mean() for run in found]
+    return float(np.mean(by_seed)), float(np.std(by_seed, ddof=1) / np.sqrt(len(by_seed)))
+
+
+def test_intervals_cover(few: list[Run]) -> None:
+    """93 to 97 %, and three standard errors of so few seeds."""
+    share, error = coverage(few)
+    assert error < 0.02, "too few seeds to say anything"
+    assert 0.93 - 3.0 * error <= share <= 0.97 + 3.0 * error
+
+
+@pytest.mark.slow
+def test_intervals_cover_on_many_seeds(many: list[Run]) -> None:
+    """93 to 97 % of all; and of the curves, of the squareness and of the locations by themselves."""
+    share, _ = coverage(many)
+    assert 0.93 <= share <= 0.97
+    for kind in ("curves", "squareness", "location"):
+        names = list(getattr(truth(), kind))
+        inside = [np.concatenate([run.inside[name] for name in names]).mean() for run in many]
+        error = np.std(inside, ddof=1) / np.sqrt(len(inside))
+        assert 0.93 - 2.0 * error <= np.mean(inside) <= 0.97 + 2.0 * error, kind
+
+
+def test_better_than_the_thesis(few: list[Run]) -> None:
+    """RMS errors at least 30 % below, on the same data."""
+    better_than_the_thesis(few)
+
+
+@pytest.mark.slow
+def test_better_than_the_thesis_on_many_seeds(many: list[Run]) -> None:
+    better_than_the_thesis(many)
+
+
+def better_than_the_thesis(found: list[Run]) -> None:
+    ours = np.sqrt(np.mean([run.ours for run in found], axis=0))
+    thesis = np.sqrt(np.mean([run.thesis for run in found], axis=0))
+    assert np.all(ours <= 0.7 * thesis), (ours, thesis)
+
+
+def test_no_alarm_and_no_misfit(few: list[Run]) -> None:
+    no_alarm_and_no_misfit(few)
+
+
+@pytest.mark.slow
+def test_no_alarm_and_no_misfit_on_many_seeds(many: list[Run]) -> None:
+    no_alarm_and_no_misfit(many)
+
+
+def no_alarm_and_no_misfit(found: list[Run]) -> None:
+    """A point called an outlier in one data set of a hundred (and what is above that once in a thousand); reduced chi² near one.
+
+    Two per cent, less than one standard deviation (2.9 %) of one data set's: how many numbers a fit settles whose orders were chosen and
+    whose remainder is a prior is known no better. Measured on 200 seeds: 0.987, as if 252 had been settled and not 223.
+    """
+    assert sum(run.alarms > 0 for run in found) <= stats.binom.isf(1e-3, len(found), 0.01)
+    chi2, dof = sum(run.chi2 for run in found), sum(run.dof for run in found)
+    assert abs(chi2 / dof - 1.0) <= 0.02 + 3.3 * np.sqrt(2.0 / dof), chi2 / dof
+
+
+def test_the_estimate_is_the_same_whoever_asks() -> None:
+    """No draw hides in it: the same data give the same numbers to the last digit."""
+    first, again = (identify(measured(3), machine()) for _ in range(2))
+    assert isinstance(first, Identification)
+    assert first.calibration.to_yaml() == again.calibration.to_yaml()
