@@ -368,12 +368,10 @@ class _Check:
         misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
-        if unit == "urad" and np.sum(np.abs(entry.coefficients)) > LARGEST_ANGLE_URAD:
+        peak = np.abs(basis.value(np.linspace(lo, hi, 201), entry.domain, entry.coefficients)).max()
+        if unit == "urad" and peak > LARGEST_ANGLE_URAD:
             raise self.fail(
-                (*place, "coefficients"),
-                "no plausible angle",
-                f"coefficients that sum to at most {LARGEST_ANGLE_URAD:g} µrad",
-                entry.coefficients,
+                (*place, "coefficients"), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", float(peak)
             )
         return Curve(
             name=name,

@@ -70,6 +70,7 @@ class Scatter(StrEnum):
     stated = "stated"
     repeats = "repeats"
     between_poses = "between poses"
+    between_rounds = "between rounds"
 
 
 MachineOption = Annotated[

@@ -20,7 +20,7 @@ from twin.identification.screen import explained, fitting, outliers, robust_weig
 from twin.identification.setup import SetUp
 from twin.identification.solve import UNSEEN, Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
-from twin.identification.unknowns import Column, CurveSpace, Unknowns, spaces_for
+from twin.identification.unknowns import Column, CurveSpace, Unknowns, axes_told, offset_name, spaces_for
 from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
 from twin.measurement import Measurements
@@ -94,10 +94,15 @@ def _identify(
             )
         if best is not None and not spaces:
             break  # constants alone: all families are the same
-        every = Unknowns(machine, spaces, constants)
+        every = Unknowns(machine, spaces, constants, axes_told(machine, data))
         whole = network(every)
         # What the data cannot tell of the machine as drawn goes first, so that it does not compete.
         drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
+        fixed = _offsets_seen(every, drawn)
+        if len(fixed) < len(every.offsets):
+            every = Unknowns(machine, spaces, constants, every.told, fixed)
+            whole = network(every)
+            drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
         seen, lost = _seen(every, drawn)
         kept = [every.index[column] for column in seen.columns] + list(range(len(every), drawn.triangle.shape[1]))
         whole = whole if seen is every else network(seen)
@@ -178,6 +183,12 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
     return solve(network, solution.theta, solution.setup, weight), weight
 
 
+def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
+    """The curves whose constant these data determine; the others' belongs to stations and locations."""
+    unseen = solution.unseen
+    return [name for name in unknowns.offsets if unseen[unknowns.index[Column(offset_name(name), 0)]] <= UNSEEN]
+
+
 def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str]]:
     """The unknowns these data determine, and the names of the others.
 
@@ -203,7 +214,8 @@ def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str]]:
         or len(curves) < len(unknowns.curves)
         or any(a is not b for a, b in zip(curves, unknowns.curves, strict=True))
     )
-    return (Unknowns(unknowns.machine, curves, constants) if changed else unknowns), lost
+    fewer = Unknowns(unknowns.machine, curves, constants, unknowns.told, unknowns.offsets)
+    return (fewer if changed else unknowns), lost
 
 
 def _without_outliers(

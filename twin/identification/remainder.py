@@ -19,8 +19,8 @@ from twin.identification.unknowns import PLAUSIBLE, Unknowns
 FALL: Final = 0.7
 """Ratio of variances from one orthonormal function to the next: gentler than a smooth curve's, which it does not assert."""
 SWEEPS: Final = 30
-FREE: Final = 1e-12
-"""Precision of what is free, in plausible units."""
+FREE: Final = 1.0
+"""Precision of what is free: its plausible size, which decides nothing that the data see."""
 
 
 def remainder_precision(unknowns: Unknowns, solution: Solution, choice: Choice) -> np.ndarray:

@@ -17,7 +17,7 @@ from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import PLAUSIBLE
 
-WEAKEST: Final = 0.1
+WEAKEST: Final = 1.0
 """Singular values below it, in plausible units, are directions the data do not see."""
 UNSEEN: Final = 0.25
 """An unknown whose variance stays above this share of its plausible one has not been determined."""

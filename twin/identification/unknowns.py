@@ -25,6 +25,7 @@ from twin.curves import Basis
 from twin.effects import AxisLocation, ErrorMotion, Squareness, split_name
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
+from twin.measurement import CARRIERS, Measurements
 from twin.units import UM
 
 NODES: Final = 400
@@ -103,15 +104,35 @@ class Unknowns:
         machine: the machine.
         curves: the spaces its error motions are sought in.
         constants: names of squareness and locations sought.
+        told: axes next to a carrier whose targets' places are all known. There nothing else takes up a constant or a turning pattern:
+            their curves have one.
+        offsets: names of the curves that do; all of those axes' if None.
     """
 
-    def __init__(self, machine: Machine, curves: Sequence[CurveSpace], constants: Sequence[str]) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        curves: Sequence[CurveSpace],
+        constants: Sequence[str],
+        told: Sequence[str] = (),
+        offsets: Sequence[str] | None = None,
+    ) -> None:
         self.machine = machine
         self.curves = tuple(curves)
         self.constants = tuple(constants)
+        self.told = tuple(told)
+        self.offsets = tuple(
+            c.name
+            for c in self.curves
+            for axis in [split_name(c.name)[2]]
+            if axis in self.told
+            and (offsets is None or c.name in offsets)
+            and not (not machine.by_name[axis].linear and f"{c.name[:3]}0{axis}" in self.constants)
+        )
         self.columns = tuple(
             [Column(c.name, k) for c in self.curves for k in range(c.first, c.count)]
             + [Column(name, 0) for name in self.constants]
+            + [Column(offset_name(name), 0) for name in self.offsets]
         )
         self.index = {column: i for i, column in enumerate(self.columns)}
         self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
@@ -149,6 +170,10 @@ class Unknowns:
             at = 6 * self._frames[effect.frame.axis, effect.frame.role]
             (shape,) = effect.derivatives(by_axis)
             found.append([(at + i, np.asarray(values) * UM) for i, values in shape.items()])
+        for name in self.offsets:
+            component, _, axis_name = split_name(name)
+            at = 6 * self._frames[axis_name, "motion"] + component
+            found.append([(at, np.full(len(positions), UM))])
         return found
 
     @cached_property
@@ -157,7 +182,7 @@ class Unknowns:
         rows = []
         spaces = {curve.name: curve for curve in self.curves}
         for axis in self.machine.axes:
-            if axis.linear:
+            if axis.linear or axis.name in self.told:
                 continue
             for letters in ("XYZ", "ABC"):
                 for pattern in turning_patterns(axis):
@@ -201,6 +226,8 @@ class Unknowns:
             block = np.zeros((count, len(self)))
             for k in orders:
                 block[:, self.index[Column(space.name, k)]] = space.transform[:count, k]
+            if space.name in self.offsets:
+                block[0, self.index[Column(offset_name(space.name), 0)]] = 1.0
             unit = "um" if split_name(space.name)[0] < 3 else "urad"
             own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
@@ -279,6 +306,25 @@ def _rule() -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of the Gauss-Legendre rule, found once."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return locked(x), locked(w)
+
+
+def offset_name(name: str) -> str:
+    """The unknown that is the constant of a curve."""
+    return f"{name} constant"
+
+
+def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
+    """Axes next to a carrier of which every target's place is given."""
+    found = []
+    for side in CARRIERS:
+        of = data.carrier == side
+        axes = [axis.name for axis in machine.axes if axis.side == side]
+        if np.any(of) and np.all(np.isfinite(data.place_mm[of])) and axes:
+            frame = machine.tool_frame if side == "tool" else machine.work_frame
+            chain = machine.model.supports[machine.model.frames[frame].parentJoint].tolist()
+            joints = dict(zip(machine.names, machine.axis_joints, strict=True))
+            found.append(max(axes, key=lambda name: chain.index(joints[name])))
+    return tuple(found)
 
 
 def distinct_positions(q: np.ndarray) -> np.ndarray:
