@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tests.plans import HIGH, LOW, PLACES, STATIONS, read_by_truth, table, volumetric
+from tests.plans import HIGH, LOW, PLACES, STATIONS, read_by_truth, table, volumetric, with_places
 from tests.truth import CONSTANTS, MOTIONS, RANGES, TruthMachine, in_datum, written
 from twin.calibration import Calibration
 from twin.identification import Identification, identify
@@ -123,8 +123,9 @@ def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -
 def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> None:
     """Identified from 600 poses (4800 lengths) and four stations with noise, compensated by the inverse: at most 0.5 µm RMS at the tool.
 
-    The truth is in the datum, so nothing is removed: E_X0B, E_Y0B, E_Y0C and the constants of the curves, which say where the workpiece
-    and the tool are clamped and what zeroing a machine settles, are zero in it.
+    The truth is in the datum, so nothing is removed:
+    E_X0B, E_Y0B, E_Y0C and the constants of the curves, which say where workpiece
+    and tool are clamped and what zeroing a machine settles, are zero in it.
     """
     rng = np.random.default_rng(31)
     errors = in_datum(rng, size=30.0)
@@ -149,7 +150,9 @@ def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> Non
     assert np.sqrt(np.mean(after**2)) <= 0.5
 
 
-@settings(max_examples=8)
+@settings(
+    max_examples=6, phases=(Phase.explicit, Phase.reuse, Phase.generate)
+)  # shrinking takes minutes and shows no more
 @given(
     seed=st.integers(0, 2**32 - 1),
     axis=st.sampled_from("XYZ"),
@@ -164,7 +167,10 @@ def test_one_axis_property(
     letters: set[str],
     size: float,
 ) -> None:
-    """Any machine with errors of one linear axis, any size, from one run along it with three targets."""
+    """Any machine with errors of one linear axis, any size, from one run along it with three targets whose places are known.
+
+    Unknown, their common distance from the axis could not be told from straightness (test_identify_datum.py).
+    """
     errors = in_datum(
         np.random.default_rng(seed),
         tuple(f"E_{letter}{axis}" for letter in sorted(letters)),
@@ -174,7 +180,7 @@ def test_one_axis_property(
     truth = written(tmp_path_factory.mktemp("one") / "t.yaml", errors)
     positions = np.tile(np.array([250.0, 225.0, -200.0, 0.0, 0.0]), (33, 1))
     positions[:, "XYZ".index(axis)] = np.tile(np.linspace(*RANGES[axis], 11), 3)
-    plan = table(dmu50, positions, np.repeat(["K", "P", "Q"], 11), np.full(33, "1"))
+    plan = with_places(table(dmu50, positions, np.repeat(["K", "P", "Q"], 11), np.full(33, "1")))
     found = identify(read_by_truth(plan, truth), dmu50)
     assert max(differences(found.calibration, truth, errors).values()) <= EXACT
     assert found.rms_um < EXACT

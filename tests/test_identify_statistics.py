@@ -159,8 +159,8 @@ def test_no_alarm_and_no_misfit_on_many_seeds(many: list[Run]) -> None:
 def no_alarm_and_no_misfit(found: list[Run]) -> None:
     """A point called an outlier in one data set of a hundred (and what is above that once in a thousand); reduced chi² near one.
 
-    Two per cent, less than one standard deviation (2.9 %) of one data set's: how many numbers a fit settles whose orders were chosen and
-    whose remainder is a prior is known no better. Measured on 200 seeds: 0.987, as if 252 had been settled and not 223.
+    Two per cent, less than one data set's standard deviation (2.9 %): how many numbers a fit settles whose orders were
+    chosen and whose remainder is a prior is known no better. Measured on 200 seeds: 0.987, as if 252 had been settled and not 223.
     """
     assert sum(run.alarms > 0 for run in found) <= stats.binom.isf(1e-3, len(found), 0.01)
     chi2, dof = sum(run.chi2 for run in found), sum(run.dof for run in found)

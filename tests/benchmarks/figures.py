@@ -16,6 +16,7 @@ import pinocchio as pin
 from scipy.optimize import root
 
 from tests.errors import random_calibration
+from tests.plans import volumetric
 from tests.reference import sorby_forward, sorby_inverse
 from tests.test_kinematics import random_commands, reference_pose
 from tests.test_thesis import PROGRAM
@@ -23,11 +24,14 @@ from tests.test_thesis_findings import gains
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
+from twin.identification import identify
+from twin.instruments import LaserTracker
 from twin.inverse import Inverse, Status
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.nc import dialect_for, find_program, read_program
 from twin.nc.blocks import Dialect, Program
+from twin.simulate import simulate
 from twin.symbolic import chain_function
 
 
@@ -167,6 +171,19 @@ def identified(machine: Machine, calibration: Calibration) -> None:
         print(f"{name:44}" + "".join(f"{cell:>18}" for cell in cells))
 
 
+def identification(machine: Machine, calibration: Calibration) -> None:
+    """Time to identify 10,000 points: random poses, six targets, two trackers, three rounds."""
+    plan = volumetric(machine, np.random.default_rng(5), 10_000)
+    data, _ = simulate(plan, machine, calibration, LaserTracker(), np.random.default_rng(1))
+    start = time.perf_counter()
+    found = identify(data, machine)
+    seconds = time.perf_counter() - start
+    print(
+        f"identify, {len(data):,} points, {len(found.solution.scale)} unknowns: {seconds:.1f} s "
+        f"(reduced chi² {found.misfit.reduced:.3f})"
+    )
+
+
 def main() -> None:
     """Print all figures."""
     machine = Machine.load("dmu50")
@@ -176,6 +193,7 @@ def main() -> None:
     methods(machine, calibration)
     identified(machine, calibration)
     timing(machine, calibration)
+    identification(machine, calibration)
 
 
 if __name__ == "__main__":

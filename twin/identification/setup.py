@@ -14,7 +14,9 @@ from twin.units import DEG, MM
 PLACE_PLAUSIBLE: Final = 0.2
 """m: how far from the origin of its carrier a target may sit when nobody says where."""
 STATION_PLAUSIBLE: Final = 10.0
-"""m, and radians: where a station may stand, how it may be turned."""
+"""m: where a station may stand."""
+TURN_PLAUSIBLE: Final = 1.0
+"""rad: how it may be turned beside what the data say."""
 
 
 @final
@@ -86,7 +88,7 @@ class SetUp:
     @property
     def plausible(self) -> np.ndarray:
         """(unknowns,) how far each may be from anything, metres and radians."""
-        return np.array([PLACE_PLAUSIBLE if name.startswith("target") else STATION_PLAUSIBLE for name in self.names])
+        return np.array([_plausible(name) for name in self.names])
 
     def slots(self) -> tuple[list[tuple[slice, slice, slice]], list[slice]]:
         """Where each station's turn, origin and dead path stand among the unknowns, and each target's place; empty where known."""
@@ -129,3 +131,9 @@ class SetUp:
             self.target_known,
             self.lengths_only,
         )
+
+
+def _plausible(name: str) -> float:
+    if name.startswith("target"):
+        return PLACE_PLAUSIBLE
+    return TURN_PLAUSIBLE if " turn " in name else STATION_PLAUSIBLE
