@@ -323,15 +323,15 @@ def _carried(of: Plan, error: dict[str, np.ndarray], place: np.ndarray) -> np.nd
         ("X", np.stack([of.at("X"), zero, zero], axis=1)),
     ):
         tool = shift + error[axis][:, :3] + np.einsum("nij,nj->ni", _exp(error[axis][:, 3:]), tool)
-    tool = tool + [-250.0, -225.0, 400.0]
+    tool = tool + np.array([-250.0, -225.0, 400.0])
     work = np.einsum("nij,nj->ni", _rz(-np.radians(of.at("C"))), place)
     for name in ("C", "L_C"):
         work = error[name][:, :3] + np.einsum("nij,nj->ni", _exp(error[name][:, 3:]), work)
-    work = work + [0.0, 0.0, -D]
+    work = work + np.array([0.0, 0.0, -D])
     work = np.einsum("nij,nj->ni", _rz(np.radians(of.at("B"))) @ _rx(n, -np.pi / 4), work)
     for name in ("B", "L_B"):
         work = error[name][:, :3] + np.einsum("nij,nj->ni", _exp(error[name][:, 3:]), work)
-    work = np.einsum("nij,nj->ni", _rx(n, np.pi / 4), work) + [0.0, 0.0, D]
+    work = np.einsum("nij,nj->ni", _rx(n, np.pi / 4), work) + np.array([0.0, 0.0, D])
     return np.where((of.carrier == "tool")[:, None], tool, work)
 
 
@@ -348,7 +348,7 @@ def _load(of: Plan, axis: str) -> np.ndarray:
     for link, (mass, centre) in MASSES.items():
         local = np.array(centre)
         if link == "table":
-            local = _rx(1, -np.pi / 4)[0] @ (local + [0.0, 0.0, -D * 1e-3])
+            local = _rx(1, -np.pi / 4)[0] @ (local + np.array([0.0, 0.0, -D * 1e-3]))
         arm = np.einsum("nij,j->ni", tilt @ spin, local)
         total += mass * np.cross(arm, down) @ (_rx(1, np.pi / 4)[0] @ [0.0, 0.0, 1.0])
     return total

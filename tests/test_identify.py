@@ -121,7 +121,7 @@ def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -
 
 
 def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> None:
-    """Identified from 600 poses (4800 lengths) and four stations with noise, compensated by the inverse: at most 0.5 µm RMS at the tool.
+    """Identified from 600 poses (4800 lengths) and four stations with noise, compensated: at most 0.5 µm RMS at the tool.
 
     The truth is in the datum, so nothing is removed:
     E_X0B, E_Y0B, E_Y0C and the constants of the curves, which say where workpiece

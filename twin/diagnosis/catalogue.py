@@ -175,8 +175,10 @@ def _turned(
 def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
+    # Two positions a period at least; on a few even positions a shorter one looks like a longer.
+    shortest = max(SHORTEST_PERIOD, 2.0 * span / max(len(np.unique(np.round(q, 3))) - 1, 1))
     # Half the resolution of the span a step; the best is refined afterwards.
-    frequencies = np.arange(1.0 / span, 1.0 / SHORTEST_PERIOD, 0.5 / span)
+    frequencies = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
     cells = []
     for f in frequencies:
         sine, cosine = PitchError(axis, 1.0, 1.0 / f, 0.0), PitchError(axis, 1.0, 1.0 / f, np.pi / 2.0)

@@ -20,12 +20,12 @@ from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search import Pool, Screen, Selection, few, prices, select
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.network import Network, stated_covariance
-from twin.identification.screen import explained, fitting, outliers
+from twin.identification.screen import explained, fitting, instrument_of, outliers
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.spread import repeats
 from twin.identification.unknowns import Unknowns
-from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
+from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.units import MM
@@ -73,8 +73,8 @@ def problem_of(
     data: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument | None
 ) -> tuple[Problem, Catalogue, Scatter]:
     """The data at their fitted set-up, whitened by what is known of their scatter, and the causes to try."""
-    lengths = bool(np.isnan(data.point_mm[:, 1:]).all())
-    reader = instrument or (TrackingInterferometer() if lengths else LaserTracker())
+    reader = instrument_of(machine, data, instrument)
+    lengths = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
     data, setup = fitting(machine, data, lengths_only=lengths)
     nothing = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)

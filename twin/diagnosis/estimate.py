@@ -12,7 +12,7 @@ from twin.arrays import locked
 from twin.covariance import Covariance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.search import Form
+from twin.diagnosis.search import SEEN, Form
 from twin.diagnosis.signatures import of_effect, state_of
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
 
@@ -51,7 +51,7 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     machine = problem.network.machine
     state = state_of(problem.network.data, machine)
-    columns = [problem.signature(form.cell.columns) / _scales(form) for form in forms]
+    columns = [_seen(problem, form) for form in forms]
     values = _linear(problem, columns)
     effects: list[tuple[Effect, ...]] = [
         () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
@@ -120,8 +120,11 @@ def _matrix(form: Form, effects: Sequence[Effect], width: int) -> np.ndarray:
     return space.transform[:width, :width] if space is not None and effects else np.eye(width)
 
 
-def _scales(form: Form) -> np.ndarray:
-    return np.array([column.scale for column in form.cell.columns])
+def _seen(problem: Problem, form: Form) -> np.ndarray:
+    """(3n, k) signature a unit of each parameter; zero where the data see nothing of the largest plausible size."""
+    signature = problem.signature(form.cell.columns)
+    size = np.diag(problem.inner(signature, signature))
+    return np.asarray(np.where(size > SEEN, signature / [column.scale for column in form.cell.columns], 0.0))
 
 
 def _linear(problem: Problem, columns: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -133,7 +136,8 @@ def _linear(problem: Problem, columns: Sequence[np.ndarray]) -> list[np.ndarray]
 
 def _solved(problem: Problem, columns: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and least-squares step; nothing along what the data do not see."""
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    size = np.linalg.norm(columns, axis=0)
+    size = np.maximum(size, max(1e-9 * float(size.max(initial=0.0)), 1e-300))
     scaled = columns / size
     gram = problem.inner(scaled, scaled)
     values, vectors = np.linalg.eigh(gram)
@@ -185,6 +189,7 @@ def _quantities(
     found = tuple(
         Quantity(name, float(value), unit, float(one))
         for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
+        if one > 0.0  # a direction these data do not see has no size
     )
     if "order" in form.cell.fixed:
         found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)

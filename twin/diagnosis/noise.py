@@ -19,7 +19,7 @@ from twin.identification.spread import repeats
 from twin.instruments.base import along_and_across
 from twin.measurement import Measurements
 
-ENOUGH: Final = 60
+ENOUGH: Final = 20
 """Degrees of freedom of repeats below which the instrument's own figures are taken."""
 CHANGING: Final = (
     "frame_shift",

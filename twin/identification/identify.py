@@ -16,12 +16,12 @@ from twin.identification.network import Network
 from twin.identification.orders import Choice, Folds, choose
 from twin.identification.remainder import remainder_precision
 from twin.identification.result import Identification, Unidentified
-from twin.identification.screen import explained, fitting, outliers, robust_weights
+from twin.identification.screen import explained, fitting, instrument_of, outliers, robust_weights
 from twin.identification.setup import SetUp
 from twin.identification.solve import UNSEEN, Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
 from twin.identification.unknowns import Column, CurveSpace, Unknowns, axes_told, offset_name, spaces_for
-from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
+from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.units import MM
@@ -74,7 +74,7 @@ def _identify(
     spread: Spread,
     say: Say,
 ) -> Identification:
-    reader = _instrument(data, instrument)
+    reader = instrument_of(machine, data, instrument)
     lengths_only = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
     say("placing the stations", 0.0)
     data, setup = fitting(machine, data, lengths_only=lengths_only)
@@ -121,27 +121,6 @@ def _identify(
     used = ~bad
     say("uncertainty", 0.9)
     return _result(final, solution, used, choice, blind, spread, wanted)
-
-
-def _instrument(data: Measurements, given: Instrument | None) -> Instrument:
-    lengths = bool(np.isnan(data.point_mm[:, 1:]).all())
-    reader = given or (TrackingInterferometer() if lengths else LaserTracker())
-    reads_lengths = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
-    if reads_lengths and not lengths:
-        raise InputError(
-            f"{reader.name} reads lengths only, and y_mm or z_mm is given",
-            expected="the length in x_mm, y_mm and z_mm empty",
-            file=data.source,
-            line=int(data.lines[np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0]]),
-        )
-    if lengths and not reads_lengths:
-        raise InputError(
-            f"only x_mm is given, which {reader.name} does not read alone",
-            expected="x_mm, y_mm and z_mm, or an interferometer's lengths",
-            file=data.source,
-            line=int(data.lines[0]),
-        )
-    return reader
 
 
 def _families(machine: Machine, data: Measurements) -> list[dict[str, Basis]]:

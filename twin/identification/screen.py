@@ -15,6 +15,7 @@ from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
 from twin.identification.start import FITS, first_setup
+from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
 from twin.measurement import Measurements, RowNote
 from twin.units import MM
@@ -29,6 +30,45 @@ STANDS_OUT: Final = 10.0
 """Times the typical miss beyond which a row does not belong."""
 FALSE_ALARM: Final = 0.01
 """Chance that a data set without any outlier has a point called one."""
+
+
+def instrument_of(machine: Machine, data: Measurements, given: Instrument | None) -> Instrument:
+    """What read the data: as given, else a laser tracker, or a tracking interferometer where only x_mm is read and is no coordinate.
+
+    An empty field is a coordinate that was not measured (contract §2): a scale beside a stage reads x alone. A tracking
+    interferometer's length stands in x_mm, too; which of them it is shows in the motion.
+
+    Raises:
+        InputError: a given instrument that does not read so.
+    """
+    only_x = bool(np.isnan(data.point_mm[:, 1:]).all())
+    if given is None:
+        return TrackingInterferometer() if only_x and not _is_coordinate(machine, data) else LaserTracker()
+    lengths = bool(np.isnan(given.read(np.ones((1, 3)))[0, 1]))
+    if lengths and not only_x:
+        raise InputError(
+            f"{given.name} reads lengths only, and y_mm or z_mm is given",
+            expected="the length in x_mm, y_mm and z_mm empty",
+            file=data.source,
+            line=int(data.lines[np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0]]),
+        )
+    if only_x and not lengths and not _is_coordinate(machine, data):
+        raise InputError(
+            f"only x_mm is given, and as a coordinate that {given.name} read it does not follow the commands",
+            expected="x_mm, y_mm and z_mm, or an interferometer's lengths",
+            file=data.source,
+            line=int(data.lines[0]),
+        )
+    return given
+
+
+def _is_coordinate(machine: Machine, data: Measurements) -> bool:
+    """Whether x_mm alone follows the commands as a coordinate along one line."""
+    try:
+        _, miss = first_setup(machine, data, lengths_only=False)
+    except InputError:
+        return False
+    return float(np.mean(miss > _limit(data, miss))) <= SWAPPED
 
 
 def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[Measurements, SetUp]:

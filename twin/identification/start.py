@@ -66,6 +66,12 @@ def _by_points(
             )
     y, b, a = np.where(whole[:, None], point, 0.0) * MM, base, turn
     n, stations, targets = len(y), len(told.stations), len(told.targets)
+    # From each station's mean: in points of one plane or line where they lie must not pass for how the station is turned.
+    centre = np.zeros((stations, 3))
+    for i in range(stations):
+        of = whole & (station == i)
+        centre[i] = y[of].mean(axis=0) if np.any(of) else 0.0
+    y = np.where(whole[:, None], y - centre[station], 0.0)
     matrix = np.zeros((n, 3, 12 * stations + 3 * targets))
     rows = np.arange(n)
     for i in range(3):
@@ -78,7 +84,9 @@ def _by_points(
     for i in range(stations):
         if told.station_known[i]:
             known[12 * i : 12 * i + 12] = True
-            values[12 * i : 12 * i + 12] = np.concatenate([told.rotation[i].ravel(), told.origin[i]])
+            values[12 * i : 12 * i + 12] = np.concatenate(
+                [told.rotation[i].ravel(), told.origin[i] + told.rotation[i] @ centre[i]]
+            )
     for i in range(targets):
         if told.target_known[i]:
             at = slice(12 * stations + 3 * i, 12 * stations + 3 * i + 3)
@@ -89,10 +97,15 @@ def _by_points(
     for _ in range(SWEEPS):
         root = np.sqrt(weight)[:, None]
         flat = (matrix[:, :, ~known] * root[:, :, None]).reshape(3 * n, -1)
-        size = np.linalg.norm(flat, axis=0)
+        size = np.zeros(matrix.shape[2])
+        size[~known] = np.linalg.norm(flat, axis=0)
+        # A turn's entries alike: across a plane of points there is only their scatter, which says nothing of it.
+        for i in range(stations):
+            size[12 * i : 12 * i + 9] = size[12 * i : 12 * i + 9].max()
+        size = size[~known]
         scale = np.where(size > 0.0, size, 1.0)
         # A motion along one line leaves directions that nothing determines: the smallest answer is as good as any.
-        solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-9)[0] / scale
+        solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-3)[0] / scale
         found = np.array(values)
         found[~known] = solved
         misfit = np.linalg.norm(b - matrix @ found, axis=1)
@@ -129,23 +142,20 @@ def _by_points(
         weight = np.where(whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
     full = np.where(keep, 0.0, fixed)
     full[keep] = solved
-    origin = np.array([full[12 * i + 9 : 12 * i + 12] for i in range(stations)])
+    origin = np.array([full[12 * i + 9 : 12 * i + 12] - rotation[i] @ centre[i] for i in range(stations)])
+    origin[told.station_known] = told.origin[told.station_known]
     place = full[12 * stations :].reshape(-1, 3)
     setup = replace(told, rotation=locked(rotation), origin=locked(origin), place=locked(np.array(place)))
     return setup, np.where(whole, misfit, 0.0)
 
 
 def _filled(told: SetUp, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
-    """(n, 3) points, mm, in which a station that read two coordinates has zero as the third: it read a plane, and stands in it."""
+    """(n, 3) points, mm, with zero for the coordinates a station never read: it read a plane or a line, and stands in it."""
     point = np.array(point_mm)
     for i in np.flatnonzero(~told.station_known):
         of = np.flatnonzero(station == i)
-        read = np.isfinite(point[of])
-        if np.count_nonzero(read.all(axis=1)) >= 3:
-            continue
-        flat = (read.sum(axis=1) == 2)[:, None] & ~read
-        third = int(np.argmax(flat.sum(axis=0)))
-        point[of[flat[:, third]], third] = 0.0
+        never = ~np.isfinite(point[of]).any(axis=0)
+        point[np.ix_(of, np.flatnonzero(never))] = 0.0
     return point
 
 
