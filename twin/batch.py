@@ -10,6 +10,8 @@ import numpy as np
 
 CHUNK = 1024
 """Rows a call: long enough that a call costs nothing, short enough that its work fits in cache."""
+REST = 128
+"""Rows a call for what is left over, so that little of it is padding."""
 
 
 @final
@@ -28,6 +30,7 @@ class BatchFunction:
         )
         workers = os.cpu_count() or 1
         self._mapped = dense.map(CHUNK, "thread", workers) if workers > 1 else dense.map(CHUNK)
+        self._rest = dense.map(REST, "thread", workers) if workers > 1 else dense.map(REST)
         self._single = dense.map(1)
 
     def __call__(self, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -45,12 +48,33 @@ class BatchFunction:
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
-        function, size = (self._single, 1) if rows <= 4 else (self._mapped, CHUNK)
+        start = 0
+        while start < rows:
+            left = rows - start
+            if rows <= 4:
+                function, size = self._single, 1
+            else:
+                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._rest, REST)
+            # As many calls of one size as fit share one buffer.
+            end = start + max(left // size, 1) * size
+            self._run(function, size, range(start, min(end, rows), size), columns, outputs)
+            start = end
+        return outputs
+
+    @staticmethod
+    def _run(
+        function: ca.Function,
+        size: int,
+        starts: range,
+        columns: list[np.ndarray],
+        outputs: tuple[np.ndarray, ...],
+    ) -> None:
         buffer: Any
         buffer, trigger = function.buffer()
-        for start in range(0, rows, size):
+        for start in starts:
             part = slice(start, start + size)
-            whole = start + size <= rows
+            have = min(size, len(columns[0]) - start)
+            whole = have == size
             given = [column[part] if whole else _padded(column[part], size) for column in columns]
             results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
             for i, array in enumerate(given):
@@ -60,8 +84,7 @@ class BatchFunction:
             trigger()
             if not whole:
                 for output, result in zip(outputs, results, strict=True):
-                    output[part] = result[: rows - start]
-        return outputs
+                    output[part] = result[:have]
 
 
 def _view(array: np.ndarray) -> Any:

@@ -69,11 +69,14 @@ class Observation:
         """
         kinematics = Kinematics(self.machine, calibration, tool_length_mm=0.0)
         errors = kinematics.error_frames(positions).reshape(len(positions), -1)
-        q = np.asarray(positions) * self.machine.scale
-        points = np.empty((len(q), 3))
+        return self.points(np.asarray(positions) * self.machine.scale, errors, carrier, places_mm * MM) / MM
+
+    def points(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """(n, 3) reflectors in the base frame, unchecked; arguments as `carried`."""
+        found = np.empty((len(q), 3))
         for side, rows in _sides(carrier):
-            (points[rows],) = self._points[side](q[rows], errors[rows], places_mm[rows] * MM)
-        return points / MM
+            (found[rows],) = self._points[side](q[rows], errors[rows], places[rows])
+        return found
 
     def carried(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> Carried:
         """Reflectors and their derivatives, unchecked, in our own units.

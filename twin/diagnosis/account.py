@@ -17,7 +17,7 @@ from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
-from twin.diagnosis.search import Form, Pool, Screen, Selection, cost, select
+from twin.diagnosis.search import Form, Pool, Selection, cost, select
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect, assemble
 from twin.kinematics import Kinematics
@@ -34,7 +34,6 @@ RIVALS: Final = 2
 def account(
     problem: Problem,
     known: Catalogue,
-    screen: Screen,
     pool: Pool,
     best: Selection,
     scatter: Scatter,
@@ -45,7 +44,6 @@ def account(
     Args:
         problem: the data.
         known: the causes that were tried.
-        screen: the candidates with many forms.
         pool: what was compared.
         best: the set that was chosen.
         scatter: of the readings.
@@ -118,7 +116,7 @@ def account(
         ),
         causes=tuple(causes),
         unexplained=left,
-        unidentifiable=_unidentifiable(pool, screen, known),
+        unidentifiable=_unidentifiable(pool, known),
         not_evaluated=known.not_evaluated,
         gain=_gain(problem, pool, forms, found, before_um, after_um) if causes else None,
         next_measurement=_next(problem, pool, named, forms, causes),
@@ -244,7 +242,7 @@ def _expected(problem: Problem, weights: np.ndarray) -> float:
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
 
 
-def _unidentifiable(pool: Pool, screen: Screen, known: Catalogue) -> tuple[tuple[str, str], ...]:
+def _unidentifiable(pool: Pool, known: Catalogue) -> tuple[tuple[str, str], ...]:
     everything = list(range(len(pool.forms)))
     seen: dict[tuple[str, str], bool] = {}
     for form, score in zip(pool.forms, pool.scores([], everything), strict=True):

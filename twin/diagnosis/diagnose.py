@@ -17,7 +17,7 @@ from twin.diagnosis.catalogue import Candidate, Catalogue, catalogue
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import Pool, Screen, Selection, few, prices, select
+from twin.diagnosis.search import Pool, Selection, every, prices, select
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.network import Network, stated_covariance
 from twin.identification.screen import explained, fitting, instrument_of, outliers
@@ -32,7 +32,6 @@ from twin.units import MM
 
 UNNAMED: Final = 3.0
 """Natural log of how much more an unnamed pattern must show than a named cause."""
-LOOPS: Final = 4
 ROBUST: Final = 4
 Say = Callable[[str, float], None]
 
@@ -66,7 +65,7 @@ def diagnose(
         searcher = Searcher(problem, machine, known)
         pool, best = searcher.run()
         tell("weighing", 0.7)
-        return account(problem, known, searcher.screen, pool, best, scatter, errors)
+        return account(problem, known, pool, best, scatter, errors)
 
 
 def problem_of(
@@ -156,22 +155,8 @@ class Searcher:
         costs = prices(known.candidates)
         costs[EFFECT] = float(np.log(3 * max(len(unnamed), 1))) + UNNAMED
         everything: list[Candidate] = [*known.candidates, *unnamed]
-        self.screen = Screen(problem, everything, costs)
-        self.pool = Pool(problem, few(everything, costs))
+        self.pool = Pool(problem, every(everything, costs))
 
     def run(self) -> tuple[Pool, Selection]:
         """The best set of causes, named and unnamed, and the pool it was chosen from."""
-        self.pool.slope = self.problem.along(self.pool.signature)
-        best = Selection((), 0.0)
-        pool = self.pool
-        for _ in range(LOOPS):
-            listed = {id(form.cell) for form in pool.forms}
-            fresh = [one for one in self.screen.peaks(pool, best.forms) if id(one[1]) not in listed]
-            pool = Pool(self.problem, fresh, pool)
-            found = select(pool)
-            if best.forms:
-                found = max(found, select(pool, best.forms), key=lambda one: one.worth)
-            if found.worth <= best.worth + 1e-6:
-                break
-            best = found
-        return pool, best
+        return self.pool, select(self.pool)

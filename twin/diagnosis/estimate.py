@@ -12,7 +12,7 @@ from twin.arrays import locked
 from twin.covariance import Covariance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.search import SEEN, Form
+from twin.diagnosis.search import Form, pseudo
 from twin.diagnosis.signatures import of_effect, state_of
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
 
@@ -51,22 +51,25 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     machine = problem.network.machine
     state = state_of(problem.network.data, machine)
-    columns = [_seen(problem, form) for form in forms]
-    values = _linear(problem, columns)
+    scales = [np.array([column.scale for column in form.cell.columns]) for form in forms]
+    columns = [problem.signature(form.cell.columns) / own for form, own in zip(forms, scales, strict=True)]
+    _, start = _solved(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+    values = list(np.split(start, np.cumsum([len(own) for own in scales])[:-1]))
     effects: list[tuple[Effect, ...]] = [
         () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
         for form, value in zip(forms, values, strict=True)
     ]
     curved = [bool(found) and isinstance(found[0], PitchError | ThermalDrift) for found in effects]
     for _ in range(STEPS if any(curved) else 1):
-        blocks, current = [], []
+        blocks, current, sizes = [], [], []
         for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
             if bent:
-                blocks.append(
-                    np.stack([c.reading(problem.view).reshape(-1) for c in of_effect(found[0], machine, state)], axis=1)
-                )
+                derived = of_effect(found[0], machine, state)
+                sizes.append(np.array([column.scale for column in derived]))
+                blocks.append(problem.signature(derived) / sizes[-1])
                 current.append(np.array([p.value for p in found[0].parameters]))
             else:
+                sizes.append(scales[k])
                 blocks.append(columns[k])
                 current.append(values[k])
         made = [
@@ -75,7 +78,7 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
         ]
         left = problem.residual - np.sum(made, axis=0) if made else problem.residual
         whole = np.concatenate(blocks, axis=1)
-        inverse, step = _solved(problem, whole, left)
+        inverse, step = _solved(problem, whole, left, np.concatenate(sizes))
         moved = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
         at = 0
         for k, block in enumerate(blocks):
@@ -120,31 +123,14 @@ def _matrix(form: Form, effects: Sequence[Effect], width: int) -> np.ndarray:
     return space.transform[:width, :width] if space is not None and effects else np.eye(width)
 
 
-def _seen(problem: Problem, form: Form) -> np.ndarray:
-    """(3n, k) signature a unit of each parameter; zero where the data see nothing of the largest plausible size."""
-    signature = problem.signature(form.cell.columns)
-    size = np.diag(problem.inner(signature, signature))
-    return np.asarray(np.where(size > SEEN, signature / [column.scale for column in form.cell.columns], 0.0))
-
-
-def _linear(problem: Problem, columns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    if not columns:
-        return []
-    _, found = _solved(problem, np.concatenate(columns, axis=1), problem.residual)
-    return list(np.split(found, np.cumsum([c.shape[1] for c in columns])[:-1]))
-
-
-def _solved(problem: Problem, columns: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance and least-squares step; nothing along what the data do not see."""
-    size = np.linalg.norm(columns, axis=0)
-    size = np.maximum(size, max(1e-9 * float(size.max(initial=0.0)), 1e-300))
-    scaled = columns / size
-    gram = problem.inner(scaled, scaled)
-    values, vectors = np.linalg.eigh(gram)
-    seen = values > 1e-9 * max(float(values[-1]), 1e-300)
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+def _solved(
+    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and least-squares step; nothing along what the data do not see of the largest plausible size."""
+    scaled = columns * scale
+    inverse, _ = pseudo(problem.inner(scaled, scaled))
     slope = scaled.T @ (residual - problem.basis @ (problem.basis.T @ residual))
-    return inverse / np.outer(size, size), (inverse @ slope) / size
+    return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
 def _made(problem: Problem, machine: object, state: object, effects: Sequence[Effect]) -> np.ndarray:

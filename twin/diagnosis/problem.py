@@ -49,6 +49,7 @@ class Problem:
         self.projected = self.residual - self.basis @ (self.basis.T @ self.residual)
         self.chi2 = float(self.residual @ self.projected)
         self.readings = int(np.count_nonzero(network.read))
+        self.held: np.ndarray = np.zeros(0, dtype=int)
 
     def without(self, held: np.ndarray) -> Problem | None:
         """The same with some rows taken out (zero); None if a station or target would be lost.
@@ -58,6 +59,7 @@ class Problem:
         """
         part = copy(self)
         keep = np.where(held, 0.0, 1.0)
+        part.held = np.flatnonzero(held)
         part.nuisance = self.nuisance * keep[:, None]
         if np.any((np.linalg.norm(part.nuisance, axis=0) == 0.0) & (np.linalg.norm(self.nuisance, axis=0) > 0.0)):
             return None
@@ -73,8 +75,11 @@ class Problem:
         return self.readings - self.absorbed
 
     def signature(self, columns: Sequence[Column]) -> np.ndarray:
-        """(3n, columns) whitened, in plausible sizes."""
-        return np.stack([(column.reading(self.view) * column.scale).reshape(-1) for column in columns], axis=1)
+        """(3n, columns) whitened, in plausible sizes; each column in one piece."""
+        found = np.empty((len(columns), len(self.residual)))
+        for k, column in enumerate(columns):
+            np.multiply(column.reading(self.view).reshape(-1), column.scale, out=found[k])
+        return found.T
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """aᵀMb of signatures."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, final
 
 import numpy as np
@@ -25,14 +26,15 @@ SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 MOST: Final = 6
 """Causes at most."""
-SHORTLIST: Final = 4
-"""Forms of a candidate with many that are kept at a time."""
-MANY: Final = 8
 STARTS: Final = 4
+TRIED: Final = 3
+"""Exchanges that are looked at in full."""
+LIKELY: Final = 12
+"""Forms whose inner products with all others are worked out in one go."""
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Form:
     """One cell of one candidate, among the columns of a pool.
 
@@ -41,12 +43,14 @@ class Form:
         cell: which form.
         columns: in the pool.
         price: natural log of the number of forms tried.
+        index: among the pool's forms.
     """
 
     candidate: Candidate
     cell: Cell
     columns: np.ndarray
     price: float
+    index: int
 
     @property
     def key(self) -> tuple[str, str]:
@@ -56,100 +60,166 @@ class Form:
 
 @final
 class Pool:
-    """Forms with their projected inner products.
+    """Forms with what the data say of each: inner products within a form, and on demand those with the forms that are in.
 
     Args:
         problem: the data.
         forms: (candidate, cell, price) of each.
-        known: a pool whose forms are in it already.
     """
 
-    def __init__(
-        self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]], known: Pool | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]]) -> None:
+        at: dict[Column, int] = {}
+        self.forms: list[Form] = []
+        for index, (candidate, cell, price) in enumerate(forms):
+            columns = np.array([at.setdefault(column, len(at)) for column in cell.columns])
+            self.forms.append(Form(candidate, cell, columns, price, index))
+        self.signature = problem.signature(list(at))
+        self._costs = _costs(self.forms)
+        number: dict[tuple[str, str], int] = {}
+        self.key_of = np.array([number.setdefault(form.key, len(number)) for form in self.forms], dtype=int)
+        self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
+        self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
+        self._raw = self._blocks(self.signature)
+        self._judge(problem)
+
+    def _judge(self, problem: Problem) -> None:
         self.problem = problem
-        self.signature: np.ndarray
-        self.forms: list[Form] = [] if known is None else list(known.forms)
-        self._at: dict[Column, int] = {} if known is None else dict(known._at)
-        fresh: list[Column] = []
-        for candidate, cell, price in forms:
-            for column in cell.columns:
-                if column not in self._at:
-                    self._at[column] = len(self._at)
-                    fresh.append(column)
-            columns = np.array([self._at[column] for column in cell.columns])
-            self.forms.append(Form(candidate, cell, columns, price))
-        old = np.zeros((len(problem.residual), 0)) if known is None else known.signature
-        new = problem.signature(fresh) if fresh else np.zeros((len(problem.residual), 0))
-        self.signature = np.concatenate([old, new], axis=1)
-        if known is None:
-            self.gram = problem.inner(new, new)
-        else:
-            cross = problem.inner(old, new)
-            self.gram = np.block([[known.gram, cross], [cross.T, problem.inner(new, new)]])
-        self.slope = problem.along(self.signature)
+        self.slope = self.signature.T @ problem.projected
+        self._within = problem.basis.T @ self.signature
+        self._inner = [raw - within for raw, within in zip(self._raw, self._blocks(self._within), strict=True)]
+        self._cross: dict[int, np.ndarray] = {}
+        self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
+
+    def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Inner products within each form, by width: (forms, w, w)."""
+        found = []
+        for columns in self._columns:
+            blocks = np.empty((len(columns), columns.shape[1], columns.shape[1]))
+            for k, own in enumerate(columns):
+                part = rows[:, _run(own)]
+                blocks[k] = part.T @ part
+            found.append(blocks)
+        return found
 
     def on(self, part: Problem) -> Pool:
-        """The same forms on other rows of the same data."""
+        """The same forms on other rows of the same data: what is held out is zero in its basis and residual."""
         other = copy(self)
-        other.problem = part
-        # Rows that are taken out are zero in the basis and the residual; in the signatures they are left out here.
-        kept = np.flatnonzero(np.abs(part.nuisance).sum(axis=1) > 0.0)
-        within = part.basis[kept].T @ self.signature[kept]
-        other.gram = self.signature[kept].T @ self.signature[kept] - within.T @ within
-        other.slope = self.signature[kept].T @ part.projected[kept]
+        out = self._blocks(self.signature[_run(part.held)])
+        other._raw = [raw - gone for raw, gone in zip(self._raw, out, strict=True)]
+        other._judge(part)
         return other
 
-    def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray, float]:
-        """Coefficients (plausible sizes) of all columns of some forms, their covariance, and what they explain."""
+    def explained_by(self, forms: Sequence[Form]) -> float:
+        """What some forms explain together."""
         columns = _together(forms)
         if len(columns) == 0:
-            return np.zeros(0), np.zeros((0, 0)), 0.0
-        inverse, _ = _pseudo(self.gram[np.ix_(columns, columns)])
-        values = inverse @ self.slope[columns]
-        return values, inverse, float(self.slope[columns] @ values)
+            return 0.0
+        inverse, _ = pseudo(self.among(columns))
+        return float(self.slope[columns] @ inverse @ self.slope[columns])
 
-    def rest(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """Gram matrix and slope after some forms are in."""
-        columns = _together(forms)
-        if len(columns) == 0:
-            return self.gram, self.slope
-        inverse, _ = _pseudo(self.gram[np.ix_(columns, columns)])
-        cross = self.gram[:, columns]
-        return self.gram - cross @ inverse @ cross.T, self.slope - cross @ (inverse @ self.slope[columns])
+    def among(self, columns: np.ndarray) -> np.ndarray:
+        """Inner products of some columns."""
+        return self._with(columns)[columns]
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Whether what a form can do beside some others is done by a larger set already."""
-        columns = form.columns
-        alone = self.rest(others)[0][np.ix_(columns, columns)]
-        left = self.rest(larger)[0][np.ix_(columns, columns)]
+        alone = self._left(form.columns, _together(others))
+        left = self._left(form.columns, _together(larger))
         return bool(np.trace(left) < 1e-3 * np.trace(alone))
+
+    def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """What every form of the pool explains beside some others, and the degrees of freedom it does it with."""
+        key = frozenset(form.index for form in forms)
+        if key in self._scans:
+            return self._scans[key]
+        explained, dof = np.zeros(len(self.forms)), np.zeros(len(self.forms), dtype=int)
+        factor, slope = self._after(forms)
+        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+            lost = factor[columns]
+            explained[rows], dof[rows] = _explained(blocks, blocks - lost @ lost.transpose(0, 2, 1), slope[columns])
+        self._scans[key] = explained, dof
+        return explained, dof
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """(tried, 3) explained, degrees of freedom and log p (price paid) of forms, given others."""
-        gram, slope = self.rest(forms)
-        found = np.zeros((len(tried), 3))
-        by_size: dict[int, list[int]] = {}
-        for row, i in enumerate(tried):
-            by_size.setdefault(len(self.forms[i].columns), []).append(row)
-        for rows in by_size.values():
-            columns = np.stack([self.forms[tried[row]].columns for row in rows])
-            blocks = gram[columns[:, :, None], columns[:, None, :]]
-            values, vectors = np.linalg.eigh(blocks)
-            raw = self.gram[columns, columns].max(axis=1)
-            seen = (values > SEEN) & (values > 1e-8 * raw[:, None])
-            b = np.einsum("nij,ni->nj", vectors, slope[columns])
-            explained = np.sum(np.where(seen, b**2 / np.where(seen, values, 1.0), 0.0), axis=1)
-            dof = seen.sum(axis=1)
-            price = np.array([self.forms[tried[row]].price for row in rows])
-            log_p = np.where(dof > 0, stats.chi2.logsf(explained, np.maximum(dof, 1)) + price, 0.0)
-            found[rows] = np.stack([explained, dof, np.minimum(log_p, 0.0)], axis=1)
-        return found
+        explained, dof = (values[list(tried)] for values in self.scan(forms))
+        price = np.array([self.forms[i].price for i in tried])
+        log_p = np.where(dof > 0, stats.chi2.logsf(explained, np.maximum(dof, 1)) + price, 0.0)
+        return np.stack([explained, dof, np.minimum(log_p, 0.0)], axis=1)
+
+    def margins(self, forms: Sequence[Form]) -> np.ndarray:
+        """What every form explains beside some others, less what it must to be believed; −inf where nothing is seen of it."""
+        explained, dof = self.scan(forms)
+        return explained - self._costs[np.arange(len(dof)), dof]
+
+    def worth(self, forms: Sequence[Form]) -> float:
+        """What a set explains less what each of it must."""
+        total = self.explained_by(forms)
+        for form in forms:
+            block = self._left(form.columns, np.zeros(0, dtype=int))
+            left = self._left(form.columns, _together([one for one in forms if one is not form]))
+            _, dof = _explained(block[None], left[None], np.zeros((1, len(block))))
+            total -= float(self._costs[form.index, dof[0]]) if dof[0] else cost(1.0, form.price)
+        return total
+
+    def prepare(self, forms: Sequence[Form]) -> None:
+        """Work out the inner products of some forms with all others in one go."""
+        self._with(_together(forms))
+
+    def _with(self, columns: np.ndarray) -> np.ndarray:
+        """(all, columns) inner products."""
+        fresh = np.array([c for c in columns if int(c) not in self._cross], dtype=int)
+        if len(fresh):
+            own = self.signature[:, fresh]
+            own[self.problem.held] = 0.0
+            found = self.signature.T @ own - self._within.T @ self._within[:, fresh]
+            self._cross |= {int(c): found[:, k] for k, c in enumerate(fresh)}
+        return np.stack([self._cross[int(c)] for c in columns], axis=1)
+
+    def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """(all, r) what is taken from inner products by forms that are in (factor · factorᵀ), and the slope left."""
+        columns = _together(forms)
+        if len(columns) == 0:
+            return np.zeros((len(self.slope), 0)), self.slope
+        cross = self._with(columns)
+        inverse, root = pseudo(cross[columns])
+        return cross @ root, self.slope - cross @ (inverse @ self.slope[columns])
+
+    def _left(self, columns: np.ndarray, others: np.ndarray) -> np.ndarray:
+        block = self.among(columns)
+        if len(others) == 0:
+            return np.asarray(block)
+        cross = self._with(others)
+        inverse, _ = pseudo(cross[others])
+        return np.asarray(block - cross[columns] @ inverse @ cross[columns].T)
 
 
+def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of (n, w, w) inner products and (n, w) slopes: what is explained, along how many directions that are seen."""
+    if blocks.shape[1] == 1:
+        values, along = blocks[:, :, 0], slope
+    else:
+        values, vectors = np.linalg.eigh(blocks)
+        along = np.einsum("nij,ni->nj", vectors, slope)
+    most = np.einsum("nii->ni", whole).max(axis=1)
+    seen = (values > SEEN) & (values > 1e-8 * most[:, None])
+    return np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1), seen.sum(axis=1)
+
+
+@lru_cache(maxsize=4096)
 def cost(dof: float, price: float) -> float:
     """What a form must explain to be believed."""
     return float(stats.chi2.isf(LEVEL * np.exp(-price), max(dof, 1.0)))
+
+
+def _costs(forms: Sequence[Form]) -> np.ndarray:
+    """(forms, dof + 1) `cost` by degrees of freedom; infinite for none."""
+    most = max((len(form.columns) for form in forms), default=0)
+    found = np.full((len(forms), most + 1), np.inf)
+    for form in forms:
+        for dof in range(1, len(form.columns) + 1):
+            found[form.index, dof] = cost(float(dof), form.price)
+    return found
 
 
 @final
@@ -166,38 +236,37 @@ class Selection:
     worth: float
 
 
-def select(pool: Pool, start: Sequence[Form] = ()) -> Selection:
+def select(pool: Pool) -> Selection:
     """The best set: from several first choices, forward, each step re-examined by removing and exchanging."""
-    everything = list(range(len(pool.forms)))
-    if not everything:
-        return Selection((), 0.0)
-    first = pool.scores(start, everything)
-    best: dict[tuple[str, str], int] = {}
-    for i in np.argsort(first[:, 2], kind="stable"):
-        if first[i, 2] < np.log(LEVEL):
-            best.setdefault(pool.forms[i].key, int(i))
-        if len(best) == STARTS:
-            break
-    found = Selection(tuple(start), _worth(pool, list(start)))
-    for i in best.values():
-        forms = _grown(pool, [*start, pool.forms[i]])
-        worth = _worth(pool, forms)
-        if worth > found.worth:
+    found = Selection((), 0.0)
+    if not pool.forms:
+        return found
+    margin = pool.margins([])
+    order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
+    first: dict[int, int] = {}
+    for i in order:
+        first.setdefault(int(pool.key_of[i]), i)
+    if not first:
+        return found
+    pool.prepare([pool.forms[i] for i in list(first.values())[:LIKELY]])
+    for i in list(first.values())[:STARTS]:
+        forms = _grown(pool, [pool.forms[i]])
+        worth = pool.worth(forms)
+        if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
     return found
 
 
 def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
-    everything = list(range(len(pool.forms)))
     forms = _exchanged(pool, forms)
     while len(forms) < MOST:
-        scores = pool.scores(forms, everything)
-        i = int(np.argmin(scores[:, 2]))
-        if scores[i, 2] >= np.log(LEVEL):
+        margin = pool.margins(forms)
+        i = int(np.argmax(margin))
+        if margin[i] <= 0.0:
             break
-        before = _worth(pool, forms)
-        grown = _exchanged(pool, [*_without_key(forms, pool.forms[i]), pool.forms[i]])
-        if _worth(pool, grown) <= before:
+        form = pool.forms[i]
+        grown = _exchanged(pool, [*(one for one in forms if one.key != form.key), form])
+        if pool.worth(grown) <= pool.worth(forms) + 1e-6:
             break
         forms = grown
     return forms
@@ -205,49 +274,39 @@ def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
 
 def _exchanged(pool: Pool, forms: list[Form]) -> list[Form]:
     """Each cause replaced by any better one, or dropped, until nothing changes."""
-    everything = list(range(len(pool.forms)))
+    now = pool.worth(forms)
     for _ in range(8):
-        changed = False
-        for k in range(len(forms)):
-            others = forms[:k] + forms[k + 1 :]
-            now = _worth(pool, forms)
-            if others and _worth(pool, others) >= now:
-                forms, changed = others, True
-                break
-            scores = pool.scores(others, everything)
-            used = {form.key for form in others}
-            margin = np.array(
-                [
-                    s[0] - cost(s[1], form.price) if form.key not in used and s[1] > 0 else -np.inf
-                    for s, form in zip(scores, pool.forms, strict=True)
-                ]
-            )
-            for i in np.argsort(-margin)[:3]:
-                trial = [*others, pool.forms[int(i)]]
-                if np.isfinite(margin[i]) and _worth(pool, trial) > now + 1e-6:
-                    forms, changed = trial, True
-                    break
-            if changed:
-                break
-        if not changed:
-            return forms
+        better = _better(pool, forms, now)
+        if better is None:
+            break
+        forms, now = better
     return forms
 
 
-def _worth(pool: Pool, forms: Sequence[Form]) -> float:
-    if not forms:
-        return 0.0
-    _, _, explained = pool.fitted(forms)
-    total = explained
-    for k, form in enumerate(forms):
-        others = [*forms[:k], *forms[k + 1 :]]
-        index = next(i for i, one in enumerate(pool.forms) if one is form)
-        total -= cost(pool.scores(others, [index])[0, 1], form.price)
-    return total
+def _better(pool: Pool, forms: list[Form], now: float) -> tuple[list[Form], float] | None:
+    for k in range(len(forms)):
+        others = forms[:k] + forms[k + 1 :]
+        if others and (worth := pool.worth(others)) >= now:
+            return others, worth
+        margin = pool.margins(others)
+        used = [pool.key_of[form.index] for form in others]
+        margin = np.where(np.isin(pool.key_of, used), -np.inf, margin)
+        for i in np.argsort(-margin)[:TRIED]:
+            trial = [*others, pool.forms[int(i)]]
+            if (
+                np.isfinite(margin[i])
+                and pool.forms[int(i)] is not forms[k]
+                and (worth := pool.worth(trial)) > now + 1e-6
+            ):
+                return trial, worth
+    return None
 
 
-def _without_key(forms: Sequence[Form], form: Form) -> list[Form]:
-    return [one for one in forms if one.key != form.key]
+def _by_width(forms: Sequence[Form]) -> dict[int, list[Form]]:
+    found: dict[int, list[Form]] = {}
+    for form in forms:
+        found.setdefault(len(form.columns), []).append(form)
+    return found
 
 
 def _together(forms: Sequence[Form]) -> np.ndarray:
@@ -255,75 +314,25 @@ def _together(forms: Sequence[Form]) -> np.ndarray:
     return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
 
 
-def _pseudo(gram: np.ndarray) -> tuple[np.ndarray, int]:
-    """Inverse over the directions the data see, and how many they are."""
+def _run(columns: np.ndarray) -> slice | np.ndarray:
+    """Indices that follow one another as a slice: a view instead of a copy."""
+    if len(columns) == 0:
+        return columns
+    first, last = int(columns[0]), int(columns[-1])
+    return slice(first, last + 1) if last - first == len(columns) - 1 else columns
+
+
+def pseudo(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse over the directions the data see, and its root."""
     values, vectors = np.linalg.eigh(gram)
     seen = (values > SEEN) & (values > 1e-9 * values[-1])
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    return np.asarray(inverse), int(seen.sum())
+    root = vectors[:, seen] / np.sqrt(values[seen])
+    return np.asarray(root @ root.T), np.asarray(root)
 
 
-@final
-class Screen:
-    """Candidates with many forms, of which only the best peaks are worth comparing with all others.
-
-    Args:
-        problem: the data.
-        candidates: the catalogue.
-        costs: price by effect.
-    """
-
-    def __init__(self, problem: Problem, candidates: Sequence[Candidate], costs: dict[str, float]) -> None:
-        self._problem = problem
-        self._many = []
-        for candidate in candidates:
-            if len(candidate.cells) <= MANY:
-                continue
-            width = len(candidate.cells[0].columns)
-            signature = problem.signature([column for cell in candidate.cells for column in cell.columns])
-            within = problem.basis.T @ signature
-            gram = _blocks(signature, width) - _blocks(within, width)
-            self._many.append((candidate, costs[candidate.effect], width, signature, gram))
-
-    def peaks(self, pool: Pool, forms: Sequence[Form]) -> list[tuple[Candidate, Cell, float]]:
-        """The best separate forms of each, after some causes are in."""
-        problem = self._problem
-        extra = np.zeros((len(problem.residual), 0))
-        residual = problem.projected
-        if forms:
-            raw = pool.signature[:, _together(forms)]
-            extra, _ = np.linalg.qr(raw - problem.basis @ (problem.basis.T @ raw))
-            residual = residual - extra @ (extra.T @ residual)
-        found = []
-        for candidate, price, width, signature, whole in self._many:
-            b = (signature.T @ residual).reshape(-1, width)
-            gram = whole - _blocks(extra.T @ signature, width) if forms else whole
-            values, vectors = np.linalg.eigh(gram)
-            seen = (values > SEEN) & (values > 1e-8 * values.max())
-            share = np.einsum("cij,ci->cj", vectors, b) ** 2
-            score = np.sum(np.where(seen, share / np.where(seen, values, 1.0), 0.0), axis=1)
-            taken: list[int] = []
-            for i in np.argsort(-score):
-                if all(abs(int(i) - k) > 1 for k in taken):
-                    taken.append(int(i))
-                if len(taken) == SHORTLIST:
-                    break
-            found += [(candidate, candidate.cells[i], price) for i in sorted(taken)]
-        return found
-
-
-def few(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
-    """All forms of the candidates that have few."""
-    return [(c, cell, costs[c.effect]) for c in candidates if len(c.cells) <= MANY for cell in c.cells]
-
-
-def _blocks(columns: np.ndarray, width: int) -> np.ndarray:
-    """(cells, width, width) inner products within each cell."""
-    found = np.empty((columns.shape[1] // width, width, width))
-    for i in range(width):
-        for j in range(i, width):
-            found[:, i, j] = found[:, j, i] = np.sum(columns[:, i::width] * columns[:, j::width], axis=0)
-    return found
+def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
+    """All forms of all candidates, with their prices."""
+    return [(c, cell, costs[c.effect]) for c in candidates for cell in c.cells]
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:

@@ -6,7 +6,8 @@ one the table gives), taken at the reading itself so that it does not move with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -24,8 +25,10 @@ from twin.measurement import Measurements
 from twin.observation import Observation
 from twin.units import MM
 
-PIECE: Final = 4096
+PIECE: Final = 1024
 """Points worked on at a time."""
+WORKERS: Final = 2
+"""Factorisations side by side; a fixed number, so that the result does not depend on the machine."""
 PANEL: Final = 32
 """Columns of a block of the factorisation: of no consequence but time."""
 
@@ -133,7 +136,7 @@ class Network:
     def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[Piece]:
         """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
         for start in range(0, len(self.data), PIECE):
-            yield self._piece(theta, setup, np.arange(start, min(start + PIECE, len(self.data))))
+            yield self.piece(theta, setup, np.arange(start, min(start + PIECE, len(self.data))))
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
         """(n, 3) whitened residuals, zero where nothing was read."""
@@ -147,7 +150,7 @@ class Network:
         """(k, 3) read less predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._target[rows]]
-        points = self._observation.carried(q, errors, self.data.carrier[rows], place).points
+        points = self._observation.points(q, errors, self.data.carrier[rows], place)
         seen = self._seen(points, setup, rows)
         return self._left(seen, setup, rows)
 
@@ -183,7 +186,8 @@ class Network:
             by_place=by_base @ carried.rotation,
         )
 
-    def _piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+        """Residuals and derivatives of some points."""
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
         # An unknown a row: each is then written, and factorised, as it lies in memory.
@@ -215,9 +219,7 @@ class Network:
                 into[of, :, where] = view.by_place[of]
 
 
-def triangle(
-    network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray, say: Callable[[float], None] | None = None
-) -> np.ndarray:
+def triangle(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
     """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
 
     Args:
@@ -225,18 +227,34 @@ def triangle(
         theta: machine's unknowns.
         setup: stations and targets.
         weight: (n,) of each point; zero leaves it out.
-        say: told the fraction done.
     """
     size = len(theta) + len(setup) + 1
-    found = np.zeros((size, size), order="F")
-    for piece in network.pieces(theta, setup):
-        both = piece.columns
-        both *= np.sqrt(weight[piece.rows])[:, None]
-        # A triangle on top of rows: LAPACK's factorisation that knows it is one.
-        found, _, _, _ = dtpqrt(0, min(PANEL, size), found, both.reshape(size, -1).T, overwrite_a=1, overwrite_b=1)
-        if say is not None:
-            say(float(piece.rows[-1] + 1) / len(network.data))
-    return np.triu(found)
+    starts = range(0, len(network.data), PIECE)
+    shares = [starts[i::WORKERS] for i in range(min(WORKERS, len(starts)))]
+
+    def factor(share: range) -> np.ndarray:
+        found = np.zeros((size, size), order="F")
+        for start in share:
+            piece = network.piece(theta, setup, np.arange(start, min(start + PIECE, len(network.data))))
+            both = piece.columns
+            both *= np.sqrt(weight[piece.rows])[:, None]
+            found = _on_top(found, both.reshape(size, -1).T)
+        return found
+
+    if len(shares) == 1:
+        return np.triu(factor(shares[0]))
+    with ThreadPoolExecutor(len(shares)) as pool:
+        parts = list(pool.map(factor, shares))
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = _on_top(whole, np.asfortranarray(np.triu(part)))
+    return np.triu(whole)
+
+
+def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Factor of a triangle on top of rows: LAPACK's factorisation that knows it is one."""
+    found, _, _, _ = dtpqrt(0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1)
+    return np.asarray(found)
 
 
 def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
