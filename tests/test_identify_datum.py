@@ -85,10 +85,6 @@ def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
     assert max(worst[name] for name in ("E_XX", "E_YX", "E_ZX", "E_BX", "E_CX")) <= EXACT
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="an unseen angle shared by several errors is laid at one's door, the others' intervals do not say so",
-)
 def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]) -> None:
     """Their line is oblique, so that it is a mixture of three angles that nothing tells: what is reported still holds within 4 u."""
     plan = as_the_thesis(dmu50)

@@ -146,7 +146,7 @@ def test_the_instrument_must_fit_the_columns(dmu50: Machine, data: Measurements)
     lengths[:, 0] = np.linalg.norm(lengths, axis=1)
     lengths[:, 1:] = np.nan
     only = replace(data, point_mm=locked(lengths))
-    with pytest.raises(InputError, match="only x_mm is given, which tracker does not read alone"):
+    with pytest.raises(InputError, match="only x_mm is given, and as a coordinate"):
         identify(only, dmu50, instrument=LaserTracker())
     with pytest.raises(InputError, match="interferometer reads lengths only, and y_mm or z_mm is given") as caught:
         identify(data, dmu50, instrument=TrackingInterferometer())

@@ -46,8 +46,7 @@ class Problem:
         self.prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
         self.basis = _basis(self.nuisance, self.prior)
         self.absorbed = self.basis.shape[1] - own.shape[1]
-        self.projected = self.residual - self.basis @ (self.basis.T @ self.residual)
-        self.chi2 = float(self.residual @ self.projected)
+        self.judge(self.residual)
         self.readings = int(np.count_nonzero(network.read))
         self.held: np.ndarray = np.zeros(0, dtype=int)
 
@@ -63,11 +62,15 @@ class Problem:
         part.nuisance = self.nuisance * keep[:, None]
         if np.any((np.linalg.norm(part.nuisance, axis=0) == 0.0) & (np.linalg.norm(self.nuisance, axis=0) > 0.0)):
             return None
-        part.residual = self.residual * keep
         part.basis = _basis(part.nuisance, self.prior)
-        part.projected = part.residual - part.basis @ (part.basis.T @ part.residual)
-        part.chi2 = float(part.residual @ part.projected)
+        part.judge(self.residual * keep)
         return part
+
+    def judge(self, residual: np.ndarray) -> None:
+        """Another (3n,) whitened residual at the same set-up."""
+        self.residual = residual
+        self.projected = residual - self.basis @ (self.basis.T @ residual)
+        self.chi2 = float(residual @ self.projected)
 
     @property
     def dof(self) -> int:

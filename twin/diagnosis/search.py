@@ -80,14 +80,18 @@ class Pool:
         self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._raw = self._blocks(self.signature)
-        self._judge(problem)
+        self._project(problem)
 
-    def _judge(self, problem: Problem) -> None:
-        self.problem = problem
-        self.slope = self.signature.T @ problem.projected
+    def _project(self, problem: Problem) -> None:
         self._within = problem.basis.T @ self.signature
         self._inner = [raw - within for raw, within in zip(self._raw, self._blocks(self._within), strict=True)]
         self._cross: dict[int, np.ndarray] = {}
+        self.judge(problem)
+
+    def judge(self, problem: Problem) -> None:
+        """Take the residual of a problem whose set-up and rows are the same."""
+        self.problem = problem
+        self.slope = self.signature.T @ problem.projected
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
 
     def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
@@ -106,7 +110,7 @@ class Pool:
         other = copy(self)
         out = self._blocks(self.signature[_run(part.held)])
         other._raw = [raw - gone for raw, gone in zip(self._raw, out, strict=True)]
-        other._judge(part)
+        other._project(part)
         return other
 
     def explained_by(self, forms: Sequence[Form]) -> float:

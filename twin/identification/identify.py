@@ -29,6 +29,8 @@ from twin.units import MM
 MOST: Final = 13
 """Functions of a curve at most: degree 12, six harmonics."""
 ROBUST_ROUNDS: Final = 8
+TOUCHED: Final = 1e-3
+"""Share of an error's plausible variance that a silent direction must carry to count."""
 Say = Callable[[str, float], None]
 Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 
@@ -103,14 +105,14 @@ def _identify(
             every = Unknowns(machine, spaces, constants, every.told, fixed)
             whole = network(every)
             drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
-        seen, lost = _seen(every, drawn)
+        seen, lost, together = _seen(every, drawn)
         kept = [every.index[column] for column in seen.columns] + list(range(len(every), drawn.triangle.shape[1]))
         whole = whole if seen is every else network(seen)
         solution, weight = _robust(whole, setup, drawn.triangle[:, kept])
-        choice = choose(whole, solution, weight, Folds.of(data))
+        choice = choose(whole, solution, weight, Folds.of(data), together)
         if best is None or choice.held_out < best[0].held_out * (1.0 - 1e-6):
             best = choice, whole.unknowns, solution, weight
-            blind = lost
+            blind, shared = lost, together
     if best is None:
         raise InputError("nothing to identify", expected="positions of an axis", file=data.source)
     choice, largest, solution, weight = best
@@ -120,7 +122,7 @@ def _identify(
     solution, bad = _without_outliers(final, solution, weight, precision)
     used = ~bad
     say("uncertainty", 0.9)
-    return _result(final, solution, used, choice, blind, spread, wanted)
+    return _result(final, solution, used, choice, blind, shared, spread, wanted)
 
 
 def _families(machine: Machine, data: Measurements) -> list[dict[str, Basis]]:
@@ -168,33 +170,67 @@ def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
     return [name for name in unknowns.offsets if unseen[unknowns.index[Column(offset_name(name), 0)]] <= UNSEEN]
 
 
-def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str]]:
-    """The unknowns these data determine, and the names of the others.
+def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], list[str]]:
+    """The unknowns of the fit, the names of those left out of it, and of those in it that only show together.
 
-    A curve of which even the lowest order is unseen goes as a whole; one of which only higher orders are, is cut there.
+    An error that only stations, targets and others like it take up is left out: nothing else then changes. Errors that take each
+    other up stay in, none of them reported, since leaving one out would lay its share at the others' door.
+    A curve of which only higher orders are unseen is cut there.
     """
-    unseen = solution.unseen[: len(unknowns)] > UNSEEN
-    curves, lost = [], []
+    count = len(unknowns)
+    unseen = solution.unseen[:count] > UNSEEN
+    shared = solution.silent[:count] @ solution.silent[:count].T
+    touched = np.diag(shared) > TOUCHED
+    entity = np.array([column.entity for column in unknowns.columns])
+    lost = [name for name in unknowns.entities if _unseen_whole(unknowns, name, unseen)]
+    rank = solution.rank_of(range(count), unknowns.datum)
+    dropped: list[str] = []
+    together: list[str] = []
+    for name in lost:
+        if name in together or name in dropped:
+            continue
+        group = _group(name, entity, shared, touched)
+        gone = np.isin(entity, [*dropped, *group])
+        safe = (
+            set(group) <= set(lost)
+            and solution.rank_of([int(k) for k in np.flatnonzero(~gone)], unknowns.datum) == rank
+        )
+        (dropped if safe else together).extend(one for one in group if one not in dropped and one not in together)
+    curves = []
     for curve in unknowns.curves:
-        columns = unknowns.of(curve.name)
-        bad = [k for k, i in enumerate(columns) if unseen[i]]
-        if not bad:
+        bad = [k for k, i in enumerate(unknowns.of(curve.name)) if unseen[i]]
+        if curve.name in dropped:
+            continue
+        if not bad or curve.name in together:
             curves.append(curve)
             continue
         kept = [0, *(group[-1] + 1 for group in curve.groups() if group[-1] - curve.first < bad[0])]
-        if kept[-1] > curve.first:
-            curves.append(CurveSpace(curve.name, curve.basis, curve.domain, curve.first, kept[-1]))
-        else:
-            lost.append(curve.name)
-    constants = [name for name in unknowns.constants if not unseen[unknowns.index[Column(name, 0)]]]
-    lost += [name for name in unknowns.constants if name not in constants]
-    changed = (
-        lost
-        or len(curves) < len(unknowns.curves)
-        or any(a is not b for a, b in zip(curves, unknowns.curves, strict=True))
-    )
+        curves.append(CurveSpace(curve.name, curve.basis, curve.domain, curve.first, kept[-1]))
+    constants = [name for name in unknowns.constants if name not in dropped]
+    same = len(constants) == len(unknowns.constants) and list(unknowns.curves) == curves
     fewer = Unknowns(unknowns.machine, curves, constants, unknowns.told, unknowns.offsets)
-    return (fewer if changed else unknowns), lost
+    return (unknowns if same else fewer), dropped, together
+
+
+def _unseen_whole(unknowns: Unknowns, name: str, unseen: np.ndarray) -> bool:
+    """Whether even the lowest order of a curve, or a constant itself, is unseen."""
+    columns = unknowns.of(name)
+    lowest = next((len(c.groups()[0]) for c in unknowns.curves if c.name == name), 1)
+    return bool(np.any(unseen[columns[:lowest]]))
+
+
+def _group(name: str, entity: np.ndarray, shared: np.ndarray, touched: np.ndarray) -> list[str]:
+    """An error and all that the same silent directions move, directly or through others."""
+    found = [name]
+    for one in found:
+        rows = (entity == one) & touched
+        linked = (
+            np.any(np.abs(shared[rows]) > TOUCHED, axis=0) & touched
+            if np.any(rows)
+            else np.zeros(len(entity), dtype=bool)
+        )
+        found += [str(other) for other in dict.fromkeys(entity[linked]) if other not in found]
+    return found
 
 
 def _without_outliers(
@@ -227,6 +263,7 @@ def _result(
     used: np.ndarray,
     choice: Choice,
     lost: list[str],
+    together: list[str],
     spread: Spread,
     wanted: Callable[[str], bool],
 ) -> Identification:
@@ -241,7 +278,8 @@ def _result(
         whole = solution.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
-    calibration, _ = unknowns.calibration(solution.theta, range(count), source, covariance)
+    kept = [i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in together]
+    calibration, _ = unknowns.calibration(solution.theta, kept, source, covariance)
     rows = np.arange(len(data))
     difference = network.difference(solution.theta, solution.setup, rows)
     whitened = network.residual(solution.theta, solution.setup)
@@ -249,7 +287,7 @@ def _result(
     u = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
     return Identification(
         calibration=calibration,
-        unidentified=_unidentified(machine, data, lost, wanted, unknowns, solution),
+        unidentified=_unidentified(machine, data, lost, together, wanted, solution),
         setup=solution.setup,
         setup_u=dict(zip(names, (float(v) for v in u), strict=True)),
         misfit=misfit(whitened, network.read, data, solution.determined, used),
@@ -271,8 +309,8 @@ def _unidentified(
     machine: Machine,
     data: Measurements,
     lost: list[str],
+    together: list[str],
     wanted: Callable[[str], bool],
-    unknowns: Unknowns,
     solution: Solution,
 ) -> tuple[Unidentified, ...]:
     """What was asked for and is not reported, and why."""
@@ -285,6 +323,9 @@ def _unidentified(
             continue
         if not moved:
             found.append(Unidentified(name, f"{axis} was not moved"))
+        elif name in together:
+            reason = f"these data see only what {', '.join(together)} do together: a third target apart from one line tells them"
+            found.append(Unidentified(name, reason))
         elif name in lost:
             found.append(Unidentified(name, _cause(name, machine, solution.setup)))
     return tuple(found)

@@ -11,7 +11,7 @@ between them would pass (thesis: degree 8 on 11 points).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -98,7 +98,7 @@ class Choice:
     readings: int
 
 
-def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> Choice:
+def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Folds, whole: Sequence[str] = ()) -> Choice:
     """The model that predicts held-out readings best.
 
     Args:
@@ -106,6 +106,7 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
         solution: its estimate.
         weight: (n,) of each point.
         folds: what is held out together.
+        whole: curves that keep all their functions.
     """
     normal, count = _cells(network, solution, weight, folds)
     full = _folds(network, solution, normal, folds)
@@ -134,7 +135,9 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
 
     uniform = {}
     for size in range(1, max((c.count for c in curves.values()), default=0) + 1):
-        fitted = {name: max(n for n in _sizes(c) if n <= max(size, 0)) for name, c in curves.items()}
+        fitted = {
+            name: c.count if name in whole else max(n for n in _sizes(c) if n <= size) for name, c in curves.items()
+        }
         uniform[size] = (score(fitted), fitted)
     best = min(uniform, key=lambda size: uniform[size][0], default=0)
     sizes = dict(uniform[best][1]) if uniform else {}
@@ -142,6 +145,8 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
     for _ in range(SWEEPS):
         before = dict(sizes)
         for name in curves:
+            if name in whole:
+                continue
             found = tried(name, sizes)
             lowest = min(found.values())
             sizes[name] = min(

@@ -88,7 +88,10 @@ class SetUp:
     @property
     def plausible(self) -> np.ndarray:
         """(unknowns,) how far each may be from anything, metres and radians."""
-        return np.array([_plausible(name) for name in self.names])
+        # Their common shift, too, may be that large.
+        place = PLACE_PLAUSIBLE * np.sqrt(max(np.count_nonzero(~self.target_known), 1))
+        kinds = {"target": place, "turn": TURN_PLAUSIBLE, "station": STATION_PLAUSIBLE}
+        return np.array([kinds[_kind(name)] for name in self.names])
 
     def slots(self) -> tuple[list[tuple[slice, slice, slice]], list[slice]]:
         """Where each station's turn, origin and dead path stand among the unknowns, and each target's place; empty where known."""
@@ -133,7 +136,5 @@ class SetUp:
         )
 
 
-def _plausible(name: str) -> float:
-    if name.startswith("target"):
-        return PLACE_PLAUSIBLE
-    return TURN_PLAUSIBLE if " turn " in name else STATION_PLAUSIBLE
+def _kind(name: str) -> str:
+    return "target" if name.startswith("target") else "turn" if " turn " in name else "station"

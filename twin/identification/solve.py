@@ -7,6 +7,7 @@ itself. That is the limit of a Gaussian prior that never pulls on what is measur
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -21,6 +22,8 @@ WEAKEST: Final = 1.0
 """Singular values below it, in plausible units, are directions the data do not see."""
 UNSEEN: Final = 0.25
 """An unknown whose variance stays above this share of its plausible one has not been determined."""
+FIRM: Final = 1e9
+"""Weight of a condition of the datum where it stands as one more reading."""
 STEPS: Final = 25
 STILL: Final = 1e-4
 """A step that changes the whitened residuals by no more than this (root of the sum of squares) is the last: the errors of a machine
@@ -68,6 +71,15 @@ class Solution:
             root = np.concatenate([root, self.silent], axis=1)
         root = root * self.scale[:, None]
         return np.asarray(root @ root.T)
+
+    def rank_of(self, columns: Sequence[int], datum: np.ndarray) -> int:
+        """How many directions the data see of the set-up and some of the machine's columns, the datum's conditions kept."""
+        machine = datum.shape[1]
+        kept = [*columns, *range(machine, len(self.scale))]
+        conditions = np.zeros((len(datum), len(self.scale)))
+        conditions[:, :machine] = datum
+        whole = np.concatenate([self.triangle[:, :-1] * self.scale, FIRM * conditions])[:, kept]
+        return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > WEAKEST))
 
     @property
     def unseen(self) -> np.ndarray:

@@ -1,0 +1,354 @@
+"""The statistics of `twin diagnose`: many hidden effects of a set size, drawn over the whole catalogue; how often each is named right.
+
+One data set of the truth machine (`tests.hidden`) gives poses, set-up and scatter; into its whitened residual go new noise and new
+effects, scaled to a noncentrality λ after everything the set-up absorbs is projected out. Run one row of the table by
+
+    python -m tests.battery ROW [--draws 200] [--noise isotropic|repeats|tracker|tracker-repeats] [--poses 390] [--seed 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+from threadpoolctl import threadpool_limits
+
+from tests import hidden
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.covariance import Covariance
+from twin.diagnosis.account import _equivalent
+from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.diagnose import Searcher, problem_of
+from twin.diagnosis.estimate import estimate
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.search import Form, Pool, Selection, cost
+from twin.diagnosis.signatures import of_effect, state_of
+from twin.diagnosis.surrogates import EFFECT, depends_on
+from twin.effects import PitchError, ThermalDrift
+from twin.instruments import LaserTracker
+from twin.machine import Machine
+from twin.measurement import load
+
+FRESH = 25
+"""Draws from one data set before another is measured."""
+ROWS = {
+    "one60": (1, 60.0),
+    "one30": (1, 30.0),
+    "two60": (2, 60.0),
+    "three100": (3, 100.0),
+    "nothing": (0, 0.0),
+    "outside300": (0, 300.0),
+}
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in one draw, and what was said."""
+
+    truth: tuple[Key, ...]
+    columns: tuple[str, ...]
+    named: tuple[Key, ...]
+    equivalent: tuple[tuple[Key, ...], ...]
+    unnamed: tuple[str, ...]
+    covered: tuple[bool, ...]
+    pulls: tuple[tuple[str, float], ...]
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        return set(self.truth) <= set(self.named)
+
+    @property
+    def in_group(self) -> bool:
+        """Every hidden effect is named, or equivalent to a cause that is: each cause stands for one."""
+        left = [{name, *others} for name, others in zip(self.named, self.equivalent, strict=True)]
+        return _matched(list(self.truth), left)
+
+    @property
+    def too_many(self) -> bool:
+        return len(self.named) > len(self.truth)
+
+    @property
+    def unexplained(self) -> bool:
+        return bool(self.unnamed)
+
+
+def _matched(truth: list[Key], groups: list[set[Key]]) -> bool:
+    if not truth:
+        return True
+    return any(
+        truth[0] in group and _matched(truth[1:], groups[:i] + groups[i + 1 :]) for i, group in enumerate(groups)
+    )
+
+
+def measured(
+    rng: np.random.Generator, machine: Machine, noise: str, poses: int, uncertain: bool
+) -> tuple[Problem, Searcher, np.ndarray]:
+    """A data set with nothing in it: the problem, its search, and (n, 3, 3) root of the true covariance in whitened units."""
+    plan = hidden.rounded(hidden.plan(rng, poses=poses))
+    kind = "tracker" if noise.startswith("tracker") else "isotropic"
+    exact = hidden.points(plan)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "measured.csv"
+        u = 3e-3 if noise == "isotropic" else None
+        data = load(hidden.write(path, plan, hidden.noisy(exact, rng, kind), u_mm=u), machine)
+    calibration = Calibration.default(machine)
+    if uncertain:
+        calibration = _doubted(calibration)
+    instrument = LaserTracker() if noise == "tracker" else None
+    problem, known, _ = problem_of(data, machine, calibration, instrument)
+    used = problem.network.data
+    rows = np.searchsorted(data.lines, used.lines)
+    true = (
+        LaserTracker().covariance(exact[rows] * 1e-3)
+        if kind == "tracker"
+        else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
+    )
+    return problem, Searcher(problem, machine, known), problem.network.whitening @ np.linalg.cholesky(true)
+
+
+def _doubted(calibration: Calibration) -> Calibration:
+    """With a covariance: 0.7 µm and 4 µrad a coefficient, as an identification leaves them."""
+    names = [p.name for effect in calibration.effects for p in effect.parameters]
+    units = [p.unit for effect in calibration.effects for p in effect.parameters]
+    u = np.array([0.7 if unit == "um" else 4.0 for unit in units])
+    return replace(calibration, joint=Covariance(tuple(names), locked(np.diag(u**2))))
+
+
+def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
+    """(3n,) new scatter, and a new error of the calibration where its covariance is given."""
+    found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
+    own = problem.nuisance[:, problem.prior.any(axis=0)]
+    return found + own @ rng.standard_normal(own.shape[1])
+
+
+def some_effect(
+    rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float
+) -> tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]:
+    """An effect of a random family at a random place, scaled to a noncentrality: key, (3n,) signature, fixed and linear parameters."""
+    machine, state = problem.network.machine, state_of(problem.network.data, problem.network.machine)
+    while True:
+        effect = list(families)[rng.integers(len(families))]
+        candidate = families[effect][rng.integers(len(families[effect]))]
+        cell = candidate.cells[rng.integers(len(candidate.cells))]
+        fixed, columns = dict(cell.fixed), list(cell.columns)
+        # Periods and time constants as they come, not as the search has them on its grid.
+        if effect == "pitch_error":
+            spacing = [1.0 / one.fixed["period"] for one in candidate.cells]
+            fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
+            axis = machine.by_name[candidate.where]
+            columns = [
+                c
+                for phase in (0.0, np.pi / 2.0)
+                for c in of_effect(PitchError(axis, 1.0, fixed["period"], phase), machine, state, [0])
+            ]
+        if effect == "thermal_drift":
+            constants = [one.fixed["time_constant"] for one in candidate.cells]
+            fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
+            built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
+            if isinstance(built, ThermalDrift):
+                columns = of_effect(built, machine, state, [0])
+        raw = problem.signature(columns)
+        seen = np.diag(problem.inner(raw, raw)) > 25.0
+        values = rng.standard_normal(raw.shape[1]) * seen
+        signature = raw @ values
+        after = float(problem.inner(signature[:, None], signature[:, None])[0, 0])
+        # As large as plausible it must be seen: what the set-up absorbs is no hidden effect.
+        if after > size and after > 1e-7 * float(signature @ signature):
+            factor = np.sqrt(size / after)
+            linear = values * factor * np.array([column.scale for column in columns])
+            return candidate.key, signature * factor, candidate, fixed, linear
+
+
+def outside(rng: np.random.Generator, problem: Problem, size: float) -> tuple[tuple[str, ...], np.ndarray]:
+    """A smooth function of two columns on one side that is in no catalogue, scaled: names, (3n,) signature."""
+    data, machine = problem.network.data, problem.network.machine
+    values = {f"{a.name}_{a.unit}": np.asarray(data.positions[:, i]) for i, a in enumerate(machine.axes)}
+    values |= {"time_s": np.asarray(data.time_s)}
+    values |= {f"T_{name}_degC": np.asarray(v) for name, v in data.temperature_degC.items()}
+    names = tuple(str(name) for name in rng.choice(list(values), 2, replace=False))
+    u, v = ((2.0 * values[n] - np.ptp(values[n]) - 2.0 * values[n].min()) / np.ptp(values[n]) for n in names)
+    total = np.zeros(len(u))
+    for _ in range(3):
+        a, b = rng.uniform(1.0, 3.0, 2)
+        total += rng.normal() * np.sin(a * u + rng.uniform(0, 6.3)) * np.cos(b * v + rng.uniform(0, 6.3))
+    side = ("tool", "work")[rng.integers(2)]
+    direction = rng.standard_normal(3)
+    moved = (problem.view.by_base @ direction) * (total * (data.carrier == side))[:, None] * 1e-6
+    signature = moved.reshape(-1)
+    after = float(problem.inner(signature[:, None], signature[:, None])[0, 0])
+    return names, signature * np.sqrt(size / after)
+
+
+def answers(
+    row: str, draws: int, seed: int, *, noise: str = "isotropic", poses: int = 390, uncertain: bool = False
+) -> list[Answer]:
+    """Draws of one row of the table."""
+    machine = Machine.load("dmu50")
+    count, size = ROWS[row]
+    rng = np.random.default_rng(seed)
+    found: list[Answer] = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        while len(found) < draws:
+            problem, searcher, root = measured(rng, machine, noise, poses, uncertain)
+            families: dict[str, list[Candidate]] = {}
+            for candidate in searcher.known.candidates:
+                families.setdefault(candidate.effect, []).append(candidate)
+            for _ in range(min(FRESH, draws - len(found))):
+                total = noise_of(rng, problem, root)
+                truth: list[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]] = []
+                while len(truth) < count:
+                    one = some_effect(rng, problem, families, size)
+                    if one[0] not in [other[0] for other in truth]:
+                        truth.append(one)
+                        total = total + one[1]
+                columns: tuple[str, ...] = ()
+                if row.startswith("outside"):
+                    columns, extra = outside(rng, problem, size)
+                    total = total + extra
+                problem.judge(total)
+                began = time.process_time()
+                searcher.pool.judge(problem)
+                pool, best = searcher.run()
+                found.append(_answer(problem, pool, best, truth, columns, time.process_time() - began))
+    return found
+
+
+def _answer(
+    problem: Problem,
+    pool: Pool,
+    best: Selection,
+    truth: Sequence[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]],
+    columns: tuple[str, ...],
+    seconds: float,
+) -> Answer:
+    named = [form for form in best.forms if form.candidate.effect != EFFECT]
+    unnamed = [form for form in best.forms if form.candidate.effect == EFFECT]
+    groups = []
+    for form in named:
+        others = [one for one in best.forms if one is not form]
+        explained, dof = (float(values[form.index]) for values in pool.scan(others))
+        groups.append(_equivalent(pool, form, others, explained - cost(dof, form.price)))
+    pulls = _pulls(problem, named, unnamed, truth)
+    return Answer(
+        truth=tuple(one[0] for one in truth),
+        columns=columns,
+        named=tuple(form.key for form in named),
+        equivalent=tuple(groups),
+        unnamed=tuple(name for form in unnamed for name in depends_on(form.candidate)[1]),
+        covered=tuple(bool(abs(pull) < stats.norm.isf(0.025)) for _, pull in pulls),
+        pulls=pulls,
+        seconds=seconds,
+    )
+
+
+def _pulls(
+    problem: Problem,
+    named: Sequence[Form],
+    unnamed: Sequence[Form],
+    truth: Sequence[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]],
+) -> tuple[tuple[str, float], ...]:
+    """(value − truth)/u of every parameter of the causes that are right, where all are."""
+    if unnamed or {form.key for form in named} != {one[0] for one in truth} or not named:
+        return ()
+    estimated = estimate(problem, named)
+    found: list[tuple[str, float]] = []
+    for form, quantities in zip(named, estimated.quantities, strict=True):
+        _, _, candidate, fixed, linear = next(one for one in truth if one[0] == form.key)
+        if fixed.get("order", 0.0) != form.cell.fixed.get("order", 0.0):
+            continue
+        if candidate.space is not None:
+            if len(linear) != len(form.cell.columns):
+                continue
+            linear = candidate.space.transform[: len(linear), : len(linear)] @ linear
+        true = dict(zip([q.name for q in quantities if q.name != "order"], linear, strict=False))
+        if candidate.effect == "pitch_error":
+            true = {"amplitude": float(np.hypot(*linear)), "period": fixed["period"]}
+        elif candidate.effect == "thermal_drift":
+            true = {"amplitude": float(linear[0]), "time_constant": fixed["time_constant"]}
+        found += [
+            (f"{candidate.effect}.{q.name}", (q.value - true[q.name]) / q.u)
+            for q in quantities
+            if q.name in true and q.u > 0.0
+        ]
+    return tuple(found)
+
+
+def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
+    """Shares of the draws."""
+    n = len(found)
+
+    def share(values: list[bool]) -> float:
+        return float(np.mean(values)) if values else float("nan")
+
+    told = {"seconds": float(np.mean([a.seconds for a in found]))}
+    if row == "nothing":
+        return told | {"any alarm": share([bool(a.named or a.unnamed) for a in found])}
+    if row.startswith("outside"):
+        hit = [a.unexplained and bool(set(a.columns) & set(a.unnamed)) for a in found]
+        return told | {
+            "unexplained": share([a.unexplained for a in found]),
+            "unexplained, right column": share(hit),
+            "both columns": share([set(a.columns) <= set(a.unnamed) for a in found]),
+            "named causes": float(np.mean([len(a.named) for a in found])),
+        }
+    covered = [one for a in found for one in a.covered]
+    alone = [a for a in found if not any(a.equivalent)]
+    return told | {
+        "right": share([a.right for a in found]),
+        "right or in group": share([a.in_group for a in found]),
+        "right where nothing is equivalent": share([a.right for a in alone]),
+        "share with equivalents": 1.0 - len(alone) / n,
+        "mean group": float(np.mean([1 + len(g) for a in found for g in a.equivalent] or [0.0])),
+        "nothing found": share([not a.named and not a.unnamed for a in found]),
+        "an effect too many": share([a.too_many for a in found]),
+        "unexplained": share([a.unexplained for a in found]),
+        "coverage": share(covered),
+        "intervals": float(len(covered)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="+", choices=ROWS)
+    parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--noise", default="isotropic")
+    parser.add_argument("--poses", type=int, default=390)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--uncertain", action="store_true")
+    parser.add_argument("--wrong", type=int, default=0)
+    options = parser.parse_args()
+    for row in options.rows:
+        found = answers(
+            row, options.draws, options.seed, noise=options.noise, poses=options.poses, uncertain=options.uncertain
+        )
+        told = ", ".join(f"{name} {value:.3g}" for name, value in summary(row, found).items())
+        sys.stdout.write(f"{row} {options.noise}{' uncertain' if options.uncertain else ''} {len(found)}: {told}\n")
+        wrong = [a for a in found if not a.in_group or a.too_many or (a.truth and a.unexplained)]
+        if row == "nothing":
+            wrong = [a for a in found if a.named or a.unnamed]
+        if row.startswith("outside"):
+            wrong = [a for a in found if not set(a.columns) & set(a.unnamed)]
+        for a in wrong[: options.wrong]:
+            sys.stdout.write(f"   {a.truth or a.columns} -> {a.named} {a.equivalent} {a.unnamed}\n")
+        worst = Counter(name for a in found for name, pull in a.pulls if abs(pull) > 1.96)
+        of = Counter(name for a in found for name, _ in a.pulls)
+        if options.wrong:
+            sys.stdout.write(
+                "   not covered: " + ", ".join(f"{k} {v}/{of[k]}" for k, v in worst.most_common(12)) + "\n"
+            )
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
