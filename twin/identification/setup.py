@@ -89,7 +89,7 @@ class SetUp:
     def plausible(self) -> np.ndarray:
         """(unknowns,) how far each may be from anything, metres and radians."""
         # Their common shift, too, may be that large.
-        place = PLACE_PLAUSIBLE * np.sqrt(max(np.count_nonzero(~self.target_known), 1))
+        place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
         kinds = {"target": place, "turn": TURN_PLAUSIBLE, "station": STATION_PLAUSIBLE}
         return np.array([kinds[_kind(name)] for name in self.names])
 
