@@ -5,13 +5,17 @@ The names a script needs; everything else lives in the room its name says.
 
 from twin.calibration import Calibration, Curve
 from twin.compensation import Compensation, Compensator, Options
+from twin.diagnosis import Diagnosis, diagnose
 from twin.errors import InputError
+from twin.identification import Identification, identify
 from twin.inverse import Inverse, Solution, Status
 from twin.iso16907 import Scope
 from twin.kinematics import Kinematics, Poses
 from twin.machine import Axis, Machine
+from twin.measurement import Measurements
 from twin.nc import read_program
 from twin.toolpath import Setup
+from twin.uncertainty import ToolUncertainty
 
 __all__ = [
     "Axis",
@@ -19,15 +23,21 @@ __all__ = [
     "Compensation",
     "Compensator",
     "Curve",
+    "Diagnosis",
+    "Identification",
     "InputError",
     "Inverse",
     "Kinematics",
     "Machine",
+    "Measurements",
     "Options",
     "Poses",
     "Scope",
     "Setup",
     "Solution",
     "Status",
+    "ToolUncertainty",
+    "diagnose",
+    "identify",
     "read_program",
 ]

@@ -34,7 +34,7 @@ from twin.machine import Axis, Machine
 from twin.measurement import Measurements
 from twin.units import UM
 
-DEGREES: Final = 5
+DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors below it are not sought."""

@@ -175,7 +175,7 @@ def _quantities(
     found = tuple(
         Quantity(name, float(value), unit, float(one))
         for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
-        if one > 0.0  # a direction these data do not see has no size
+        if one > 1e-9 * u.max()  # a direction these data do not see has no size
     )
     if "order" in form.cell.fixed:
         found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)
