@@ -294,6 +294,29 @@ class Calibration:
         """Whether any of its error motions is drawn, not measured."""
         return any(curve.illustrative for curve in self.curves.values())
 
+    def outside(self, positions: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
+        bounds = self.domains()
+        slack = 1e-9
+        return (positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack)
+
+    def check(self, positions: np.ndarray) -> None:
+        """Nothing, if every curve covers (n, axes) positions.
+
+        Raises:
+            InputError: one does not.
+        """
+        outside = self.outside(positions)
+        if np.any(outside):
+            row, column = np.argwhere(outside)[0]
+            lo, hi = self.domains()[column]
+            axis = self.machine.axes[column]
+            raise InputError(
+                f"{axis.name} outside the domain of its error motions",
+                expected=f"{lo:g} to {hi:g} {axis.unit}",
+                value=float(positions[row, column]),
+            )
+
     def domains(self) -> np.ndarray:
         """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
         bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))

@@ -181,22 +181,12 @@ class Kinematics:
             raise InputError(
                 "a position that is no number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0]
             )
-        outside = self.outside_domain(q)
-        if np.any(outside):
-            row, column = np.argwhere(outside)[0]
-            lo, hi = self.calibration.domains()[column]
-            raise InputError(
-                f"{axes[column].name} outside the domain of its error motions",
-                expected=f"{lo:g} to {hi:g} {axes[column].unit}",
-                value=float(q[row, column]),
-            )
+        self.calibration.check(q)
         return q
 
     def outside_domain(self, q: np.ndarray) -> np.ndarray:
         """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
-        bounds = self.calibration.domains()
-        slack = 1e-9
-        return (q < bounds[:, 0] - slack) | (q > bounds[:, 1] + slack)
+        return self.calibration.outside(q)
 
 
 def angle_between_rad(a: np.ndarray, b: np.ndarray) -> np.ndarray:

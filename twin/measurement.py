@@ -293,6 +293,20 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
     return _known(table)
 
 
+def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
+    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``."""
+    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
+    for i, axis in enumerate(machine.axes):
+        if np.any(data.approach[:, i]):
+            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
+    if np.all(np.isfinite(data.time_s)):
+        found["time_s"] = np.asarray(data.time_s)
+    for name, values in data.temperature_degC.items():
+        if np.all(np.isfinite(values)):
+            found[f"T_{name}_degC"] = np.asarray(values)
+    return found
+
+
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     lines = [
         (number, text)

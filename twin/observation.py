@@ -14,9 +14,9 @@ import numpy as np
 
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
-from twin.kinematics import Kinematics
+from twin.effects import assemble
 from twin.machine import Machine
-from twin.measurement import CARRIERS
+from twin.measurement import CARRIERS, Measurements, state_of
 from twin.symbolic import Pose, frame_pose
 from twin.units import MM
 
@@ -50,26 +50,33 @@ class Observation:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
 
-    def points_mm(
-        self, calibration: Calibration, positions: np.ndarray, carrier: np.ndarray, places_mm: np.ndarray
-    ) -> np.ndarray:
+    def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
         """Reflectors in the base frame.
 
         Args:
             calibration: the machine's errors.
-            positions: (n, axes) commands, mm and degrees.
-            carrier: (n,) ``tool`` or ``work``.
+            data: commands, carriers, and every channel an effect may need; its coordinates are not used.
             places_mm: (n, 3) place of each reflector on its carrier.
 
         Returns:
             (n, 3) mm.
 
         Raises:
-            InputError: as `Kinematics.forward`: a position no curve covers.
+            InputError: a position no curve covers, or a channel that an effect needs and the table does not have.
         """
-        kinematics = Kinematics(self.machine, calibration, tool_length_mm=0.0)
-        errors = kinematics.error_frames(positions).reshape(len(positions), -1)
-        return self.points(np.asarray(positions) * self.machine.scale, errors, carrier, places_mm * MM) / MM
+        errors = self.errors(calibration, data)
+        return self.points(np.asarray(data.positions) * self.machine.scale, errors, data.carrier, places_mm * MM) / MM
+
+    def errors(self, calibration: Calibration, data: Measurements) -> np.ndarray:
+        """(n, 6·frames) every error frame at the rows of a table, metres and radians.
+
+        Raises:
+            InputError: as `points_mm`.
+        """
+        calibration.check(data.positions)
+        rows = assemble(calibration.effects, self.machine.frames, state_of(data, self.machine))
+        found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
+        return np.stack(found, axis=1)
 
     def points(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> np.ndarray:
         """(n, 3) reflectors in the base frame, unchecked; arguments as `carried`."""

@@ -199,7 +199,7 @@ def simulate(
     around.check(plan)
     placed = Setting.drawn(plan, rng) if setting is None else setting
     places = np.array([placed.places_mm[target] for target in plan.target])
-    base = Observation(machine).points_mm(calibration, plan.positions, plan.carrier, places)
+    base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
     for name, station in placed.stations.items():
         rows = plan.station == name

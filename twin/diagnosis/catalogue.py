@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.curves import BASES
-from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, state_of
+from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -31,7 +31,7 @@ from twin.extension import at_rest, base_vector, load_of, tool_base_frame
 from twin.identification.network import View, cross_matrix
 from twin.identification.unknowns import CurveSpace
 from twin.machine import Axis, Machine
-from twin.measurement import Measurements
+from twin.measurement import Measurements, state_of
 from twin.units import UM
 
 DEGREES: Final = 8

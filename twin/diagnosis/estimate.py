@@ -13,8 +13,9 @@ from twin.covariance import Covariance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.diagnosis.search import Form, pseudo
-from twin.diagnosis.signatures import of_effect, state_of
+from twin.diagnosis.signatures import of_effect
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
+from twin.measurement import state_of
 
 STEPS: Final = 12
 STILL: Final = 1e-6

@@ -17,9 +17,9 @@ from twin.budget import volume
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.search import Form
-from twin.diagnosis.signatures import state_of
 from twin.effects import Effect, assemble
 from twin.identification.network import Network
+from twin.measurement import state_of
 from twin.units import MM
 
 POSES: Final = 400

@@ -14,9 +14,10 @@ from typing import Final, final
 import numpy as np
 
 from twin.calibration import Calibration
-from twin.diagnosis.signatures import Column, of_effect, state_of
+from twin.diagnosis.signatures import Column, of_effect
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
+from twin.measurement import state_of
 
 TOLD_APART: Final = 1e-9
 """Relative size of a set-up direction below which it is no direction of its own."""

@@ -15,7 +15,6 @@ import numpy as np
 from twin.effects import Effect
 from twin.identification.network import View
 from twin.machine import Machine
-from twin.measurement import Measurements
 from twin.units import UM
 
 LARGEST: Final = 1000.0
@@ -34,20 +33,6 @@ class Column:
 
     reading: Callable[[View], np.ndarray]
     scale: float
-
-
-def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
-    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``."""
-    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
-    for i, axis in enumerate(machine.axes):
-        if np.any(data.approach[:, i]):
-            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
-    if np.all(np.isfinite(data.time_s)):
-        found["time_s"] = np.asarray(data.time_s)
-    for name, values in data.temperature_degC.items():
-        if np.all(np.isfinite(values)):
-            found[f"T_{name}_degC"] = np.asarray(values)
-    return found
 
 
 def of_effect(

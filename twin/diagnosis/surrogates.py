@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from twin.diagnosis.catalogue import Candidate, Cell
-from twin.diagnosis.signatures import LARGEST, Column, state_of
+from twin.diagnosis.signatures import LARGEST, Column
 from twin.identification.network import View
 from twin.machine import Machine
-from twin.measurement import CARRIERS, Measurements
+from twin.measurement import CARRIERS, Measurements, state_of
 from twin.units import UM
 
 EFFECT: Final = "surrogate"

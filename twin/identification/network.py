@@ -19,7 +19,6 @@ from twin.calibration import Calibration
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.instruments import Instrument
-from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
@@ -113,11 +112,8 @@ class Network:
         self.whitening = locked(_whitening(self.covariance, self.read))
         self._observation = Observation(machine)
         self._q = np.asarray(data.positions) * machine.scale
-        n = len(data)
-        self._base = np.zeros((n, 6 * len(machine.frames)))
-        if base is not None and not base.empty:
-            frames = Kinematics(machine, base, tool_length_mm=0.0).error_frames(data.positions)
-            self._base = frames.reshape(n, -1)
+        known = Calibration.zero(machine) if base is None else base
+        self._base = self._observation.errors(known, data)
         self._shapes = unknowns.shapes(data.positions)
         stations = {name: i for i, name in enumerate(dict.fromkeys(data.station))}
         targets = {name: i for i, name in enumerate(dict.fromkeys(data.target))}
