@@ -31,12 +31,12 @@ from twin.diagnosis.diagnose import Searcher, problem_of
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.search import Form, Pool, Selection, cost
-from twin.diagnosis.signatures import of_effect, state_of
+from twin.diagnosis.signatures import of_effect
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
 from twin.instruments import LaserTracker
 from twin.machine import Machine
-from twin.measurement import load
+from twin.measurement import load, state_of
 
 FRESH = 25
 """Draws from one data set before another is measured."""
@@ -49,6 +49,7 @@ ROWS = {
     "outside300": (0, 300.0),
 }
 Key = tuple[str, str]
+Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,7 @@ def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np
     return found + own @ rng.standard_normal(own.shape[1])
 
 
-def some_effect(
-    rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float
-) -> tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]:
+def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:
     """An effect of a random family at a random place, scaled to a noncentrality: key, (3n,) signature, fixed and linear parameters."""
     machine, state = problem.network.machine, state_of(problem.network.data, problem.network.machine)
     while True:
@@ -161,6 +160,9 @@ def some_effect(
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw, raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen
+        if candidate.space is not None:
+            # In the datum of the calibration: a constant is a zero, a slope of a straightness a squareness.
+            values[: 2 if effect == "straightness" else 1] = 0.0
         signature = raw @ values
         after = float(problem.inner(signature[:, None], signature[:, None])[0, 0])
         # As large as plausible it must be seen: what the set-up absorbs is no hidden effect.
@@ -168,6 +170,20 @@ def some_effect(
             factor = np.sqrt(size / after)
             linear = values * factor * np.array([column.scale for column in columns])
             return candidate.key, signature * factor, candidate, fixed, linear
+
+
+def some_effects(
+    rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], count: int, size: float
+) -> list[Truth]:
+    """Different effects, each of which keeps half of its noncentrality beside the others: what cancels is not there to be found."""
+    while True:
+        found = [some_effect(rng, problem, families, size) for _ in range(count)]
+        if len({one[0] for one in found}) < count:
+            continue
+        signatures = np.stack([one[1] for one in found], axis=1) if found else np.zeros((len(problem.residual), 0))
+        gram = problem.inner(signatures, signatures)
+        if count < 2 or np.all(1.0 / np.diag(np.linalg.inv(gram + 1e-9 * np.eye(count))) > 0.5 * size):
+            return found
 
 
 def outside(rng: np.random.Generator, problem: Problem, size: float) -> tuple[tuple[str, ...], np.ndarray]:
@@ -206,12 +222,8 @@ def answers(
                 families.setdefault(candidate.effect, []).append(candidate)
             for _ in range(min(FRESH, draws - len(found))):
                 total = noise_of(rng, problem, root)
-                truth: list[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]] = []
-                while len(truth) < count:
-                    one = some_effect(rng, problem, families, size)
-                    if one[0] not in [other[0] for other in truth]:
-                        truth.append(one)
-                        total = total + one[1]
+                truth = some_effects(rng, problem, families, count, size)
+                total = total + sum((one[1] for one in truth), np.zeros_like(total))
                 columns: tuple[str, ...] = ()
                 if row.startswith("outside"):
                     columns, extra = outside(rng, problem, size)
@@ -228,7 +240,7 @@ def _answer(
     problem: Problem,
     pool: Pool,
     best: Selection,
-    truth: Sequence[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]],
+    truth: Sequence[Truth],
     columns: tuple[str, ...],
     seconds: float,
 ) -> Answer:
@@ -256,7 +268,7 @@ def _pulls(
     problem: Problem,
     named: Sequence[Form],
     unnamed: Sequence[Form],
-    truth: Sequence[tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]],
+    truth: Sequence[Truth],
 ) -> tuple[tuple[str, float], ...]:
     """(value − truth)/u of every parameter of the causes that are right, where all are."""
     if unnamed or {form.key for form in named} != {one[0] for one in truth} or not named:

@@ -128,7 +128,9 @@ def test_geometric_identification_halves_the_error_at_poses_it_never_saw(robot: 
     # What one target on the last axis and a free station cannot tell is said, not made up (J1 is the station's, two of J2 too).
     assert {one.name for one in found.unidentified} == {
         *(f"E_{letter}0J1" for letter in "XYAB"),
-        *("E_Y0J2", "E_B0J2", "E_A0J6", "E_B0J6"),
+        *("E_Y0J2", "E_B0J2"),
+        # The one target sits on the last axis, where a tilt of it is a shift: only what they do together shows.
+        *(f"E_{letter}0J6" for letter in "XYAB"),
     }
 
 
@@ -139,12 +141,13 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
     first, second = (robot.data.select(rows) for rows in halves(robot))
     assert unseen_mm(robot.as_given, first, second) > 7.0
     given = geometric(robot.as_given, first)
-    # Both are the least-squares answer; what is left is the datum, which shifts with the drawing at second order.
-    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=1e-5)
+    # Both are the least-squares answer; what is left is the datum, and the last axis's shift or tilt, of which the data see the sum
+    # only: laid at one door or the other, 4 mm make a third of a micrometre at second order.
+    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=1e-3)
     difference = {name: value - found.calibration.location[name] for name, value in given.calibration.location.items()}
-    # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm and 4.15 mm. A millirad of tilt
+    # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis). A millirad of tilt
     # between drawing and axis turns 10 mm by 10 µm.
-    links = {"E_X0J3": 700.0, "E_X0J4": -750.0, "E_Y0J5": -10_209.0, "E_Y0J6": 4150.0}
+    links = {"E_X0J3": 700.0, "E_X0J4": -750.0, "E_Y0J5": -10_209.0}
     for name, expected in links.items():
         assert difference[name] == pytest.approx(expected, abs=10.0)
     for name in set(difference) - set(links):
@@ -157,15 +160,17 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
     The model leaves effects out that change little within a place, so places are the sample (`ur10.write_table`). Taken as drawn one by
     one, the poses give intervals three times too narrow; the uncertainty of a reading alone, eight times narrower still.
     """
-    names = tuple(found.calibration.location)
+    # The last axis's shift beside them, its tilt taken as zero: together they would not be told.
+    names = (*found.calibration.location, "E_X0J6", "E_Y0J6")
     unknowns, count = Unknowns(robot.machine, (), names), len(names)
-    start = np.array([found.calibration.location[name] for name in names])
+    _, settled = fitted(robot.machine, robot.data.select(halves(robot)[0]), unknowns)
+    start = settled.theta
     place = robot.data.round.astype(int)
 
     def estimate(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         network, weight = Network(robot.machine, robot.data.select(rows), LaserTracker(), unknowns), np.ones(len(rows))
         # One step: all of these estimates lie within 0.1 mm and 1 mrad, and the second order of that is below a micrometre.
-        solution = solve(network, start, found.setup, weight, steps=1)
+        solution = solve(network, start, settled.setup, weight, steps=1)
         by_round, by_pose = (spread(network, solution, weight)[:count, :count] for spread in SPREADS)
         return solution.theta, by_round, by_pose
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from twin.arrays import locked
 from twin.covariance import Covariance
@@ -19,6 +20,10 @@ from twin.measurement import state_of
 
 STEPS: Final = 12
 STILL: Final = 1e-6
+CONSTANTS: Final = 81
+"""Time constants a drift's likelihood is taken at."""
+SHARP: Final = 0.15
+"""Relative doubt of a time constant below which the likelihood is that of a normal."""
 
 
 @final
@@ -61,6 +66,19 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
         for form, value in zip(forms, values, strict=True)
     ]
     curved = [bool(found) and isinstance(found[0], PitchError | ThermalDrift) for found in effects]
+    fixed = [dict(form.cell.fixed) for form in forms]
+    loose: dict[int, np.ndarray] = {}
+    for k, found in enumerate(effects):
+        if found and isinstance(found[0], ThermalDrift):
+            others = [problem.signature(form.cell.columns) for form in forms if form is not forms[k]]
+            drift, moments = _creep(problem, forms[k], found[0], others)
+            effects[k] = (drift,)
+            if moments is not None:
+                loose[k], curved[k] = moments, False
+                fixed[k] = {"time_constant": drift.time_constant}
+                unit = of_effect(drift.changed(1.0, drift.time_constant), machine, state, [0])
+                scales[k] = np.array([column.scale for column in unit])
+                columns[k], values[k] = problem.signature(unit) / scales[k], np.array([drift.amplitude])
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
         for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
@@ -90,7 +108,7 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
             else:
                 values[k] = values[k] + own
                 if forms[k].candidate.build is not None:
-                    effects[k] = forms[k].candidate.build(values[k], forms[k].cell.fixed)  # type: ignore[misc]
+                    effects[k] = forms[k].candidate.build(values[k], fixed[k])  # type: ignore[misc]
         if moved < STILL:
             break
     made = [
@@ -100,22 +118,67 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     total = signature.sum(axis=1)
     left = problem.residual - total
     after = float(left @ left - np.sum((problem.basis.T @ left) ** 2))
-    quantities, rows, names, at = [], [], [], 0
+    quantities, rows, apart, names, at = [], [], [], [], 0
     for k, form in enumerate(forms):
         width = blocks[k].shape[1]
         matrix = _matrix(form, effects[k], width)
-        own = matrix @ inverse[at : at + width, at : at + width] @ matrix.T
+        own = loose.get(k, matrix @ inverse[at : at + width, at : at + width] @ matrix.T)
         quantities.append(_quantities(form, effects[k], values[k], own))
         if effects[k]:
-            placed = np.zeros((len(matrix), len(inverse)))
-            placed[:, at : at + width] = matrix
+            placed = np.zeros((len(own), len(inverse)))
+            if k not in loose:
+                placed[:, at : at + width] = matrix
             rows.append(placed)
+            apart.append(own if k in loose else np.zeros_like(own))
             names += [parameter.name for parameter in effects[k][0].parameters]
         at += width
     whole_matrix = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
     spread = whole_matrix @ inverse @ whole_matrix.T
+    if loose:
+        spread += block_diag(*apart)
     covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
     return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after)
+
+
+def _creep(
+    problem: Problem, form: Form, effect: ThermalDrift, others: Sequence[np.ndarray]
+) -> tuple[ThermalDrift, np.ndarray | None]:
+    """The most likely drift, and how far amplitude and time constant may be from it; None where the data pin them down.
+
+    A time constant as long as the measurement leaves amplitude and constant free to grow together: no curvature at the best value says
+    how far. The second moments about it under the profile likelihood do, over the time constants that were tried, even in their log.
+
+    Args:
+        problem: the data.
+        form: whose time constants were tried.
+        effect: with any numbers.
+        others: signatures of the other causes.
+    """
+    machine = problem.network.machine
+    state = state_of(problem.network.data, machine)
+    tried = [cell.fixed["time_constant"] for cell in form.candidate.cells]
+    constants = np.geomspace(min(tried), max(tried), CONSTANTS)
+    signature = np.stack(
+        [
+            of_effect(effect.changed(1.0, tau), machine, state, [0])[0].reading(problem.view).reshape(-1)
+            for tau in constants
+        ],
+        axis=1,
+    )
+    beside = np.concatenate([np.zeros((len(signature), 0)), *others], axis=1)
+    inverse, _ = pseudo(problem.inner(beside, beside)) if beside.shape[1] else (np.zeros((0, 0)), None)
+    cross = problem.inner(beside, signature)
+    weight = np.maximum(np.diag(problem.inner(signature, signature) - cross.T @ inverse @ cross), 1e-300)
+    amplitude = (problem.along(signature) - cross.T @ (inverse @ problem.along(beside))) / weight
+    gain = amplitude**2 * weight
+    best = int(np.argmax(gain))
+    share = np.exp((gain - gain[best]) / 2.0)
+    share /= share.sum()
+    found = effect.changed(float(amplitude[best]), float(constants[best]))
+    if np.sqrt(share @ np.log(constants / constants[best]) ** 2) < SHARP and share[0] + share[-1] < 1e-3:
+        return found, None
+    off = np.stack([amplitude - amplitude[best], constants - constants[best]])
+    return found, (off * share) @ off.T + np.diag([share @ (1.0 / weight), 0.0])
 
 
 def _matrix(form: Form, effects: Sequence[Effect], width: int) -> np.ndarray:

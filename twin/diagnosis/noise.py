@@ -21,6 +21,7 @@ from twin.measurement import Measurements
 
 ENOUGH: Final = 20
 """Degrees of freedom of repeats below which the instrument's own figures are taken."""
+WEIGHINGS: Final = 3
 CHANGING: Final = (
     "frame_shift",
     "target_shift",
@@ -78,15 +79,10 @@ def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[
     total = np.zeros((len(size), *every.shape[1:]))
     np.add.at(total, group, every)
     every = (every - total[group] / size[group][:, None, None]) * again[:, None, None]
-    flat = every.reshape(-1, every.shape[2])
-    scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
-    u, values, _ = np.linalg.svd(flat[:, 1:] / scale, full_matrices=False)
-    basis = u[:, values > 1e-8] if len(values) and values[0] > 0.0 else u[:, :0]
-    left = (flat[:, 0] - basis @ (basis.T @ flat[:, 0])).reshape(-1, 3)
-    taken = basis.reshape(-1, 3, basis.shape[1])
-    free = np.where(again, 1.0 - 1.0 / size[group], 0.0)
+    free = float(np.sum(np.where(again, 1.0 - 1.0 / size[group], 0.0)))
     if not read[:, 1:].any():
-        dof = float(np.sum(free) - np.sum(taken[:, 0] ** 2))
+        left, taken = _cleared(every)
+        dof = free - float(np.sum(taken[:, 0] ** 2))
         if dof < ENOUGH:
             return None
         found = np.zeros((len(data), 3, 3))
@@ -95,17 +91,33 @@ def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[
             locked(found), dof, f"repeats: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
-    along = np.einsum("ni,ni->n", left, beam)
-    used = float(np.sum(np.einsum("nik,ni->nk", taken, beam) ** 2))
-    dof_along = float(np.sum(free)) - used
-    dof_across = 2.0 * float(np.sum(free)) - (basis.shape[1] - used)
-    if dof_along < ENOUGH:
-        return None
-    a = float(np.sqrt(np.sum(along**2) / dof_along))
-    c = float(np.sqrt((np.sum(left**2) - np.sum(along**2)) / dof_across))
+    a = c = 1.0
+    for _ in range(WEIGHINGS):
+        # Weighed as they scatter: taken out all alike, what across the beam leaves would swamp what is along it.
+        lengths = np.einsum("ni,nik->nk", beam, every)[:, None, :] * beam[:, :, None]
+        left, taken = _cleared(lengths / a + (every - lengths) / c)
+        along = np.einsum("ni,ni->n", left, beam)
+        used = float(np.sum(np.einsum("nik,ni->nk", taken, beam) ** 2))
+        dof_along = free - used
+        dof_across = 2.0 * free - (taken.shape[2] - used)
+        if dof_along < ENOUGH:
+            return None
+        a *= float(np.sqrt(np.sum(along**2) / dof_along))
+        c *= float(np.sqrt((np.sum(left**2) - np.sum(along**2)) / dof_across))
     if abs(np.log(a / c)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
         # The same in all directions as far as the repeats can tell: one number, known better.
-        a = c = float(np.sqrt(np.sum(left**2) / (dof_along + dof_across)))
+        left, taken = _cleared(every)
+        a = c = float(np.sqrt(np.sum(left**2) / (3.0 * free - taken.shape[2])))
     n = len(data)
     text = f"repeats: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
     return Scatter(locked(along_and_across(view.seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
+
+
+def _cleared(every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) the first of (n, 3, k) columns without the others, and (n, 3, m) an orthonormal basis of those."""
+    flat = every.reshape(-1, every.shape[2])
+    scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
+    u, values, _ = np.linalg.svd(flat[:, 1:] / scale, full_matrices=False)
+    basis = u[:, values > 1e-8] if len(values) and values[0] > 0.0 else u[:, :0]
+    left = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
+    return left.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])

@@ -1,0 +1,272 @@
+"""An effect of every kind hidden in the data of a realistic plan: `twin diagnose` must find its name, place and size.
+
+The truth machine (`tests.hidden`) shares no code with `twin`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests import battery, hidden
+from tests.hidden import Hidden, Plan
+from twin.calibration import Calibration
+from twin.diagnosis import Cause, Diagnosis, diagnose
+from twin.instruments import LaserTracker
+from twin.machine import Machine
+from twin.measurement import load
+
+POSES = 90
+SIGMA_MM = 3e-3
+
+
+def one(effect: str, where: str, **numbers: float) -> Hidden:
+    return Hidden(effect, where, numbers)
+
+
+# Each several times what 1,500 points at 3 µm can show; curves in the calibration's datum (no constant, a straightness no slope).
+EVERY = [
+    one("reversal", "Y", size=5.0),
+    one("pitch_error", "X", amplitude=3.0, period=10.0, phase=0.7),
+    one("squareness", "E_B0Z", angle=20.0),
+    one("axis_location", "E_A0C", offset=30.0),
+    one("axis_location", "E_X0C", offset=5.0),
+    one("angular_error_motion", "E_BX", c1=30.0, c2=40.0),
+    one("straightness", "E_ZY", c0=-2.0, c2=6.0),
+    one("positioning", "E_XX", c1=8.0),
+    one("harmonic", "E_XC", order=3, cos=4.0, sin=-3.0),
+    one("thermal_expansion", "Y", coefficient=11.0),
+    one("thermal_growth", "Z by bed", coefficient=4.0),
+    one("thermal_drift", "Z", amplitude=9.0, time_constant=2500.0),
+    one("cross_axis", "E_ZY by Z", coefficient=60.0),
+    one("cross_axis", "E_BZ by Y", coefficient=100.0),
+    one("table_load", "B", tilt=30.0),
+    one("frame_shift", "round 2", shift_x=5.0, shift_y=-4.0, shift_z=2.0, turn_x=2.0, turn_y=-3.0, turn_z=4.0),
+    one("gravity_compliance", "B", compliance=0.08),
+    one("zero_offset", "B", offset=40.0),
+    one("refraction_scale", "—", scale=6.0),
+    one("station_drift", "1", rate_x=3.0, rate_y=-2.0, rate_z=1.0),
+    one("target_shift", "P from round 3", shift_x=6.0, shift_y=0.0, shift_z=-5.0),
+    one("reversal", "C", size=40.0),
+    one("pitch_error", "Z", amplitude=2.5, period=17.3, phase=-1.2),
+    one("harmonic", "E_BB", order=2, cos=30.0, sin=10.0),
+]
+INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
+SAMPLE = [hidden_one for hidden_one in EVERY if hidden_one.where not in ("E_X0C", "C")]
+
+
+@pytest.fixture(scope="module")
+def look(
+    dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., Diagnosis]:
+    """Measure with something hidden, read the table, diagnose."""
+    folder = tmp_path_factory.mktemp("hidden")
+
+    def measured(
+        effects: Sequence[Hidden],
+        seed: int = 1,
+        *,
+        noise: str = "isotropic",
+        without: Sequence[str] = (),
+        outside: Callable[[Plan], np.ndarray] | None = None,
+        plan: Plan | None = None,
+        sigma_mm: float = SIGMA_MM,
+    ) -> Diagnosis:
+        rng = np.random.default_rng(seed)
+        of = plan or hidden.rounded(hidden.plan(rng, poses=POSES))
+        read = hidden.noisy(
+            hidden.points(of, effects, outside=outside), rng, "tracker" if "tracker" in noise else "isotropic", sigma_mm
+        )
+        u = sigma_mm if noise == "isotropic" else None
+        path = hidden.write(folder / "measured.csv", of, read, u_mm=u, without=without)
+        instrument = LaserTracker() if noise == "tracker" else None
+        return diagnose(load(path, dmu50), dmu50, calibration, instrument=instrument)
+
+    return measured
+
+
+def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
+    """(value − truth)/u of each parameter that both have; an angle the short way round."""
+    found = {}
+    for q in cause.parameters:
+        if q.name in ("order", "c0") or q.u == 0.0:
+            continue
+        off = q.value - truth.numbers.get(q.name, 0.0)
+        if q.name == "phase":
+            off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        found[q.name] = off / q.u
+    return found
+
+
+def the(result: Diagnosis, truth: Hidden) -> Cause:
+    """The cause that is, or may be, what was hidden."""
+    for cause in result.causes:
+        if (cause.effect, cause.where) == truth.key or truth.key in cause.equivalent:
+            return cause
+    raise AssertionError(f"{truth.key} not among {[(c.effect, c.where, c.equivalent) for c in result.causes]}")
+
+
+def check(result: Diagnosis, truth: Hidden) -> None:
+    cause = the(result, truth)
+    assert len(result.causes) == 1 and result.unexplained is None
+    assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
+    assert cause.origin == ("instrument" if truth.effect in INSTRUMENT else "machine")
+    if (cause.effect, cause.where) == truth.key:
+        # Three standard uncertainties, the issue's number: 1 in 370 a parameter, on seeded draws.
+        for name, pull in pulls(cause, truth).items():
+            assert abs(pull) < 3.0, (name, pull, cause.parameters)
+    assert cause.p_value < 0.01
+    assert result.gain is not None and result.gain.rms_after_um < result.gain.rms_before_um
+    if cause.origin == "machine":
+        # On rounds the selection did not see; what happened to one round only is not there to be gained on others.
+        assert result.gain.held_after_um < result.gain.held_before_um
+        # No less where a rotation turns about the tool's own point.
+        assert result.gain.tool_after_um <= result.gain.tool_before_um
+    else:
+        assert result.extended is result.calibration
+
+
+@pytest.mark.parametrize("truth", SAMPLE, ids=lambda h: f"{h.effect} {h.where}")
+def test_an_effect_of_every_kind(look: Callable[..., Diagnosis], truth: Hidden) -> None:
+    check(look([truth], seed=100 + EVERY.index(truth)), truth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker", "tracker-repeats"])
+@pytest.mark.parametrize("truth", EVERY, ids=lambda h: f"{h.effect} {h.where}")
+def test_an_effect_of_every_kind_whatever_the_scatter(
+    look: Callable[..., Diagnosis], truth: Hidden, noise: str
+) -> None:
+    # A tracker at 2 m scatters 13 µm across its beam: four times as much.
+    size = 4.0 if noise.startswith("tracker") else 1.0
+    same = ("order", "period", "phase", "time_constant")
+    louder = replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
+    check(look([louder], seed=200 + EVERY.index(truth), noise=noise), louder)
+
+
+@pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker"])
+def test_nothing_hidden_is_consistent(look: Callable[..., Diagnosis], noise: str) -> None:
+    result = look([], seed=3, noise=noise)
+    assert result.verdict == "consistent"
+    assert result.causes == () and result.unexplained is None and result.gain is None
+    # RMS over 4,500 readings: 1 % is its standard deviation.
+    assert result.rms_um == pytest.approx(result.expected_rms_um, rel=0.04)
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (EVERY[0], EVERY[10]),
+        (EVERY[1], EVERY[2]),
+        (one("reversal", "X", size=4.0), one("reversal", "B", size=25.0)),
+        (EVERY[8], EVERY[20]),
+    ],
+    ids=lambda p: " and ".join(f"{h.effect} {h.where}" for h in p),
+)
+def test_two_effects_are_both_found(look: Callable[..., Diagnosis], pair: tuple[Hidden, Hidden]) -> None:
+    result = look(pair, seed=4)
+    assert len(result.causes) == 2 and result.unexplained is None
+    for truth in pair:
+        cause = the(result, truth)
+        if (cause.effect, cause.where) == truth.key:
+            assert max(map(abs, pulls(cause, truth).values())) < 3.0
+
+
+def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Diagnosis]) -> None:
+    # λ = 1,500·(0.75/3)² ≈ 90 before projection: a quarter of the scatter of one reading.
+    truth = one("reversal", "X", size=1.5)
+    result = look([truth], seed=5)
+    assert [(c.effect, c.where) for c in result.causes] == [truth.key]
+
+
+@pytest.mark.parametrize(
+    ("names", "side"), [(("B_deg", "C_deg"), "work"), (("X_mm", "Z_mm"), "tool"), (("Y_mm", "time_s"), "tool")]
+)
+def test_an_effect_outside_the_catalogue_is_unexplained(
+    look: Callable[..., Diagnosis], names: tuple[str, str], side: str
+) -> None:
+    def outside(of: Plan) -> np.ndarray:
+        columns = {"time_s": of.time_s} | {f"{a}_{'mm' if a in 'XYZ' else 'deg'}": of.at(a) for a in hidden.AXES}
+        u, v = ((columns[n] - columns[n].min()) / np.ptp(columns[n]) for n in names)
+        pattern = np.sin(5.0 * u + 1.0) * np.cos(4.0 * v - 0.5)
+        return 8e-3 * (pattern * (of.carrier == side))[:, None] * np.array([0.5, -0.6, 0.6])
+
+    result = look([], seed=6, outside=outside)
+    assert result.verdict == "unexplained"
+    assert result.unexplained is not None and set(result.unexplained.depends_on) & set(names)
+
+
+def test_what_the_data_cannot_tell_apart_is_said(look: Callable[..., Diagnosis]) -> None:
+    """One error in Z that grows with X and with Y: whose error it is no point of the tool can say."""
+    truth = one("cross_axis", "E_ZY by X", coefficient=60.0)
+    result = look([truth])
+    cause = the(result, truth)
+    assert result.verdict == "ambiguous"
+    assert truth.key in {(cause.effect, cause.where), *cause.equivalent}
+    assert ("cross_axis", "E_ZX by Y") in {(cause.effect, cause.where), *cause.equivalent}
+
+
+def test_a_decoy_that_goes_with_the_cause_is_not_taken_for_it(look: Callable[..., Diagnosis]) -> None:
+    """The bed's sensor follows the time of the day like the drift does: the drift is named, or said to be one of the two."""
+    rng = np.random.default_rng(7)
+    plan = hidden.plan(rng, poses=POSES)
+    creep = 1.0 - np.exp(-plan.time_s / 2500.0)
+    decoy = 20.0 + 2.0 * creep + 0.3 * np.sin(plan.time_s / 400.0)
+    truth = one("thermal_drift", "Z", amplitude=9.0, time_constant=2500.0)
+    result = look([truth], plan=hidden.rounded(replace(plan, warm={**plan.warm, "bed": decoy})))
+    assert result.causes[0].effect == "thermal_drift" and result.causes[0].where == "Z"
+
+
+def test_a_column_that_is_missing_makes_its_effects_not_evaluated(look: Callable[..., Diagnosis]) -> None:
+    result = look([], without=["time_s", "approach_Y", *(f"T_{name}_degC" for name in ("X", "Y", "Z", "bed"))])
+    missing = {(effect, where) for effect, where, _ in result.not_evaluated}
+    assert {("reversal", "Y"), ("thermal_drift", "Z"), ("thermal_expansion", "X")} <= missing
+    assert ("reversal", "X") not in missing
+    assert result.verdict == "consistent"
+
+
+def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:
+    """A zero of a linear axis moves all its targets alike, and C's load is nothing where the table's weight is on its axis."""
+    found = look([]).unidentifiable
+    assert {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")} <= set(found)
+
+
+def test_the_battery_in_small() -> None:
+    """Twenty-five draws a row, so the bounds are loose: at the issue's rate two misses are unlikely (p < 0.03)."""
+    alone = battery.summary("one60", battery.answers("one60", 25, 21, poses=60))
+    assert alone["right or in group"] >= 0.92 and alone["right"] >= 0.7
+    silent = battery.summary("nothing", battery.answers("nothing", 25, 22, poses=60))
+    assert silent["any alarm"] <= 0.12
+    strange = battery.summary("outside300", battery.answers("outside300", 25, 23, poses=60))
+    assert strange["unexplained, right column"] >= 0.75
+
+
+# 200 draws; each bound less two standard errors of the issue's rate.
+REACH = {
+    ("one60", "right or in group"): 0.99 - 0.014,
+    ("one60", "right where nothing is equivalent"): 0.98 - 0.02,
+    ("one30", "right or in group"): 0.91 - 0.04,
+    ("two60", "right or in group"): 0.95 - 0.03,
+    ("three100", "right or in group"): 0.90 - 0.042,
+    ("outside300", "unexplained, right column"): 0.90 - 0.042,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker", "tracker-repeats", "uncertain"])
+@pytest.mark.parametrize("row", battery.ROWS)
+def test_the_battery(row: str, noise: str) -> None:
+    kind = "isotropic" if noise == "uncertain" else noise
+    told = battery.summary(row, battery.answers(row, 200, 11, noise=kind, poses=100, uncertain=noise == "uncertain"))
+    for (where, name), bound in REACH.items():
+        if where == row:
+            assert told[name] >= bound, told
+    if row == "nothing":
+        assert told["any alarm"] <= 0.05 + 0.031, told
+    elif not row.startswith("outside"):
+        assert told["an effect too many"] <= 0.05 + 0.031, told
+        # Some 400 intervals: ±2 %.
+        assert 0.93 - 0.02 <= told["coverage"] <= 0.97 + 0.02, told
