@@ -19,7 +19,7 @@ from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.spread import Misfit
 from twin.measurement import Measurements, RowNote
-from twin.units import DEG, MM, UM, URAD
+from twin.units import MM
 
 SCHEMA = "twin.identification/1"
 COVERAGE = float(stats.norm.isf(0.025))
@@ -293,6 +293,3 @@ def _list(values: np.ndarray) -> list[float]:
 
 def _number(value: float) -> float | None:
     return None if value != value else value
-
-
-__all__ = ["COVERAGE", "DEG", "UM", "URAD", "Identification", "Unidentified"]

@@ -21,8 +21,9 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.calibration import Calibration, Curve
+from twin.covariance import Covariance
 from twin.curves import Basis
-from twin.effects import AxisLocation, ErrorMotion, Squareness, split_name
+from twin.effects import AxisLocation, Squareness, split_name
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
 from twin.measurement import CARRIERS, Measurements
@@ -212,8 +213,6 @@ class Unknowns:
         Returns:
             The calibration, and the (parameters, columns) matrix that makes its parameters from ours.
         """
-        from twin.covariance import Covariance
-
         reported = set(kept)
         rows: list[np.ndarray] = []
         names: list[str] = []
@@ -364,15 +363,3 @@ def _along(axis: Axis, letter: str) -> bool:
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return (matrix + matrix.T) / 2.0
-
-
-__all__ = [
-    "PLAUSIBLE",
-    "Column",
-    "CurveSpace",
-    "ErrorMotion",
-    "Unknowns",
-    "distinct_positions",
-    "spaces_for",
-    "wrapped",
-]
