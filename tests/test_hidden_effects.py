@@ -121,8 +121,9 @@ def check(result: Diagnosis, truth: Hidden) -> None:
     assert cause.p_value < 0.01
     assert result.gain is not None and result.gain.rms_after_um < result.gain.rms_before_um
     if cause.origin == "machine":
-        # On rounds the selection did not see; what happened to one round only is not there to be gained on others.
-        assert result.gain.held_after_um < result.gain.held_before_um
+        if truth.effect != "thermal_drift":
+            # On rounds the selection did not see. A warm-up is over after the first round: the others do not foretell it.
+            assert result.gain.held_after_um < result.gain.held_before_um
         # No less where a rotation turns about the tool's own point.
         assert result.gain.tool_after_um <= result.gain.tool_before_um
     else:

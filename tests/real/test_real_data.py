@@ -145,8 +145,8 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
     # only: laid at one door or the other, 4 mm make a third of a micrometre at second order.
     np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=1e-3)
     difference = {name: value - found.calibration.location[name] for name, value in given.calibration.location.items()}
-    # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis). A millirad of tilt
-    # between drawing and axis turns 10 mm by 10 µm.
+    # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis).
+    # A millirad of tilt between drawing and axis turns 10 mm by 10 µm.
     links = {"E_X0J3": 700.0, "E_X0J4": -750.0, "E_Y0J5": -10_209.0}
     for name, expected in links.items():
         assert difference[name] == pytest.approx(expected, abs=10.0)

@@ -283,11 +283,12 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
         if part is None:
             return float("nan"), float("nan"), (float("nan"), float("nan"))
         small = pool.on(part)
-        chosen = select(small).forms
-        columns = np.unique(np.concatenate([form.columns for form in chosen])) if chosen else np.zeros(0, dtype=int)
-        signature = pool.signature[:, columns]
-        plain = _predicted(problem, held, np.zeros((len(held), 0)))
-        better = _predicted(problem, held, signature)
+        # What has no name is modelled by nothing, and foretells nothing.
+        chosen = [form for form in select(small).forms if form.candidate.effect != EFFECT]
+        plain = _predicted(problem, held, problem.residual)
+        # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
+        columns, values = small.fitted(chosen)
+        better = _predicted(problem, held, problem.residual - pool.signature[:, columns] @ values)
         sums.append(
             [
                 _squares(problem, plain, held),
@@ -304,15 +305,13 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
     return float(np.sqrt(total[0] / total[2])), float(np.sqrt(total[1] / total[2])), (float(low), float(high))
 
 
-def _predicted(problem: Problem, held: np.ndarray, signature: np.ndarray) -> np.ndarray:
-    """Whitened residual of held-out readings after a fit of set-up and causes to the others."""
-    whole = np.concatenate([problem.nuisance, signature], axis=1)
-    prior = np.concatenate([problem.prior, np.zeros((len(problem.prior), signature.shape[1]))], axis=1)
-    train = np.concatenate([whole[~held], prior])
-    right = np.concatenate([problem.residual[~held], np.zeros(len(prior))])
+def _predicted(problem: Problem, held: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Whitened residual of held-out readings after a fit of the set-up to the others."""
+    train = np.concatenate([problem.nuisance[~held], problem.prior])
+    right = np.concatenate([residual[~held], np.zeros(len(problem.prior))])
     scale = np.maximum(np.linalg.norm(train, axis=0), 1e-300)
     solved = np.linalg.lstsq(train / scale, right, rcond=1e-9)[0] / scale
-    return np.asarray(problem.residual[held] - whole[held] @ solved)
+    return np.asarray(residual[held] - problem.nuisance[held] @ solved)
 
 
 def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> float:

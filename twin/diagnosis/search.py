@@ -20,8 +20,8 @@ from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 
-LEVEL: Final = 0.03
-"""False alarms allowed, all named causes together."""
+LEVEL: Final = 0.05
+"""False alarms allowed, all named causes together, by the sum of their chances; forms go with one another, and about half as many come."""
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 MOST: Final = 6
@@ -113,13 +113,18 @@ class Pool:
         other._project(part)
         return other
 
-    def explained_by(self, forms: Sequence[Form]) -> float:
-        """What some forms explain together."""
+    def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """The columns of some forms, and how much of each (plausible sizes)."""
         columns = _together(forms)
         if len(columns) == 0:
-            return 0.0
+            return columns, np.zeros(0)
         inverse, _ = pseudo(self.among(columns))
-        return float(self.slope[columns] @ inverse @ self.slope[columns])
+        return columns, inverse @ self.slope[columns]
+
+    def explained_by(self, forms: Sequence[Form]) -> float:
+        """What some forms explain together."""
+        columns, values = self.fitted(forms)
+        return float(self.slope[columns] @ values)
 
     def among(self, columns: np.ndarray) -> np.ndarray:
         """Inner products of some columns."""
