@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final, Literal, final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -85,17 +87,12 @@ def _identify(
     def network(unknowns: Unknowns) -> Network:
         return Network(machine, data, reader, unknowns, covariance=covariance)
 
-    best: tuple[Choice, Unknowns, Solution, np.ndarray] | None = None
-    options = _families(machine, data)
-    for i, bases in enumerate(options):
-        say("choosing the curves", 0.1 + 0.6 * i / len(options))
+    def attempt(bases: dict[str, Basis]) -> _Attempt:
         spaces, constants = spaces_for(machine, data.positions, bases=bases, most=MOST, wanted=wanted)
         if not spaces and not constants:
             raise InputError(
                 "no axis moved", expected="two or more positions of an axis", file=data.source, line=int(data.lines[0])
             )
-        if best is not None and not spaces:
-            break  # constants alone: all families are the same
         every = Unknowns(machine, spaces, constants, axes_told(machine, data))
         whole = network(every)
         # What the data cannot tell of the machine as drawn goes first, so that it does not compete.
@@ -110,29 +107,47 @@ def _identify(
         whole = whole if seen is every else network(seen)
         solution, weight = _robust(whole, setup, drawn.triangle[:, kept])
         choice = choose(whole, solution, weight, Folds.of(data), together)
-        if best is None or choice.held_out < best[0].held_out * (1.0 - 1e-6):
-            best = choice, whole.unknowns, solution, weight
-            blind, shared = lost, together
-    if best is None:
-        raise InputError("nothing to identify", expected="positions of an axis", file=data.source)
-    choice, largest, solution, weight = best
+        return _Attempt(choice, whole.unknowns, solution, weight, lost, together)
+
+    say("choosing the curves", 0.1)
+    families = _families(machine, data, wanted)
+    with ThreadPoolExecutor(len(families)) as pool:
+        attempts = list(pool.map(attempt, families))
+    best = attempts[0]
+    for other in attempts[1:]:
+        if other.choice.held_out < best.choice.held_out * (1.0 - 1e-6):
+            best = other
     say("estimating", 0.75)
-    final = network(largest)
-    precision = remainder_precision(largest, solution, choice)
-    solution, bad = _without_outliers(final, solution, weight, precision)
-    used = ~bad
+    final = network(best.unknowns)
+    precision = remainder_precision(best.unknowns, best.solution, best.choice)
+    solution, bad = _without_outliers(final, best.solution, best.weight, precision)
     say("uncertainty", 0.9)
-    return _result(final, solution, used, choice, blind, shared, spread, wanted)
+    return _result(final, solution, ~bad, best, spread, wanted)
 
 
-def _families(machine: Machine, data: Measurements) -> list[dict[str, Basis]]:
+@final
+@dataclass(frozen=True)
+class _Attempt:
+    """The largest model in one family of bases, and how many functions of it pay."""
+
+    choice: Choice
+    unknowns: Unknowns
+    solution: Solution
+    weight: np.ndarray
+    lost: list[str]
+    together: list[str]
+
+
+def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool]) -> list[dict[str, Basis]]:
     """The bases worth trying: powers for travels, harmonics for full turns, either for part of a turn."""
     power = next(basis for basis in BASES if not basis.periodic)
     fourier = next(basis for basis in BASES if basis.periodic)
     first = {axis.name: fourier if axis.lower is None else power for axis in machine.axes}
     other = {axis.name: power if axis.linear else fourier for axis in machine.axes}
     moved = any(
-        first[axis.name] is not other[axis.name] and np.ptp(data.positions[:, i]) > 0.0
+        first[axis.name] is not other[axis.name]
+        and np.ptp(data.positions[:, i]) > 0.0
+        and any(wanted(f"E_{letter}{axis.name}") for letter in "XYZABC")
         for i, axis in enumerate(machine.axes)
     )
     return [first, other] if moved else [first]
@@ -261,9 +276,7 @@ def _result(
     network: Network,
     solution: Solution,
     used: np.ndarray,
-    choice: Choice,
-    lost: list[str],
-    together: list[str],
+    best: _Attempt,
     spread: Spread,
     wanted: Callable[[str], bool],
 ) -> Identification:
@@ -278,7 +291,9 @@ def _result(
         whole = solution.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
-    kept = [i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in together]
+    kept = [
+        i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in best.together
+    ]
     calibration, _ = unknowns.calibration(solution.theta, kept, source, covariance)
     rows = np.arange(len(data))
     difference = network.difference(solution.theta, solution.setup, rows)
@@ -287,11 +302,11 @@ def _result(
     u = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
     return Identification(
         calibration=calibration,
-        unidentified=_unidentified(machine, data, lost, together, wanted, solution),
+        unidentified=_unidentified(machine, data, best.lost, best.together, wanted, solution),
         setup=solution.setup,
         setup_u=dict(zip(names, (float(v) for v in u), strict=True)),
         misfit=misfit(whitened, network.read, data, solution.determined, used),
-        choice=choice,
+        choice=best.choice,
         spread=spread,
         data=data,
         used=locked(used),

@@ -6,10 +6,10 @@ one the table gives), taken at the reading itself so that it does not move with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, TypeVar, final
 
 import numpy as np
 from scipy.linalg.lapack import dtpqrt
@@ -225,26 +225,38 @@ def triangle(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarr
         weight: (n,) of each point; zero leaves it out.
     """
     size = len(theta) + len(setup) + 1
-    starts = range(0, len(network.data), PIECE)
-    shares = [starts[i::WORKERS] for i in range(min(WORKERS, len(starts)))]
 
-    def factor(share: range) -> np.ndarray:
+    def factor(share: Sequence[np.ndarray]) -> np.ndarray:
         found = np.zeros((size, size), order="F")
-        for start in share:
-            piece = network.piece(theta, setup, np.arange(start, min(start + PIECE, len(network.data))))
+        for rows in share:
+            piece = network.piece(theta, setup, rows)
             both = piece.columns
             both *= np.sqrt(weight[piece.rows])[:, None]
             found = _on_top(found, both.reshape(size, -1).T)
         return found
 
-    if len(shares) == 1:
-        return np.triu(factor(shares[0]))
-    with ThreadPoolExecutor(len(shares)) as pool:
-        parts = list(pool.map(factor, shares))
-    whole = parts[0]
-    for part in parts[1:]:
+    whole, *others = side_by_side(len(network.data), factor)
+    for part in others:
         whole = _on_top(whole, np.asfortranarray(np.triu(part)))
     return np.triu(whole)
+
+
+Part = TypeVar("Part")
+
+
+def side_by_side(points: int, work: Callable[[Sequence[np.ndarray]], Part]) -> list[Part]:
+    """Some work on all points in pieces, `WORKERS` shares of them at a time: what each share gave.
+
+    Args:
+        points: how many there are.
+        work: pieces (rows each) → what they give; called from several threads.
+    """
+    pieces = [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
+    shares = [pieces[i::WORKERS] for i in range(min(WORKERS, len(pieces)))]
+    if len(shares) == 1:
+        return [work(shares[0])]
+    with ThreadPoolExecutor(len(shares)) as pool:
+        return list(pool.map(work, shares))
 
 
 def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:

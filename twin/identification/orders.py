@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpstrf
 
 from twin.arrays import locked
-from twin.identification.network import Network
+from twin.identification.network import Network, side_by_side
 from twin.identification.solve import Solution, free_directions
 from twin.identification.unknowns import PLAUSIBLE, CurveSpace
 from twin.measurement import Measurements
@@ -242,21 +242,28 @@ def _ends(poses: np.ndarray) -> np.ndarray:
 def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
     size = len(solution.scale) + 1
-    normal = np.zeros((folds.rounds, folds.poses + 1, size, size))
-    count = np.zeros((folds.rounds, folds.poses + 1))
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
+    cell_of = folds.round_of * (folds.poses + 1) + pose
+    cells = folds.rounds * (folds.poses + 1)
     scale = np.append(solution.scale, 1.0)
-    for piece in network.pieces(solution.theta, solution.setup):
-        both = piece.columns * scale[:, None, None]
-        both *= np.sqrt(weight[piece.rows])[:, None]
-        of = folds.round_of[piece.rows] * (folds.poses + 1) + pose[piece.rows]
-        for cell in np.unique(of):
-            rows = both[:, of == cell].reshape(size, -1)
-            normal.reshape(-1, size, size)[cell] += rows @ rows.T
-            count.reshape(-1)[cell] += np.sum(
-                network.read[piece.rows][of == cell] * (weight[piece.rows][of == cell] > 0)[:, None]
-            )
-    return normal, count
+
+    def summed(share: Sequence[np.ndarray]) -> np.ndarray:
+        normal = np.zeros((cells, size, size))
+        for piece_rows in share:
+            piece = network.piece(solution.theta, solution.setup, piece_rows)
+            both = piece.columns
+            both *= scale[:, None, None]
+            both *= np.sqrt(weight[piece.rows])[:, None]
+            of = cell_of[piece.rows]
+            for cell in np.unique(of):
+                rows = both[:, of == cell].reshape(size, -1)
+                normal[cell] += rows @ rows.T
+        return normal
+
+    normal = np.sum(side_by_side(len(network.data), summed), axis=0)
+    normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
+    count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
+    return normal, count.reshape(folds.rounds, folds.poses + 1)
 
 
 def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:

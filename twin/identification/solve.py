@@ -124,17 +124,20 @@ def solve(
         u, values, v = np.linalg.svd(np.concatenate([data, root * scale @ free]), full_matrices=True)
         strong = int(np.count_nonzero(values > WEAKEST))
         directions = free @ v[:strong].T
-        if converged or taken == steps:
-            silent = free @ v[strong:].T
-            determined = float(np.sum((data @ (v[:strong].T / values[:strong])) ** 2))
-            return Solution(
-                theta, setup, found, directions, values[:strong], silent, scale, determined, converged, taken
-            )
-        along = u[:, :strong].T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
-        step = (directions @ (along / values[:strong])) * scale
-        theta, setup = theta + step[:machine], setup.moved(step[machine:])
-        taken += 1
-        converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step / scale).max(initial=0.0) < 1e-14)
+        if taken < steps:
+            along = u[:, :strong].T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
+            step = (directions @ (along / values[:strong])) * scale
+            theta, setup = theta + step[:machine], setup.moved(step[machine:])
+            taken += 1
+            converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step / scale).max(initial=0.0) < 1e-14)
+            if not converged:
+                continue
+            # The last step is too small to change the derivatives: only what is left of the readings moves.
+            found = np.array(found)
+            found[:, -1] -= found[:, :-1] @ step
+        silent = free @ v[strong:].T
+        determined = float(np.sum((data @ (v[:strong].T / values[:strong])) ** 2))
+        return Solution(theta, setup, found, directions, values[:strong], silent, scale, determined, converged, taken)
 
 
 def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:
