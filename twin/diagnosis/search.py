@@ -21,7 +21,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 
 LEVEL: Final = 0.05
-"""False alarms allowed, all named causes together, by the sum of their chances; forms go with one another, and about half as many come."""
+"""False alarms allowed, all named causes together, by the sum of their chances; forms go together, and about half as many come."""
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 MOST: Final = 6
