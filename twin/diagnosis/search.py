@@ -20,8 +20,10 @@ from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 
-LEVEL: Final = 0.05
-"""False alarms allowed, all named causes together, by the sum of their chances; forms go together, and about half as many come."""
+LEVEL: Final = 0.045
+"""False alarms allowed, all named causes together, by the sum of their chances; forms go with one another, and fewer come."""
+SHARE: Final = 0.25
+"""A family's share of `LEVEL` grows with its number of forms to this power: more is lost where each form is dear already."""
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 MOST: Final = 6
@@ -345,9 +347,9 @@ def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tupl
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Log of the number of tests by effect: the forms of its family times the number of families."""
-    families = dict.fromkeys(candidate.effect for candidate in candidates)
-    return {
-        effect: float(np.log(len(families) * sum(c.tests for c in candidates if c.effect == effect)))
-        for effect in families
-    }
+    """Log of the number of tests by effect: the forms of its family over the family's share of all false alarms."""
+    tests: dict[str, float] = {}
+    for candidate in candidates:
+        tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
+    total = sum(count**SHARE for count in tests.values())
+    return {effect: float(np.log(total * count ** (1.0 - SHARE))) for effect, count in tests.items()}
