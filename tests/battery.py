@@ -27,10 +27,11 @@ from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.diagnosis.account import _equivalent
 from twin.diagnosis.catalogue import Candidate
-from twin.diagnosis.diagnose import Searcher, problem_of
+from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.search import Form, Pool, Selection, cost
+from twin.diagnosis.readings import readings
+from twin.diagnosis.search import Form, Pool, Selection
 from twin.diagnosis.signatures import of_effect
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
@@ -107,7 +108,8 @@ def measured(
     if uncertain:
         calibration = _doubted(calibration)
     instrument = LaserTracker() if noise == "tracker" else None
-    problem, known, _ = problem_of(data, machine, calibration, instrument)
+    placed = readings(data, machine, calibration, instrument)
+    problem, known, scatter = placed.without(placed.bad)
     used = problem.network.data
     rows = np.searchsorted(data.lines, used.lines)
     true = (
@@ -115,7 +117,7 @@ def measured(
         if kind == "tracker"
         else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
     )
-    return problem, Searcher(problem, machine, known), problem.network.whitening @ np.linalg.cholesky(true)
+    return problem, Searcher(problem, known, scatter.dof), problem.network.whitening @ np.linalg.cholesky(true)
 
 
 def _doubted(calibration: Calibration) -> Calibration:
@@ -250,7 +252,7 @@ def _answer(
     for form in named:
         others = [one for one in best.forms if one is not form]
         explained, dof = (float(values[form.index]) for values in pool.scan(others))
-        groups.append(_equivalent(pool, form, others, explained - cost(dof, form.price)))
+        groups.append(_equivalent(pool, form, others, explained - pool.cost(form, dof)))
     pulls = _pulls(problem, named, unnamed, truth)
     return Answer(
         truth=tuple(one[0] for one in truth),

@@ -17,7 +17,7 @@ from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
-from twin.diagnosis.search import Form, Pool, Selection, cost, select
+from twin.diagnosis.search import Form, Pool, Selection, select
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect, assemble
 from twin.kinematics import Kinematics
@@ -64,9 +64,9 @@ def account(
                 where=form.candidate.where,
                 origin=form.candidate.origin,
                 parameters=found.quantities[k],
-                p_value=float(np.exp(log_p)),
+                p_value=pool.chance(log_p),
                 share=float(np.clip(explained / excess, 0.0, 1.0)),
-                equivalent=_equivalent(pool, form, others, explained - cost(dof, form.price)),
+                equivalent=_equivalent(pool, form, others, explained - pool.cost(form, dof)),
                 evidence=_evidence(form, found, k),
                 pattern_um=locked(_unwhitened(problem, found.signature[:, k])),
                 effects=found.effects[k],
@@ -99,7 +99,7 @@ def account(
     weights = problem.network.whitening
     before_um = _unwhitened(problem, problem.projected)
     rest = problem.residual - found.signature.sum(axis=1)
-    after_um = _unwhitened(problem, rest - problem.basis @ (problem.basis.T @ rest))
+    after_um = _unwhitened(problem, problem.project(rest))
     read = problem.network.read
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def account(
             [
                 p_value,
                 *(cause.p_value for cause in causes),
-                *(float(np.exp(pool.scores([], [_index(pool, f)])[0, 2])) for f in unnamed),
+                *(pool.chance(pool.scores([], [_index(pool, f)])[0, 2]) for f in unnamed),
             ]
         ),
         causes=tuple(causes),
@@ -143,7 +143,7 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
     own = pool.scores(others, [_index(pool, form)])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
-            worth = float(explained - cost(dof, pool.forms[i].price))
+            worth = float(explained - pool.cost(pool.forms[i], dof))
             if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
                 continue  # the same thing, said with more
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
@@ -257,7 +257,7 @@ def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
         if form.candidate.effect != EFFECT and log_p < best.get(form.key, (0.0, 1.0))[1]:
             best[form.key] = float(explained), float(log_p)
     ranked = sorted(best.items(), key=lambda one: one[1][1])[:RANKED]
-    return tuple((effect, where, explained, float(np.exp(log_p))) for (effect, where), (explained, log_p) in ranked)
+    return tuple((effect, where, explained, pool.chance(log_p)) for (effect, where), (explained, log_p) in ranked)
 
 
 def _gain(
@@ -285,10 +285,10 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
         small = pool.on(part)
         # What has no name is modelled by nothing, and foretells nothing.
         chosen = [form for form in select(small).forms if form.candidate.effect != EFFECT]
-        plain = _predicted(problem, held, problem.residual)
+        plain = problem.following(problem.residual, ~held)[held]
         # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
         columns, values = small.fitted(chosen)
-        better = _predicted(problem, held, problem.residual - pool.signature[:, columns] @ values)
+        better = problem.following(problem.residual - pool.signature[:, columns] @ values, ~held)[held]
         sums.append(
             [
                 _squares(problem, plain, held),
@@ -303,15 +303,6 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
     total = table.sum(axis=0)
     low, high = np.quantile(gains, [0.025, 0.975])
     return float(np.sqrt(total[0] / total[2])), float(np.sqrt(total[1] / total[2])), (float(low), float(high))
-
-
-def _predicted(problem: Problem, held: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Whitened residual of held-out readings after a fit of the set-up to the others."""
-    train = np.concatenate([problem.nuisance[~held], problem.prior])
-    right = np.concatenate([residual[~held], np.zeros(len(problem.prior))])
-    scale = np.maximum(np.linalg.norm(train, axis=0), 1e-300)
-    solved = np.linalg.lstsq(train / scale, right, rcond=1e-9)[0] / scale
-    return np.asarray(residual[held] - problem.nuisance[held] @ solved)
 
 
 def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> float:

@@ -35,7 +35,7 @@ class Estimate:
         quantities: by cause.
         effects: by cause; empty for an instrument's.
         covariance: of the parameters of all effects, under their names in a calibration.
-        signature: (3n, k) what the causes do to the whitened readings, one column a cause.
+        signature: (3n, k) what the causes do to the whitened readings, held out or not, one column a cause.
         explained: of the misfit.
     """
 
@@ -117,7 +117,7 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     signature = np.stack(made, axis=1) if made else np.zeros((len(problem.residual), 0))
     total = signature.sum(axis=1)
     left = problem.residual - total
-    after = float(left @ left - np.sum((problem.basis.T @ left) ** 2))
+    after = float(left @ problem.project(left))
     quantities, rows, apart, names, at = [], [], [], [], 0
     for k, form in enumerate(forms):
         width = blocks[k].shape[1]
@@ -193,7 +193,7 @@ def _solved(
     """Covariance and least-squares step; nothing along what the data do not see of the largest plausible size."""
     scaled = columns * scale
     inverse, _ = pseudo(problem.inner(scaled, scaled))
-    slope = scaled.T @ (residual - problem.basis @ (problem.basis.T @ residual))
+    slope = problem.along(scaled, problem.project(residual))
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 

@@ -50,14 +50,17 @@ class Scatter:
     source: str
 
 
-def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...]) -> Scatter | None:
+def from_repeats(
+    data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
+) -> Scatter | None:
     """Scatter along and across the beam from repeats; None if they are too few.
 
     Args:
         data: the measurements.
-        view: all points, whitened by anything that is isotropic (its whitening is taken out again).
+        view: of these points, whitened by anything that is isotropic (its whitening is taken out again).
         read: (n, 3) coordinates that were read.
-        known: the catalogue.
+        known: the catalogue of all points.
+        seen: (m, 3) all points in their stations' frames; the covariance is theirs.
     """
     group = repeats(data)
     size = np.bincount(group)
@@ -85,7 +88,7 @@ def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[
         dof = free - float(np.sum(taken[:, 0] ** 2))
         if dof < ENOUGH:
             return None
-        found = np.zeros((len(data), 3, 3))
+        found = np.zeros((len(seen), 3, 3))
         found[:, 0, 0] = np.sum(left[:, 0] ** 2) / dof
         return Scatter(
             locked(found), dof, f"repeats: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
@@ -108,9 +111,9 @@ def from_repeats(data: Measurements, view: View, read: np.ndarray, known: tuple[
         # The same in all directions as far as the repeats can tell: one number, known better.
         left, taken = _cleared(every)
         a = c = float(np.sqrt(np.sum(left**2) / (3.0 * free - taken.shape[2])))
-    n = len(data)
+    n = len(seen)
     text = f"repeats: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
-    return Scatter(locked(along_and_across(view.seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
+    return Scatter(locked(along_and_across(seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
 
 
 def _cleared(every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

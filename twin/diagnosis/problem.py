@@ -46,10 +46,10 @@ class Problem:
         self.nuisance = np.concatenate([raw, own], axis=1)
         self.prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
         self.basis = _basis(self.nuisance, self.prior)
+        self.held: np.ndarray = np.zeros(0, dtype=int)
         self.absorbed = self.basis.shape[1] - own.shape[1]
         self.judge(self.residual)
         self.readings = int(np.count_nonzero(network.read))
-        self.held: np.ndarray = np.zeros(0, dtype=int)
 
     def without(self, held: np.ndarray) -> Problem | None:
         """The same with some rows taken out (zero); None if a station or target would be lost.
@@ -70,8 +70,33 @@ class Problem:
     def judge(self, residual: np.ndarray) -> None:
         """Another (3n,) whitened residual at the same set-up."""
         self.residual = residual
-        self.projected = residual - self.basis @ (self.basis.T @ residual)
+        self.projected = self.project(residual)
         self.chi2 = float(residual @ self.projected)
+
+    def project(self, residual: np.ndarray) -> np.ndarray:
+        """A (3n,) residual beside the set-up and the calibration's doubt; rows that are held out are zero."""
+        residual = self._kept(residual)
+        return np.asarray(residual - self.basis @ (self.basis.T @ residual))
+
+    def following(self, residual: np.ndarray, counted: np.ndarray) -> np.ndarray:
+        """A (3n,) residual once the set-up has been fitted to some of its rows.
+
+        Args:
+            residual: whitened.
+            counted: (3n,) rows that the set-up follows.
+        """
+        train = np.concatenate([self.nuisance[counted], self.prior])
+        right = np.concatenate([residual[counted], np.zeros(len(self.prior))])
+        scale = np.maximum(np.linalg.norm(train, axis=0), 1e-300)
+        solved = np.linalg.lstsq(train / scale, right, rcond=1e-9)[0] / scale
+        return np.asarray(residual - self.nuisance @ solved)
+
+    def _kept(self, rows: np.ndarray) -> np.ndarray:
+        if len(self.held) == 0:
+            return rows
+        found = np.array(rows)
+        found[self.held] = 0.0
+        return found
 
     @property
     def dof(self) -> int:
@@ -87,6 +112,7 @@ class Problem:
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """aᵀMb of signatures."""
+        a = self._kept(a)
         return np.asarray(a.T @ b - (self.basis.T @ a).T @ (self.basis.T @ b))
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:

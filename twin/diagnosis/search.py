@@ -1,8 +1,10 @@
 """Which causes account for the misfit: forward selection with re-examination, every search paid for.
 
 A form of a candidate (a cell) explains F = bᵀG⁻¹b of the misfit, given the causes already in. Its p-value is that of a chi² with as
-many degrees of freedom as the data see of it, times the number of forms tried in its family times the number of families: the price
-of the search. Sets of causes are compared by what they explain less what each must explain to be believed.
+many degrees of freedom as the data see of it (of an F where the scatter itself is estimated), times the number of forms tried in its
+family times the number of families: the price of the search. Forms go with one another, so that price is too high; how much, the
+same search on scatter alone says (`Pool.calibrate`). Sets of causes are compared by what they explain less what each must
+explain to be believed.
 """
 
 from __future__ import annotations
@@ -20,10 +22,15 @@ from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 
-LEVEL: Final = 0.045
-"""False alarms allowed, all named causes together, by the sum of their chances; forms go with one another, and fewer come."""
+ALARMS: Final = 0.04
+"""Share of data sets with nothing in them in which anything is found, all forms together."""
 SHARE: Final = 0.25
-"""A family's share of `LEVEL` grows with its number of forms to this power: more is lost where each form is dear already."""
+"""A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
+SILENT: Final = 200
+"""Data sets of scatter alone that the price of the search is taken from."""
+OFTEN: Final = 0.15
+"""Share of those at which the price is read; rarer ones follow in proportion."""
+SEED: Final = 4711
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 MOST: Final = 6
@@ -67,22 +74,66 @@ class Pool:
     Args:
         problem: the data.
         forms: (candidate, cell, price) of each.
+        dof: degrees of freedom the scatter is known with; infinite where it is given.
     """
 
-    def __init__(self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]]) -> None:
+    def __init__(
+        self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]], dof: float = float("inf")
+    ) -> None:
+        self.dof = dof
+        self.level = ALARMS
+        self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         at: dict[Column, int] = {}
         self.forms: list[Form] = []
         for index, (candidate, cell, price) in enumerate(forms):
             columns = np.array([at.setdefault(column, len(at)) for column in cell.columns])
             self.forms.append(Form(candidate, cell, columns, price, index))
         self.signature = problem.signature(list(at))
-        self._costs = _costs(self.forms)
         number: dict[tuple[str, str], int] = {}
         self.key_of = np.array([number.setdefault(form.key, len(number)) for form in self.forms], dtype=int)
         self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._raw = self._blocks(self.signature)
         self._project(problem)
+        self.calibrate()
+
+    def calibrate(self) -> None:
+        """Set the level at which forms are believed so that scatter alone passes for a cause in `ALARMS` of all data sets.
+
+        The smallest p-value of all forms, prices paid, is drawn on scatter alone; in its tail the chance of one below p is
+        proportional to p.
+        """
+        problem, rng = self.problem, np.random.default_rng(SEED)
+        own = problem.nuisance[:, problem.prior.any(axis=0)]
+        read = problem.network.read.reshape(-1)
+        silent = rng.standard_normal((len(problem.residual), SILENT)) * read[:, None]
+        silent += own @ rng.standard_normal((own.shape[1], SILENT))
+        silent -= problem.basis @ (problem.basis.T @ silent)
+        slope = self.signature.T @ silent
+        scale = rng.chisquare(self.dof, SILENT) / self.dof if np.isfinite(self.dof) else np.ones(SILENT)
+        least = np.zeros(SILENT)
+        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+            values, vectors = np.linalg.eigh(blocks)
+            seen = _seen(values, np.einsum("nii->ni", blocks).max(axis=1))
+            root = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
+            found = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
+            dof, price = seen.sum(axis=1), np.array([self.forms[i].price for i in rows])
+            for of in {*zip(dof.tolist(), price.tolist(), strict=True)} if len(rows) else ():
+                if of[0]:
+                    most = found[(dof == of[0]) & (price == of[1])].max(axis=0)
+                    least = np.minimum(least, log_chance(most, float(of[0]), self.dof) + of[1])
+        often = float(np.exp(np.quantile(least, OFTEN)))
+        self.level = min(often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5)
+        self._costs = _costs(self.forms, self.level, self.dof)
+        self._scans = {}
+
+    def chance(self, log_p: float) -> float:
+        """A p-value, the whole search paid for, from a form's log p with its price."""
+        return float(min(np.exp(log_p) * ALARMS / self.level, 1.0))
+
+    def cost(self, form: Form, dof: float) -> float:
+        """What a form must explain to be believed."""
+        return cost(dof, form.price, self.level, self.dof)
 
     def _project(self, problem: Problem) -> None:
         self._within = problem.basis.T @ self.signature
@@ -94,7 +145,7 @@ class Pool:
         """Take the residual of a problem whose set-up and rows are the same."""
         self.problem = problem
         self.slope = self.signature.T @ problem.projected
-        self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
+        self._scans = {}
 
     def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
         """Inner products within each form, by width: (forms, w, w)."""
@@ -155,7 +206,7 @@ class Pool:
         """(tried, 3) explained, degrees of freedom and log p (price paid) of forms, given others."""
         explained, dof = (values[list(tried)] for values in self.scan(forms))
         price = np.array([self.forms[i].price for i in tried])
-        log_p = np.where(dof > 0, stats.chi2.logsf(explained, np.maximum(dof, 1)) + price, 0.0)
+        log_p = np.where(dof > 0, log_chance(explained, np.maximum(dof, 1), self.dof) + price, 0.0)
         return np.stack([explained, dof, np.minimum(log_p, 0.0)], axis=1)
 
     def margins(self, forms: Sequence[Form]) -> np.ndarray:
@@ -170,7 +221,7 @@ class Pool:
             block = self._left(form.columns, np.zeros(0, dtype=int))
             left = self._left(form.columns, _together([one for one in forms if one is not form]))
             _, dof = _explained(block[None], left[None], np.zeros((1, len(block))))
-            total -= float(self._costs[form.index, dof[0]]) if dof[0] else cost(1.0, form.price)
+            total -= float(self._costs[form.index, dof[0]]) if dof[0] else self.cost(form, 1.0)
         return total
 
     def prepare(self, forms: Sequence[Form]) -> None:
@@ -212,24 +263,36 @@ def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tupl
     else:
         values, vectors = np.linalg.eigh(blocks)
         along = np.einsum("nij,ni->nj", vectors, slope)
-    most = np.einsum("nii->ni", whole).max(axis=1)
-    seen = (values > SEEN) & (values > 1e-8 * most[:, None])
+    seen = _seen(values, np.einsum("nii->ni", whole).max(axis=1))
     return np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1), seen.sum(axis=1)
 
 
+def _seen(values: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Which directions of (n, w) eigenvalues the data see, beside what there was of the form before others were in."""
+    return (values > SEEN) & (values > 1e-8 * most[:, None])
+
+
+def log_chance(explained: np.ndarray, dof: np.ndarray | float, scatter: float) -> np.ndarray:
+    """Log p of what is explained with some degrees of freedom, the scatter being known with ``scatter``."""
+    if np.isfinite(scatter):
+        return np.asarray(stats.f.logsf(explained / dof, dof, scatter))
+    return np.asarray(stats.chi2.logsf(explained, dof))
+
+
 @lru_cache(maxsize=4096)
-def cost(dof: float, price: float) -> float:
-    """What a form must explain to be believed."""
-    return float(stats.chi2.isf(LEVEL * np.exp(-price), max(dof, 1.0)))
+def cost(dof: float, price: float, level: float, scatter: float) -> float:
+    """What a form must explain to be believed at a level."""
+    dof, p = max(dof, 1.0), level * np.exp(-price)
+    return float(dof * stats.f.isf(p, dof, scatter) if np.isfinite(scatter) else stats.chi2.isf(p, dof))
 
 
-def _costs(forms: Sequence[Form]) -> np.ndarray:
+def _costs(forms: Sequence[Form], level: float, scatter: float) -> np.ndarray:
     """(forms, dof + 1) `cost` by degrees of freedom; infinite for none."""
     most = max((len(form.columns) for form in forms), default=0)
     found = np.full((len(forms), most + 1), np.inf)
     for form in forms:
         for dof in range(1, len(form.columns) + 1):
-            found[form.index, dof] = cost(float(dof), form.price)
+            found[form.index, dof] = cost(float(dof), form.price, level, scatter)
     return found
 
 

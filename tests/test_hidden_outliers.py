@@ -1,0 +1,52 @@
+"""Rows that are too far off: a cause that moved them is named, a beam that was lost is set aside and listed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import hidden
+from tests.hidden import Hidden
+from twin.calibration import Calibration
+from twin.diagnosis import Diagnosis, diagnose
+from twin.machine import Machine
+from twin.measurement import load
+
+POSES = 40
+SIGMA_MM = 3e-3
+BUMP = Hidden("target_shift", "P from round 3", {"shift_x": 70.0, "shift_y": 20.0, "shift_z": -50.0})
+SETTLED = Hidden("thermal_drift", "Z", {"amplitude": 120.0, "time_constant": 400.0})
+
+
+def look(
+    folder: Path, machine: Machine, calibration: Calibration, effects: list[Hidden], lost: int, *, stated: bool
+) -> tuple[Diagnosis, set[int]]:
+    """A diagnosis, and the lines of the rows whose beam was lost: half a millimetre off in some direction."""
+    rng = np.random.default_rng(11)
+    plan = hidden.rounded(hidden.plan(rng, poses=POSES))
+    read = hidden.noisy(hidden.points(plan, effects), rng, "isotropic", SIGMA_MM)
+    rows = rng.choice(len(read), lost, replace=False)
+    away = rng.standard_normal((lost, 3))
+    read[rows] += 0.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    path = hidden.write(folder / "measured.csv", plan, read, u_mm=SIGMA_MM if stated else None)
+    data = load(path, machine)
+    return diagnose(data, machine, calibration), {int(data.lines[row]) for row in rows}
+
+
+@pytest.mark.parametrize("stated", [True, False], ids=["stated", "repeats"])
+@pytest.mark.parametrize("lost", [0, 5])
+@pytest.mark.parametrize("truth", [BUMP, SETTLED, None], ids=["bump", "warm-up", "nothing"])
+def test_rows_that_one_cause_moved_are_no_outliers_and_a_lost_beam_is(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: Hidden | None, lost: int, stated: bool
+) -> None:
+    result, lines = look(tmp_path, dmu50, calibration, [] if truth is None else [truth], lost, stated=stated)
+    assert {note.line for note in result.data.set_aside} == lines
+    if truth is None:
+        assert result.verdict == "consistent"
+        return
+    assert [(cause.effect, cause.where) for cause in result.causes] == [truth.key]
+    for q in result.causes[0].parameters:
+        # Three standard uncertainties, on seeded draws.
+        assert abs(q.value - truth.numbers[q.name]) < 3.0 * q.u
