@@ -141,7 +141,9 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
     while True:
         effect = list(families)[rng.integers(len(families))]
         candidate = families[effect][rng.integers(len(families[effect]))]
-        cell = candidate.cells[rng.integers(len(candidate.cells))]
+        # What a dropped constant does is a form of the same curve, not another effect.
+        cells = [one for one in candidate.cells if "stops" not in one.fixed]
+        cell = cells[rng.integers(len(cells))]
         fixed, columns = dict(cell.fixed), list(cell.columns)
         # Periods and time constants as they come, not as the search has them on its grid.
         if effect == "pitch_error":
@@ -282,7 +284,7 @@ def _pulls(
         if fixed.get("order", 0.0) != form.cell.fixed.get("order", 0.0):
             continue
         if candidate.space is not None:
-            if len(linear) != len(form.cell.columns):
+            if len(linear) != len(form.cell.columns) or "stops" in form.cell.fixed:
                 continue
             linear = candidate.space.transform[: len(linear), : len(linear)] @ linear
         true = dict(zip([q.name for q in quantities if q.name != "order"], linear, strict=False))

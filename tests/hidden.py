@@ -137,6 +137,7 @@ def points(
     *,
     outside: Callable[[Plan], np.ndarray] | None = None,
     calibration: Path = CALIBRATION,
+    elsewhere: Mapping[str, str] | None = None,
 ) -> np.ndarray:
     """(n, 3) what a perfect instrument reads, mm.
 
@@ -145,6 +146,7 @@ def points(
         hidden: the effects.
         outside: (n, 3) a shift of the target in the base, mm, that is in no catalogue.
         calibration: errors that are known.
+        elsewhere: axis → where its errors act instead of at its own joint: another axis, or ``base``.
     """
     n = len(of.q)
     error = {name: np.zeros((n, 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
@@ -203,7 +205,16 @@ def points(
     error["Z"][:, 1] -= of.at("Z") * square["E_A0Z"] * 1e-6
     for name, value in located.items():
         error[f"L_{name[4]}"][:, "XYZABC".index(name[2])] += _size(name) * value
-    base = _carried(of, error, place) + moved
+    before = {"tool": np.zeros((n, 6)), "work": np.zeros((n, 6))}
+    for axis, other in (elsewhere or {}).items():
+        target = before["tool" if axis in "XYZ" else "work"] if other == "base" else error[other]
+        target += error[axis]
+        error[axis] = np.zeros((n, 6))
+    base = _carried(of, error, place)
+    for side, own in before.items():
+        rows = (of.carrier == side)[:, None]
+        base = np.where(rows, own[:, :3] + np.einsum("nij,nj->ni", _exp(own[:, 3:]), base), base)
+    base = base + moved
     return _read(of, base, hidden)
 
 

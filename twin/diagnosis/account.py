@@ -13,11 +13,12 @@ from twin.budget import volume
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
+from twin.diagnosis.flaws import constant_dropped, flaw
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
-from twin.diagnosis.search import Form, Pool, Selection, select
+from twin.diagnosis.search import Form, Pool, Selection, chosen, pseudo
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect, assemble
 from twin.kinematics import Kinematics
@@ -67,7 +68,7 @@ def account(
                 p_value=pool.chance(log_p),
                 share=float(np.clip(explained / excess, 0.0, 1.0)),
                 equivalent=_equivalent(pool, form, others, explained - pool.cost(form, dof)),
-                evidence=_evidence(form, found, k),
+                evidence=_evidence(form, found, k) + _flaw(pool, forms, form, calibration),
                 pattern_um=locked(_unwhitened(problem, found.signature[:, k])),
                 effects=found.effects[k],
             )
@@ -202,6 +203,7 @@ def _evidence(form: Form, found: Estimate, k: int) -> str:
         "angular_error_motion": f"{where}: the axis turns as it travels, otherwise than the model says",
         "straightness": f"{where}: the axis runs along another curve than the model says",
         "positioning": f"{where}: the axis stands elsewhere along its travel than the model says",
+        "error_motion": f"{where}: the axis errs along another curve than the model says",
         "harmonic": f"{where}: an error that repeats with the turn of the axis",
         "thermal_expansion": f"{where}'s scale lengthens by {size.value:.3g} {unit} as it warms",
         "thermal_growth": f"the tool side moves along {where} as that sensor warms",
@@ -214,9 +216,41 @@ def _evidence(form: Form, found: Estimate, k: int) -> str:
         "read_back": f"the positions reported for {where} are not those the measurement follows",
         "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
         "station_drift": f"station {where} creeps while it measures",
+        "misplaced": _misplaced(where),
         "target_shift": f"target {where} sits elsewhere than before",
     }[form.candidate.effect]
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+
+
+def _flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
+    """What was done wrong in making the calibration's own curve, if that is plain."""
+    space, curve = form.candidate.space, calibration.curves.get(form.candidate.where)
+    if space is None or curve is None or curve.basis != space.basis.name or curve.domain != space.domain:
+        return ""
+    # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.
+    count = max(len(curve.coefficients), len(form.columns))
+    wide = next((f for f in pool.forms if f.key == form.key and len(f.columns) == count), form)
+    if "stops" in form.cell.fixed:
+        wide = form
+    columns, values = pool.fitted([wide, *(one for one in forms if one is not form)])
+    inverse, _ = pseudo(pool.among(columns))
+    own = np.searchsorted(columns, wide.columns)
+    scale = np.array([column.scale for column in wide.cell.columns])
+    if "stops" in form.cell.fixed:
+        text = constant_dropped(curve, float(values[own[0]] * scale[0]))
+    else:
+        text = flaw(space, curve, values[own] * scale, inverse[np.ix_(own, own)] * np.outer(scale, scale))
+    return f"; {text}" if text else ""
+
+
+def _misplaced(where: str) -> str:
+    curve, _, other = where.partition(" as ")
+    if other:
+        return f"the calibration's curve {curve} is what the machine does as {other}"
+    if where.endswith("exchanged"):
+        return f"in the calibration, the curves of {where.removesuffix(' exchanged')} stand under each other's names"
+    axis, _, joint = where.partition(" at ")
+    return f"the calibration's error motions of {axis} act at {joint} instead of {axis}'s own joint"
 
 
 def _p_value(problem: Problem, scatter: Scatter) -> float:
@@ -284,10 +318,10 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
             return float("nan"), float("nan"), (float("nan"), float("nan"))
         small = pool.on(part)
         # What has no name is modelled by nothing, and foretells nothing.
-        chosen = [form for form in select(small).forms if form.candidate.effect != EFFECT]
+        forms = [form for form in chosen(small).forms if form.candidate.effect != EFFECT]
         plain = problem.following(problem.residual, ~held)[held]
         # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
-        columns, values = small.fitted(chosen)
+        columns, values = small.fitted(forms)
         better = problem.following(problem.residual - pool.signature[:, columns] @ values, ~held)[held]
         sums.append(
             [

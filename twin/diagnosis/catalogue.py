@@ -8,7 +8,9 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin.calibration import Calibration
 from twin.curves import BASES
+from twin.diagnosis.flaws import STOPS, without_constant
 from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect
 from twin.effects import (
     AxisLocation,
@@ -30,7 +32,7 @@ from twin.effects import (
 from twin.extension import at_rest, base_vector, load_of, tool_base_frame
 from twin.identification.network import View, cross_matrix
 from twin.identification.unknowns import CurveSpace
-from twin.machine import Axis, Machine
+from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
 from twin.units import UM
 
@@ -103,8 +105,14 @@ class Catalogue:
     not_evaluated: tuple[tuple[str, str, str], ...]
 
 
-def catalogue(machine: Machine, data: Measurements) -> Catalogue:
-    """Every effect of contract §5 that this machine can have, on data that have the columns for it."""
+def catalogue(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:
+    """Every effect of contract §5 that this machine can have, on data that have the columns for it.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        calibration: the model that is judged: a rotary axis's curve can be wrong as a whole only where it has a polynomial.
+    """
     state = state_of(data, machine)
     found: list[Candidate] = []
     missing: list[tuple[str, str, str]] = []
@@ -139,7 +147,7 @@ def catalogue(machine: Machine, data: Measurements) -> Catalogue:
         else:
             missing.append(("thermal_expansion", axis.name, f"T_{axis.name}_degC"))
     found += _constants(machine, state)
-    found += _curves(machine, data, state)
+    found += _curves(machine, state, calibration)
     found += _harmonics(machine, data, state)
     found += _coupled(machine, state)
     found += _base_side(machine, state, missing)
@@ -224,39 +232,70 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
     return found
 
 
-def _curves(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
-    """Curves of the linear axes, in orthonormal functions; written as powers."""
+def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
+    """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
     power = next(basis for basis in BASES if not basis.periodic)
     index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
     found = []
     for axis in machine.axes:
-        distinct = len(np.unique(np.round(state[axis.name], 3)))
-        if not axis.linear or axis.lower is None or axis.upper is None or distinct < 3:
-            continue
-        domain = (axis.lower, axis.upper)
-        count = min(DEGREES, distinct - 1) + 1
-        along = int(np.argmax(np.abs(axis.direction)))
-        for component, letter in enumerate("XYZABC"):
+        q, along = state[axis.name], int(np.argmax(np.abs(axis.direction)))
+        for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
-            space = CurveSpace(name, power, domain, 0, count)
-            functions = space.functions(np.clip(state[axis.name], *domain))
-            at = 6 * index[axis.name, "motion"] + component
-            columns = tuple(of_components({at: functions[:, k]}) for k in range(count))
-            unit = "um" if component < 3 else "urad"
-            effect = (
-                "angular_error_motion" if component >= 3 else "positioning" if component == along else "straightness"
+            curve = calibration.curves.get(name)
+            if curve is not None and curve.basis != power.name:
+                curve = None
+            if curve is not None:
+                domain, degrees = curve.domain, max(DEGREES, len(curve.coefficients) - 1)
+            elif axis.linear and axis.lower is not None and axis.upper is not None:
+                domain, degrees = (axis.lower, axis.upper), DEGREES
+            else:
+                continue
+            at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
+            count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
+            space = CurveSpace(name, power, domain, 0, max(count, 1))
+            functions = space.functions(at)
+            columns = tuple(
+                of_components({6 * index[axis.name, "motion"] + component: functions[:, k]}) for k in range(count)
             )
-            first = 2 if effect == "straightness" else 1
+            effect = (
+                "error_motion"
+                if not axis.linear
+                else "angular_error_motion"
+                if component >= 3
+                else "positioning"
+                if component == along
+                else "straightness"
+            )
+            wrapped = axis.lower is None
+            # What a constant left out of the calibration's polynomial did to it: one number, not as many as the polynomial has.
+            shapes: dict[float, np.ndarray | None] = {}
+            if curve is not None:
+                shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
+            patterns = {stops: shape for stops, shape in shapes.items() if shape is not None}
 
-            def build(values: np.ndarray, fixed: Mapping[str, float], space: CurveSpace = space) -> tuple[Effect, ...]:
+            def build(
+                values: np.ndarray,
+                fixed: Mapping[str, float],
+                space: CurveSpace = space,
+                wrapped: bool = wrapped,
+                patterns: Mapping[float, np.ndarray] = patterns,
+            ) -> tuple[Effect, ...]:
+                if "stops" in fixed:
+                    values = values[0] * patterns[fixed["stops"]]
                 n = len(values)
                 coefficients = tuple(float(v) for v in space.transform[:n, :n] @ values)
-                return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=False),)
+                return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
 
-            cells = tuple(Cell(columns[: degree + 1]) for degree in range(first, count))
+            cells = tuple(Cell(columns[: degree + 1]) for degree in range(2 if effect == "straightness" else 1, count))
             if cells:
-                names = tuple((f"g{k}", unit) for k in range(count))
-                found.append(Candidate(effect, name, "machine", names, cells, float(len(cells)), build, space))
+                at_frame = 6 * index[axis.name, "motion"] + component
+                short = tuple(
+                    Cell((of_components({at_frame: functions @ shape}),), {"stops": stops})
+                    for stops, shape in patterns.items()
+                )
+                tests = float(len(cells) + min(len(short), 2))
+                names = tuple((f"g{k}", "um" if component < 3 else "urad") for k in range(count))
+                found.append(Candidate(effect, name, "machine", names, (*cells, *short), tests, build, space))
     return found
 
 

@@ -17,7 +17,7 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import Pool, Selection, every, prices, select
+from twin.diagnosis.search import Pool, Selection, chosen, every, prices
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.screen import outliers
 from twin.instruments import Instrument
@@ -101,7 +101,8 @@ def _still_bad(placed: Readings) -> np.ndarray:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
         for _ in range(ROBUST):
             still = _beyond(placed, whole, pool, bad)
-            if np.array_equal(still, bad) or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
+            settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
+            if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
                 break
             bad = still
         if np.count_nonzero(still) <= 0.5 * np.count_nonzero(placed.bad):
@@ -115,7 +116,7 @@ def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np
     part = whole.without(held) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    best = select(pool.on(part))
+    best = chosen(pool.on(part))
     left = whole.residual - estimate(part, best.forms).signature.sum(axis=1)
     return outliers(placed.network, whole.following(left, ~held).reshape(-1, 3))[0]
 
@@ -141,4 +142,4 @@ class Searcher:
 
     def run(self) -> tuple[Pool, Selection]:
         """The best set of causes, named and unnamed, and the pool it was chosen from."""
-        return self.pool, select(self.pool)
+        return self.pool, chosen(self.pool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -121,16 +121,18 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     quantities, rows, apart, names, at = [], [], [], [], 0
     for k, form in enumerate(forms):
         width = blocks[k].shape[1]
-        matrix = _matrix(form, effects[k], width)
-        own = loose.get(k, matrix @ inverse[at : at + width, at : at + width] @ matrix.T)
-        quantities.append(_quantities(form, effects[k], values[k], own))
+        block = inverse[at : at + width, at : at + width]
+        matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
+        own = loose.get(k, matrix @ block @ matrix.T)
+        direct = form.candidate.space is not None or curved[k] or k in loose
+        quantities.append(_quantities(form, effects[k], values[k], own if direct else block))
         if effects[k]:
             placed = np.zeros((len(own), len(inverse)))
             if k not in loose:
                 placed[:, at : at + width] = matrix
             rows.append(placed)
             apart.append(own if k in loose else np.zeros_like(own))
-            names += [parameter.name for parameter in effects[k][0].parameters]
+            names += [parameter.name for effect in effects[k] for parameter in effect.parameters]
         at += width
     whole_matrix = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
     spread = whole_matrix @ inverse @ whole_matrix.T
@@ -181,10 +183,15 @@ def _creep(
     return found, (off * share) @ off.T + np.diag([share @ (1.0 / weight), 0.0])
 
 
-def _matrix(form: Form, effects: Sequence[Effect], width: int) -> np.ndarray:
-    """From what was fitted to the parameters as a calibration has them: orthonormal functions to powers."""
-    space = form.candidate.space
-    return space.transform[:width, :width] if space is not None and effects else np.eye(width)
+def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
+    """From what was fitted to the parameters as a calibration has them, which are linear in it."""
+    build = form.candidate.build
+    if build is None:
+        return np.eye(width)
+    columns = [
+        [parameter.value for effect in build(unit, fixed) for parameter in effect.parameters] for unit in np.eye(width)
+    ]
+    return np.array(columns).T
 
 
 def _solved(
@@ -231,7 +238,7 @@ def _quantities(
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
         )
-    if effects and isinstance(effects[0], ErrorMotion):
+    if effects and isinstance(effects[0], ErrorMotion) and form.candidate.space is not None:
         return tuple(
             Quantity(f"c{k}", p.value, p.unit, float(one))
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))

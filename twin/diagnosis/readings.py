@@ -11,6 +11,7 @@ from scipy import stats
 from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Catalogue, catalogue
+from twin.diagnosis.misplaced import misplaced
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats
 from twin.diagnosis.problem import Problem
 from twin.identification.network import Network, stated_covariance
@@ -54,7 +55,11 @@ class Readings:
         """
         network, data = self.network, self.network.data
         if not np.any(bad):
-            return Problem(network, self.setup, self.calibration), catalogue(network.machine, data), self.scatter
+            return (
+                Problem(network, self.setup, self.calibration),
+                tried(network.machine, data, self.calibration),
+                self.scatter,
+            )
         difference = network.difference(np.zeros(0), self.setup, np.arange(len(data)))
         notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
         left = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
@@ -62,7 +67,13 @@ class Readings:
         fresh = Network(
             network.machine, left, network.instrument, network.unknowns, self.calibration, scatter.covariance
         )
-        return Problem(fresh, self.setup, self.calibration), catalogue(network.machine, left), scatter
+        return Problem(fresh, self.setup, self.calibration), tried(network.machine, left, self.calibration), scatter
+
+
+def tried(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:
+    """The causes to try: of the machine, of the instrument, and of the calibration itself."""
+    known = catalogue(machine, data, calibration)
+    return replace(known, candidates=(*known.candidates, *misplaced(machine, data, calibration)))
 
 
 def readings(
@@ -93,7 +104,7 @@ def readings(
     network = Network(machine, data, reader, nothing, calibration, covariance)
     setup, bad = _settled(network, setup)
     if not stated:
-        known = catalogue(machine, data).candidates
+        known = catalogue(machine, data, calibration).candidates
         view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
         seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
         own = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)

@@ -9,7 +9,7 @@ explain to be believed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from twin.diagnosis.catalogue import Candidate, Cell
+from twin.diagnosis.misplaced import EFFECT as MISPLACED
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 
@@ -33,11 +34,15 @@ OFTEN: Final = 0.15
 SEED: Final = 4711
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
-MOST: Final = 6
-"""Causes at most."""
+MOST: Final = 30
+"""Causes at most: as many as a machine has curves."""
+FEW: Final = 6
+"""Causes up to which every step is re-examined and other beginnings are tried; beyond, only the whole set is, once."""
 STARTS: Final = 4
 TRIED: Final = 3
 """Exchanges that are looked at in full."""
+ROUGHLY: Final = 0.2
+"""How far from one the share of a misplaced curve may be, beside other errors of the model."""
 LIKELY: Final = 12
 """Forms whose inner products with all others are worked out in one go."""
 
@@ -127,6 +132,11 @@ class Pool:
         self._costs = _costs(self.forms, self.level, self.dof)
         self._scans = {}
 
+    def forbid(self, keys: Collection[tuple[str, str]]) -> None:
+        """Believe no form of some candidates, whatever it explains."""
+        self._costs = np.array(self._costs)
+        self._costs[[form.index for form in self.forms if form.key in keys]] = np.inf
+
     def chance(self, log_p: float) -> float:
         """A p-value, the whole search paid for, from a form's log p with its price."""
         return float(min(np.exp(log_p) * ALARMS / self.level, 1.0))
@@ -138,7 +148,9 @@ class Pool:
     def _project(self, problem: Problem) -> None:
         self._within = problem.basis.T @ self.signature
         self._inner = [raw - within for raw, within in zip(self._raw, self._blocks(self._within), strict=True)]
-        self._cross: dict[int, np.ndarray] = {}
+        # Inner products with all columns of those that were asked for, a row each, and which row is whose.
+        self._cross = np.zeros((0, self.signature.shape[1]))
+        self._row = np.full(self.signature.shape[1], -1)
         self.judge(problem)
 
     def judge(self, problem: Problem) -> None:
@@ -181,7 +193,8 @@ class Pool:
 
     def among(self, columns: np.ndarray) -> np.ndarray:
         """Inner products of some columns."""
-        return self._with(columns)[columns]
+        self._with(columns)
+        return np.asarray(self._cross[np.ix_(self._row[columns], columns)])
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Whether what a form can do beside some others is done by a larger set already."""
@@ -215,13 +228,20 @@ class Pool:
         return explained - self._costs[np.arange(len(dof)), dof]
 
     def worth(self, forms: Sequence[Form]) -> float:
-        """What a set explains less what each of it must."""
+        """What a set explains less what each of it must, along the directions that are seen of it beside the others."""
+        columns = _together(forms)
+        if len(columns) == 0:
+            return 0.0
+        gram = self.among(columns)
+        # A unit on the diagonal is far below what counts as seen, and makes the inverse exist.
+        inverse = np.linalg.inv(gram + np.eye(len(columns)))
         total = self.explained_by(forms)
         for form in forms:
-            block = self._left(form.columns, np.zeros(0, dtype=int))
-            left = self._left(form.columns, _together([one for one in forms if one is not form]))
-            _, dof = _explained(block[None], left[None], np.zeros((1, len(block))))
-            total -= float(self._costs[form.index, dof[0]]) if dof[0] else self.cost(form, 1.0)
+            own = np.searchsorted(columns, form.columns)
+            left = np.linalg.inv(inverse[np.ix_(own, own)]) - np.eye(len(own))
+            most = float(np.diag(gram)[own].max())
+            dof = int(_seen(np.linalg.eigvalsh(left)[None], np.array([most])).sum())
+            total -= float(self._costs[form.index, dof]) if dof else self.cost(form, 1.0)
         return total
 
     def prepare(self, forms: Sequence[Form]) -> None:
@@ -229,14 +249,15 @@ class Pool:
         self._with(_together(forms))
 
     def _with(self, columns: np.ndarray) -> np.ndarray:
-        """(all, columns) inner products."""
-        fresh = np.array([c for c in columns if int(c) not in self._cross], dtype=int)
+        """(columns, all) inner products."""
+        fresh = columns[self._row[columns] < 0]
         if len(fresh):
             own = self.signature[:, fresh]
             own[self.problem.held] = 0.0
-            found = self.signature.T @ own - self._within.T @ self._within[:, fresh]
-            self._cross |= {int(c): found[:, k] for k, c in enumerate(fresh)}
-        return np.stack([self._cross[int(c)] for c in columns], axis=1)
+            found = own.T @ self.signature - self._within[:, fresh].T @ self._within
+            self._row[fresh] = len(self._cross) + np.arange(len(fresh))
+            self._cross = np.concatenate([self._cross, found])
+        return self._cross[self._row[columns]]
 
     def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
         """(all, r) what is taken from inner products by forms that are in (factor · factorᵀ), and the slope left."""
@@ -244,16 +265,16 @@ class Pool:
         if len(columns) == 0:
             return np.zeros((len(self.slope), 0)), self.slope
         cross = self._with(columns)
-        inverse, root = pseudo(cross[columns])
-        return cross @ root, self.slope - cross @ (inverse @ self.slope[columns])
+        inverse, root = pseudo(cross[:, columns])
+        return cross.T @ root, self.slope - (inverse @ self.slope[columns]) @ cross
 
     def _left(self, columns: np.ndarray, others: np.ndarray) -> np.ndarray:
         block = self.among(columns)
         if len(others) == 0:
             return np.asarray(block)
         cross = self._with(others)
-        inverse, _ = pseudo(cross[others])
-        return np.asarray(block - cross[columns] @ inverse @ cross[columns].T)
+        inverse, _ = pseudo(cross[:, others])
+        return np.asarray(block - cross[:, columns].T @ inverse @ cross[:, columns])
 
 
 def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -328,7 +349,26 @@ def select(pool: Pool) -> Selection:
         worth = pool.worth(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
+        if len(forms) > FEW:
+            break  # a model that is wrong all over: where one begins is not what matters
     return found
+
+
+def chosen(pool: Pool) -> Selection:
+    """The best set in which what is said to be misplaced is so as a whole: half a curve elsewhere is no mistake of filing."""
+    while True:
+        best = select(pool)
+        columns, values = pool.fitted(best.forms)
+        inverse, _ = pseudo(pool.among(columns)) if len(columns) else (np.zeros((0, 0)), None)
+        odd = set()
+        for form in best.forms:
+            if form.candidate.effect == MISPLACED:
+                at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
+                if abs(values[at] * scale - 1.0) > max(ROUGHLY, 3.0 * scale * float(np.sqrt(inverse[at, at]))):
+                    odd.add(form.key)
+        if not odd:
+            return best
+        pool.forbid(odd)
 
 
 def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
@@ -339,11 +379,13 @@ def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
         if margin[i] <= 0.0:
             break
         form = pool.forms[i]
-        grown = _exchanged(pool, [*(one for one in forms if one.key != form.key), form])
+        grown = [*(one for one in forms if one.key != form.key), form]
+        if len(grown) <= FEW:
+            grown = _exchanged(pool, grown)
         if pool.worth(grown) <= pool.worth(forms) + 1e-6:
             break
         forms = grown
-    return forms
+    return _exchanged(pool, forms) if len(forms) > FEW else forms
 
 
 def _exchanged(pool: Pool, forms: list[Form]) -> list[Form]:
@@ -358,7 +400,7 @@ def _exchanged(pool: Pool, forms: list[Form]) -> list[Form]:
 
 
 def _better(pool: Pool, forms: list[Form], now: float) -> tuple[list[Form], float] | None:
-    for k in range(len(forms)):
+    for k in range(len(forms))[-FEW:]:
         others = forms[:k] + forms[k + 1 :]
         if others and (worth := pool.worth(others)) >= now:
             return others, worth

@@ -29,7 +29,7 @@ class ErrorMotion(Effect):
         self.basis = basis
         self.domain = domain
         self.coefficients = coefficients
-        self._wrapped = wrapped and not basis.periodic
+        self.wrapped = wrapped and not basis.periodic
         self._component, _, self._axis = split_name(name)
 
     @property
@@ -54,7 +54,7 @@ class ErrorMotion(Effect):
 
     def _inside(self, positions: Mapping[str, Any]) -> Any:
         q = positions[self._axis]
-        if self._wrapped:
+        if self.wrapped:
             lo, hi = self.domain
             q = q - (hi - lo) * floor((q - lo) / (hi - lo))
         return q

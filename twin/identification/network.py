@@ -62,6 +62,7 @@ class View:
     Attributes:
         rows: in the data.
         residual: (k, 3) whitened.
+        points: (k, 3) in the base frame.
         seen: (k, 3) the points in their stations' frames.
         whitening: (k, 3, 3).
         by_seen: (k, 3, 3) reading by the point in the station's frame.
@@ -72,6 +73,7 @@ class View:
 
     rows: np.ndarray
     residual: np.ndarray
+    points: np.ndarray
     seen: np.ndarray
     whitening: np.ndarray
     by_seen: np.ndarray
@@ -174,6 +176,7 @@ class Network:
         return View(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._left(seen, setup, rows)),
+            points=carried.points,
             seen=seen,
             whitening=whitening,
             by_seen=by_seen,
