@@ -18,7 +18,7 @@ from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
-from twin.diagnosis.search import Form, Pool, Selection, chosen, pseudo
+from twin.diagnosis.search import Form, Pool, Selection, chosen, pseudo, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect, assemble
 from twin.kinematics import Kinematics
@@ -147,6 +147,8 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
             worth = float(explained - pool.cost(pool.forms[i], dof))
             if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
                 continue  # the same thing, said with more
+            if worth > margin - DOUBT and not whole(pool, pool.forms[i], [*others, pool.forms[i]]):
+                continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
     return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
 

@@ -27,6 +27,8 @@ ALARMS: Final = 0.04
 """Share of data sets with nothing in them in which anything is found, all forms together."""
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
+FURTHER: Final = 2.5
+"""What each cause beside the first must explain more: several at once are rarer than one."""
 SILENT: Final = 200
 """Data sets of scatter alone that the price of the search is taken from."""
 OFTEN: Final = 0.15
@@ -235,7 +237,7 @@ class Pool:
         gram = self.among(columns)
         # A unit on the diagonal is far below what counts as seen, and makes the inverse exist.
         inverse = np.linalg.inv(gram + np.eye(len(columns)))
-        total = self.explained_by(forms)
+        total = self.explained_by(forms) - FURTHER * (len(forms) - 1)
         for form in forms:
             own = np.searchsorted(columns, form.columns)
             left = np.linalg.inv(inverse[np.ix_(own, own)]) - np.eye(len(own))
@@ -355,20 +357,29 @@ def select(pool: Pool) -> Selection:
 
 
 def chosen(pool: Pool) -> Selection:
-    """The best set in which what is said to be misplaced is so as a whole: half a curve elsewhere is no mistake of filing."""
+    """The best set in which what is said to be misplaced is so as a whole."""
     while True:
         best = select(pool)
-        columns, values = pool.fitted(best.forms)
-        inverse, _ = pseudo(pool.among(columns)) if len(columns) else (np.zeros((0, 0)), None)
-        odd = set()
-        for form in best.forms:
-            if form.candidate.effect == MISPLACED:
-                at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
-                if abs(values[at] * scale - 1.0) > max(ROUGHLY, 3.0 * scale * float(np.sqrt(inverse[at, at]))):
-                    odd.add(form.key)
+        odd = {form.key for form in best.forms if not whole(pool, form, best.forms)}
         if not odd:
             return best
         pool.forbid(odd)
+
+
+def whole(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
+    """Whether a form is no curve in another place, or is so with a share of one: half a curve elsewhere is no mistake of filing.
+
+    Args:
+        pool: the data.
+        form: one of ``forms``.
+        forms: what is in.
+    """
+    if form.candidate.effect != MISPLACED:
+        return True
+    columns, values = pool.fitted(forms)
+    inverse, _ = pseudo(pool.among(columns))
+    at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
+    return bool(abs(values[at] * scale - 1.0) <= max(ROUGHLY, 3.0 * scale * float(np.sqrt(inverse[at, at]))))
 
 
 def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
@@ -376,7 +387,7 @@ def _grown(pool: Pool, forms: list[Form]) -> list[Form]:
     while len(forms) < MOST:
         margin = pool.margins(forms)
         i = int(np.argmax(margin))
-        if margin[i] <= 0.0:
+        if margin[i] <= FURTHER:
             break
         form = pool.forms[i]
         grown = [*(one for one in forms if one.key != form.key), form]
