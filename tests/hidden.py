@@ -193,7 +193,7 @@ def points(
             _along(error, axis, v["compliance"] * _load(of, axis))
         elif h.effect == "zero_offset":
             _along(error, axis, v["offset"])
-        elif h.effect == "read_back":
+        elif h.effect == "following_error":
             off = (of.readback - of.q)[:, AXES.index(axis)]
             _along(error, axis, off * (1e3 if axis in "XYZ" else 1e6 * np.pi / 180.0))
         elif h.effect == "target_shift":

@@ -229,6 +229,26 @@ def test_a_column_that_is_missing_makes_its_effects_not_evaluated(look: Callable
     assert result.verdict == "consistent"
 
 
+@pytest.mark.parametrize("follows", ["command", "report"])
+def test_which_of_command_and_report_the_measurement_follows(look: Callable[..., Diagnosis], follows: str) -> None:
+    """Positions of Y read while it was still moving lag behind by 15 µm, or Y really stopped there."""
+    rng = np.random.default_rng(8)
+    plan = hidden.rounded(hidden.plan(rng, poses=POSES))
+    lag = np.zeros(plan.q.shape)
+    lag[:, 1] = 5e-3 * rng.standard_normal(len(lag)) - 15e-3 * plan.approach[:, 1]
+    plan = replace(plan, readback=np.round(plan.q + lag, 4))
+    result = look([] if follows == "command" else [one("following_error", "Y")], plan=plan)
+    assert result.verdict == "explained" and result.unexplained is None
+    (cause,) = result.causes
+    if follows == "command":
+        assert (cause.effect, cause.where, cause.origin) == ("read_back", "Y", "instrument")
+        assert "the measurement follows the commands" in cause.evidence
+        assert result.extended is result.calibration and result.gain is None
+    else:
+        assert (cause.effect, cause.where) == ("following_error", "Y")
+        assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
+
+
 def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:
     """A zero of a linear axis moves all its targets alike, and C's load is nothing where the table's weight is on its axis."""
     found = look([]).unidentifiable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,10 +18,11 @@ from twin.diagnosis.flaws import constant_dropped, flaw
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
+from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
 from twin.diagnosis.search import Form, Pool, Selection, chosen, pseudo, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
-from twin.effects import Effect, assemble
+from twin.effects import Effect
 from twin.kinematics import Kinematics
 
 DOUBT: Final = 9.21
@@ -73,7 +75,8 @@ def account(
                 effects=found.effects[k],
             )
         )
-    causes.sort(key=lambda cause: -cause.share)
+    also, silent = reported(pool, forms, lambda moved: _unwhitened(problem, moved))
+    causes = [*sorted(causes, key=lambda cause: -cause.share), *also]
     left = _unexplained(pool, unnamed, forms, excess)
     p_value = _p_value(problem, scatter)
     if left is None and not causes and p_value < LARGE:
@@ -119,13 +122,13 @@ def account(
         unexplained=left,
         unidentifiable=_unidentifiable(pool, known),
         not_evaluated=known.not_evaluated,
-        gain=_gain(problem, pool, forms, found, before_um, after_um) if causes else None,
+        gain=_gain(problem, pool, forms, found, before_um, after_um) if forms else None,
         next_measurement=_next(problem, pool, named, forms, causes),
         ranking=_ranking(pool),
         scatter=scatter.source,
         calibration=calibration,
         extended=extended,
-        data=problem.network.data,
+        data=replace(problem.network.data, notices=(*problem.network.data.notices, *silent)),
         residual_um=locked(before_um),
         after_um=locked(after_um),
     )
@@ -215,7 +218,7 @@ def _evidence(form: Form, found: Estimate, k: int) -> str:
         "frame_shift": f"the instrument's frame was re-aligned from {where} on",
         "gravity_compliance": f"{where} gives way under gravity",
         "zero_offset": f"{where}'s zero is off by {size.value:.3g} {unit}",
-        "read_back": f"the positions reported for {where} are not those the measurement follows",
+        "following_error": f"{where} stood where the control reported it, not where it was told to go",
         "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
         "station_drift": f"station {where} creeps while it measures",
         "misplaced": _misplaced(where),
@@ -302,7 +305,7 @@ def _gain(
     read = problem.network.read
     held_before, held_after, interval = _held_out(problem, pool)
     machine_effects = [effect for effects in found.effects for effect in effects]
-    tool_before, tool_after = _at_tool(problem, machine_effects, found, forms)
+    tool_before, tool_after = _at_tool(problem, machine_effects, found)
     return Gain(_rms(before, read), _rms(after, read), held_before, held_after, interval, tool_before, tool_after)
 
 
@@ -350,10 +353,11 @@ def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> float:
     return float(np.sum(np.where(read, found, 0.0) ** 2))
 
 
-def _at_tool(
-    problem: Problem, effects: Sequence[Effect], found: Estimate, forms: Sequence[Form]
-) -> tuple[float, float]:
-    """RMS at the tool over the volume that compensating with the old model leaves, and with the new one (its uncertainty)."""
+def _at_tool(problem: Problem, effects: Sequence[Effect], found: Estimate) -> tuple[float, float]:
+    """RMS at the tool over the volume after compensating, with the old model and with the extended one, executed on the extended one.
+
+    The old model's compensation leaves what the effects do there, to first order; the extended one's what they are uncertain by.
+    """
     if not effects:
         return 0.0, 0.0
     network = problem.network
@@ -366,16 +370,14 @@ def _at_tool(
     state["time_s"] = np.asarray(network.data.time_s)[rows]
     state |= {f"T_{name}_degC": np.asarray(values)[rows] for name, values in network.data.temperature_degC.items()}
     by_error = Kinematics(machine, Calibration.zero(machine)).sensitivities(positions).error[:, :3]
-    frames = assemble(effects, machine.frames, state)
-    errors = np.stack(
-        [np.broadcast_to(np.asarray(v, dtype=float), len(positions)) for row in frames for v in row], axis=1
-    )
-    moved = np.einsum("nij,nj->ni", by_error, errors) * 1e6
-    before = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-    # What is left is what the sizes are uncertain by.
-    share = [
-        min((q.u / abs(q.value)) for q in own if q.u > 0.0 and q.value != 0.0)
-        for own, made in zip(found.quantities, found.effects, strict=True)
-        if made and any(q.u > 0.0 and q.value != 0.0 for q in own)
-    ]
-    return before, before * min(1.0, float(np.sqrt(np.mean(np.square(share))))) if share else before
+    index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
+
+    def moved(effect: Effect, parts: Mapping[int, Any]) -> np.ndarray:
+        at = index[effect.frame.axis, effect.frame.role]
+        values = {at + i: np.broadcast_to(np.asarray(v, dtype=float), len(positions)) for i, v in parts.items()}
+        return np.asarray(sum(by_error[:, :, i] * v[:, None] for i, v in values.items()))
+
+    whole = np.sum([moved(effect, effect.components(state)) for effect in effects], axis=0)
+    by_parameter = np.stack([moved(effect, parts) for effect in effects for parts in effect.derivatives(state)], axis=2)
+    variance = np.einsum("nip,pq,niq->n", by_parameter, found.covariance.matrix, by_parameter)
+    return float(np.sqrt(np.mean(np.sum(whole**2, axis=1)))), float(np.sqrt(np.mean(np.maximum(variance, 0.0))))

@@ -509,7 +509,7 @@ def _instrument(
         start = 6 * index[axis.name, "motion"] + (0 if axis.linear else 3)
         parts = {start + k: off * part for k, part in enumerate(axis.direction) if part != 0.0}
         found.append(
-            Candidate("read_back", axis.name, "instrument", (("share", "1"),), (Cell((of_components(parts),)),), 1.0)
+            Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_components(parts),)),), 1.0)
         )
     return found
 

@@ -72,8 +72,10 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
     degree = len(curve.coefficients) - 1
     for lower in range(1, degree if k > degree else 1):
         known = np.where(np.arange(k) > lower, -given[:k], 0.0)
-        _, _, stands = left(known, np.eye(k)[:, : lower + 1])
-        if stands:
+        free = np.eye(k)[:, : lower + 1]
+        if left(np.zeros(k), free)[2]:
+            break  # that they are right is not contradicted either
+        if left(known, free)[2]:
             q, _ = space.grid()
             swing = space.functions(q)[:, lower + 1 :] @ given[lower + 1 :]
             return (

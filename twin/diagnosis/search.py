@@ -43,8 +43,10 @@ FEW: Final = 6
 STARTS: Final = 4
 TRIED: Final = 3
 """Exchanges that are looked at in full."""
+WHOLE: Final = (MISPLACED, "following_error")
+"""Effects that are so altogether or not at all: their share is one."""
 ROUGHLY: Final = 0.2
-"""How far from one the share of a misplaced curve may be, beside other errors of the model."""
+"""How far from one such a share may be, beside other errors of the model."""
 LIKELY: Final = 12
 """Forms whose inner products with all others are worked out in one go."""
 
@@ -357,7 +359,7 @@ def select(pool: Pool) -> Selection:
 
 
 def chosen(pool: Pool) -> Selection:
-    """The best set in which what is said to be misplaced is so as a whole."""
+    """The best set in which what is so altogether or not at all is so altogether."""
     while True:
         best = select(pool)
         odd = {form.key for form in best.forms if not whole(pool, form, best.forms)}
@@ -367,14 +369,14 @@ def chosen(pool: Pool) -> Selection:
 
 
 def whole(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
-    """Whether a form is no curve in another place, or is so with a share of one: half a curve elsewhere is no mistake of filing.
+    """Whether a form has a share of one, if that is what it must have: half a curve elsewhere is no mistake of filing.
 
     Args:
         pool: the data.
         form: one of ``forms``.
         forms: what is in.
     """
-    if form.candidate.effect != MISPLACED:
+    if form.candidate.effect not in WHOLE:
         return True
     columns, values = pool.fitted(forms)
     inverse, _ = pseudo(pool.among(columns))
