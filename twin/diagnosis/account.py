@@ -19,14 +19,16 @@ from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
-from twin.diagnosis.result import Cause, Diagnosis, Gain, Unexplained
-from twin.diagnosis.search import Form, Pool, Selection, chosen, pseudo, whole
+from twin.diagnosis.result import Cause, Diagnosis, Gain, Trend, Unexplained
+from twin.diagnosis.search import Form, Pool, Selection, chosen, log_chance, pseudo, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect
 from twin.kinematics import Kinematics
 
 DOUBT: Final = 9.21
 """Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
+SEEN_AT: Final = 0.05
+"""Chance below which a column is said to go with the misfit."""
 LARGE: Final = 1e-4
 BOOTSTRAP: Final = 2000
 RANKED: Final = 12
@@ -124,6 +126,7 @@ def account(
         not_evaluated=known.not_evaluated,
         gain=_gain(problem, pool, forms, found, before_um, after_um) if forms else None,
         next_measurement=_next(problem, pool, named, forms, causes),
+        trends=_trends(pool),
         ranking=_ranking(pool),
         scatter=scatter.source,
         calibration=calibration,
@@ -287,6 +290,24 @@ def _unidentifiable(pool: Pool, known: Catalogue) -> tuple[tuple[str, str], ...]
     for form, score in zip(pool.forms, pool.scores([], everything), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
     return tuple(candidate.key for candidate in known.candidates if not seen.get(candidate.key, True))
+
+
+def _trends(pool: Pool) -> tuple[Trend, ...]:
+    """Columns the misfit goes with; the unnamed patterns of one column are all that is compared, so their own number is the price."""
+    forms = [form for form in pool.forms if form.candidate.effect == EFFECT and form.candidate.where.count("|") == 1]
+    explained, dof = pool.scan([])
+    best: dict[str, tuple[float, float]] = {}
+    for form in forms:
+        if dof[form.index]:
+            log_p = float(log_chance(explained[form.index], float(dof[form.index]), pool.dof)) + np.log(len(forms))
+            where = form.candidate.where
+            best[where] = min(best.get(where, (0.0, 0.0)), (log_p, float(explained[form.index])))
+    found = []
+    for where, (log_p, chi2) in sorted(best.items(), key=lambda one: one[1]):
+        if log_p < np.log(SEEN_AT):
+            side, column = where.split("|")
+            found.append(Trend(column, side, chi2, float(np.exp(log_p))))
+    return tuple(found)
 
 
 def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:

@@ -81,6 +81,24 @@ class Unexplained:
 
 @final
 @dataclass(frozen=True)
+class Trend:
+    """How much of the misfit goes smoothly with a column, whatever the cause.
+
+    Attributes:
+        column: of the table.
+        carrier: ``tool`` or ``work``.
+        explains: chi² of a few smooth functions of the column.
+        p_value: chance of as much in any column of either side without any cause.
+    """
+
+    column: str
+    carrier: str
+    explains: float
+    p_value: float
+
+
+@final
+@dataclass(frozen=True)
 class Gain:
     """What modelling the causes changes.
 
@@ -116,6 +134,7 @@ class Diagnosis:
         not_evaluated: (effect, where, column that is missing).
         gain: None where nothing was found.
         next_measurement: points worth measuring next, with what they would tell.
+        trends: where the misfit is, by column and side, clearest first; what could be chance is left out.
         ranking: (effect, where, what it explains, p-value) of the causes tried alone, best first.
         scatter: whose scatter the readings are judged by.
         calibration, extended: before and after.
@@ -135,6 +154,7 @@ class Diagnosis:
     not_evaluated: tuple[tuple[str, str, str], ...]
     gain: Gain | None
     next_measurement: tuple[Mapping[str, Any], ...]
+    trends: tuple[Trend, ...]
     ranking: tuple[tuple[str, str, float, float], ...]
     scatter: str
     calibration: Calibration
@@ -182,6 +202,10 @@ class Diagnosis:
                 "tool_point": {"before_um": gain.tool_before_um, "after_um": gain.tool_after_um},
             },
             "next_measurement": [dict(one) for one in self.next_measurement],
+            "trends": [
+                {"column": t.column, "carrier": t.carrier, "explains": t.explains, "p_value": t.p_value}
+                for t in self.trends
+            ],
             "scatter": self.scatter,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
