@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -291,3 +292,33 @@ def test_the_battery(row: str, noise: str) -> None:
         assert told["an effect too many"] <= 0.05 + 0.031, told
         # Some 400 intervals: ±2 %.
         assert 0.93 - 0.02 <= told["coverage"] <= 0.97 + 0.02, told
+
+
+@pytest.mark.parametrize("noise", ["isotropic", "tracker"])
+@pytest.mark.parametrize("hides", [True, False])
+def test_readings_of_which_nothing_is_said_and_none_is_repeated(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path, noise: str, hides: bool
+) -> None:
+    """One round, no uncertainties, no instrument: the scatter is what no plain form of any cause accounts for."""
+    rng = np.random.default_rng(5)
+    plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
+    truth = one("reversal", "Y", size=5.0)
+    read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
+    result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
+    assert result.scatter.startswith("what no plain form of any cause accounts for")
+    assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
+    assert result.unexplained is None
+
+
+@pytest.mark.parametrize("axis", ["Y", "B"])
+def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_path: Path, axis: str) -> None:
+    """How the station is turned about the one line that moves nothing can say, and nothing needs to."""
+    rng = np.random.default_rng(5)
+    plan = hidden.rounded(hidden.plan(rng, poses=POSES))
+    still = [i for i, name in enumerate(hidden.AXES) if name != axis]
+    rows = np.all(plan.q[:, still] == hidden.HOME[still], axis=1)
+    truth = one("reversal", axis, size=5.0 if axis == "Y" else 40.0)
+    read = hidden.noisy(hidden.points(plan, [truth]), rng, "isotropic", SIGMA_MM)
+    data = load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50).select(rows)
+    result = diagnose(data, dmu50, calibration)
+    assert [(c.effect, c.where) for c in result.causes] == [truth.key]

@@ -19,7 +19,7 @@ from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
-from twin.diagnosis.result import Cause, Diagnosis, Gain, Trend, Unexplained
+from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained
 from twin.diagnosis.search import Form, Pool, Selection, chosen, log_chance, pseudo, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect
@@ -34,6 +34,8 @@ BOOTSTRAP: Final = 2000
 RANKED: Final = 12
 RIVALS: Final = 2
 """Rivals of a cause for which points are suggested."""
+RUNNERS_UP: Final = 2
+"""Causes ruled out in a cause's place that are listed with it."""
 
 
 def account(
@@ -63,6 +65,7 @@ def account(
     for k, form in enumerate(named):
         others = [one for one in forms if one is not form]
         explained, dof, log_p = pool.scores(others, [_index(pool, form)])[0]
+        margin = explained - pool.cost(form, dof)
         causes.append(
             Cause(
                 effect=form.candidate.effect,
@@ -71,10 +74,11 @@ def account(
                 parameters=found.quantities[k],
                 p_value=pool.chance(log_p),
                 share=float(np.clip(explained / excess, 0.0, 1.0)),
-                equivalent=_equivalent(pool, form, others, explained - pool.cost(form, dof)),
+                equivalent=_equivalent(pool, form, others, margin),
                 evidence=_evidence(form, found, k) + _flaw(pool, forms, form, calibration),
                 pattern_um=locked(_unwhitened(problem, found.signature[:, k])),
                 effects=found.effects[k],
+                rivals=_rivals(pool, form, others, margin, excess),
             )
         )
     also, silent = reported(pool, forms, lambda moved: _unwhitened(problem, moved))
@@ -128,12 +132,14 @@ def account(
         next_measurement=_next(problem, pool, named, forms, causes),
         trends=_trends(pool),
         ranking=_ranking(pool),
+        tried=len(known.candidates),
         scatter=scatter.source,
         calibration=calibration,
         extended=extended,
         data=replace(problem.network.data, notices=(*problem.network.data.notices, *silent)),
         residual_um=locked(before_um),
         after_um=locked(after_um),
+        directions=locked(_plain(problem, problem.view.by_base)),
     )
 
 
@@ -157,6 +163,20 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
                 continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
     return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
+
+
+def _rivals(pool: Pool, form: Form, others: Sequence[Form], margin: float, excess: float) -> tuple[Rival, ...]:
+    """What came next in a cause's place and is ruled out."""
+    used = {one.key for one in others} | {form.key}
+    tried = [one for one in pool.forms if one.key not in used and one.candidate.effect != EFFECT]
+    best: dict[tuple[str, str], Rival] = {}
+    for one, (explained, dof, _) in zip(tried, pool.scores(others, [one.index for one in tried]), strict=True):
+        if dof > 0:
+            behind = 0.5 * (margin - float(explained - pool.cost(one, dof)))
+            if one.key not in best or behind < best[one.key].log_odds:
+                best[one.key] = Rival(*one.key, float(np.clip(explained / excess, 0.0, 1.0)), behind)
+    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DOUBT]
+    return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
 
 
 def _next(
@@ -269,10 +289,15 @@ def _p_value(problem: Problem, scatter: Scatter) -> float:
 
 def _unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(n, 3) µm."""
+    found = _plain(problem, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    return np.where(problem.network.read, found * 1e6, np.nan)
+
+
+def _plain(problem: Problem, whitened: np.ndarray) -> np.ndarray:
+    """(n, 3, k) as it was before it was whitened; zero where nothing was read."""
     read = problem.network.read
     safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening, np.eye(3))
-    found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
-    return np.where(read, found * 1e6, np.nan)
+    return np.asarray(np.linalg.solve(safe, np.where(read[:, :, None], whitened, 0.0)))
 
 
 def _rms(values: np.ndarray, read: np.ndarray) -> float:

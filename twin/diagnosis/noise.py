@@ -14,7 +14,8 @@ import numpy as np
 from twin.arrays import locked
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.signatures import Column
-from twin.identification.network import View
+from twin.identification.network import Network, View
+from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
 from twin.instruments.base import along_and_across
 from twin.measurement import Measurements
@@ -22,6 +23,9 @@ from twin.measurement import Measurements
 ENOUGH: Final = 20
 """Degrees of freedom of repeats below which the instrument's own figures are taken."""
 WEIGHINGS: Final = 3
+PLAIN_ORDERS: Final = 6
+INTRICATE: Final = ("pitch_error", "misplaced", "error_motion")
+"""Effects that have no few plain forms, or only forms others have."""
 CHANGING: Final = (
     "frame_shift",
     "target_shift",
@@ -83,6 +87,55 @@ def from_repeats(
     np.add.at(total, group, every)
     every = (every - total[group] / size[group][:, None, None]) * again[:, None, None]
     free = float(np.sum(np.where(again, 1.0 - 1.0 / size[group], 0.0)))
+    return _scatter(every, free, view, read, seen, "repeats")
+
+
+def from_the_rest(
+    network: Network, setup: SetUp, view: View, known: tuple[Candidate, ...], seen: np.ndarray
+) -> Scatter | None:
+    """Scatter along and across the beam from what the set-up and every plain form of every cause leave; None if that is too little.
+
+    For readings that nothing else is said of: no uncertainties, no instrument, no repeats. What is taken for scatter here is too much
+    if an effect has none of these forms, so causes are missed rather than invented.
+
+    Args:
+        network: data and model.
+        setup: the fitted set-up.
+        view: of the points that count, whitened by anything that is isotropic.
+        known: the catalogue of all points.
+        seen: (m, 3) all points in their stations' frames; the covariance is theirs.
+    """
+    columns = [column for c in known if c.effect not in INTRICATE for column in _plain(c)]
+    by_setup = np.zeros((len(view.rows), 3, len(setup)))
+    network.by_setup(view, setup, by_setup)
+    read = network.read[view.rows]
+    taken = [by_setup[:, :, k] * size for k, size in enumerate(setup.plausible)]
+    taken += [column.reading(view) * column.scale for column in columns]
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    every = np.einsum("nij,njk->nik", raw, np.stack([view.residual, *taken], axis=2)) * read[:, :, None]
+    return _scatter(every, float(len(view.rows)), view, read, seen, "what no plain form of any cause accounts for")
+
+
+def _plain(candidate: Candidate) -> tuple[Column, ...]:
+    """The widest curve, the lowest harmonics, the first of everything else."""
+    if candidate.effect == "harmonic":
+        return tuple(column for cell in candidate.cells[:PLAIN_ORDERS] for column in cell.columns)
+    return max(candidate.cells, key=lambda cell: len(cell.columns)).columns
+
+
+def _scatter(
+    every: np.ndarray, free: float, view: View, read: np.ndarray, seen: np.ndarray, source: str
+) -> Scatter | None:
+    """Along and across the beam, from (n, 3, k): what scatters, and what is to be taken out of it.
+
+    Args:
+        every: metres.
+        free: degrees of freedom a direction before anything is taken out.
+        view: of the points.
+        read: (n, 3) coordinates that were read.
+        seen: (m, 3) points the covariance is wanted of.
+        source: in words.
+    """
     if not read[:, 1:].any():
         left, taken = _cleared(every)
         dof = free - float(np.sum(taken[:, 0] ** 2))
@@ -91,7 +144,7 @@ def from_repeats(
         found = np.zeros((len(seen), 3, 3))
         found[:, 0, 0] = np.sum(left[:, 0] ** 2) / dof
         return Scatter(
-            locked(found), dof, f"repeats: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
+            locked(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     a = c = 1.0
@@ -108,11 +161,11 @@ def from_repeats(
         a *= float(np.sqrt(np.sum(along**2) / dof_along))
         c *= float(np.sqrt((np.sum(left**2) - np.sum(along**2)) / dof_across))
     if abs(np.log(a / c)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
-        # The same in all directions as far as the repeats can tell: one number, known better.
+        # The same in all directions as far as they can tell: one number, known better.
         left, taken = _cleared(every)
         a = c = float(np.sqrt(np.sum(left**2) / (3.0 * free - taken.shape[2])))
     n = len(seen)
-    text = f"repeats: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
+    text = f"{source}: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
     return Scatter(locked(along_and_across(seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
 
 
@@ -120,7 +173,10 @@ def _cleared(every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) the first of (n, 3, k) columns without the others, and (n, 3, m) an orthonormal basis of those."""
     flat = every.reshape(-1, every.shape[2])
     scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
-    u, values, _ = np.linalg.svd(flat[:, 1:] / scale, full_matrices=False)
-    basis = u[:, values > 1e-8] if len(values) and values[0] > 0.0 else u[:, :0]
+    others = flat[:, 1:] / scale
+    values, vectors = np.linalg.eigh(others.T @ others)
+    seen = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
+    # Twice: the square loses half the digits.
+    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(values[seen])))
     left = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
     return left.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])

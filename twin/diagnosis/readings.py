@@ -12,7 +12,7 @@ from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Catalogue, catalogue
 from twin.diagnosis.misplaced import misplaced
-from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats
+from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
 from twin.identification.network import Network, stated_covariance
 from twin.identification.screen import explained, fitting, instrument_of, outliers
@@ -100,7 +100,8 @@ def readings(
     repeated = None if stated else _first_look(data, covariance)
     if repeated is not None:
         covariance = repeated
-    scatter = Scatter(covariance, np.inf, "the table's uncertainties" if given else f"the figures of the {reader.name}")
+    figures = f"the figures of the {reader.name}" + ("" if instrument is not None else ", presumed: nothing else is said")
+    scatter = Scatter(covariance, np.inf, "the table's uncertainties" if given else figures)
     network = Network(machine, data, reader, nothing, calibration, covariance)
     setup, bad = _settled(network, setup)
     if not stated:
@@ -108,6 +109,8 @@ def readings(
         view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
         seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
         own = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
+        if own is None:
+            own = from_the_rest(network, setup, view, known, seen)
         if own is not None:
             scatter = own
             network = Network(machine, data, reader, nothing, calibration, own.covariance)

@@ -29,6 +29,23 @@ class Quantity:
 
 @final
 @dataclass(frozen=True)
+class Rival:
+    """The best of what was tried in a cause's place, the other causes kept, and is ruled out.
+
+    Attributes:
+        effect, where: contract §5.
+        share: of the excess residual sum of squares that it would explain there.
+        log_odds: natural log of how many times less likely it is, the price of both searches paid.
+    """
+
+    effect: str
+    where: str
+    share: float
+    log_odds: float
+
+
+@final
+@dataclass(frozen=True)
 class Cause:
     """One cause found.
 
@@ -41,6 +58,7 @@ class Cause:
         evidence: one sentence a machinist can read.
         pattern_um: (n, 3) what it does to each reading.
         effects: what extends the model; empty for an instrument's.
+        rivals: what came next in its place and is ruled out, best first.
     """
 
     effect: str
@@ -53,6 +71,7 @@ class Cause:
     evidence: str
     pattern_um: np.ndarray
     effects: tuple[Effect, ...] = ()
+    rivals: tuple[Rival, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in the JSON."""
@@ -136,10 +155,12 @@ class Diagnosis:
         next_measurement: points worth measuring next, with what they would tell.
         trends: where the misfit is, by column and side, clearest first; what could be chance is left out.
         ranking: (effect, where, what it explains, p-value) of the causes tried alone, best first.
+        tried: how many causes were tried.
         scatter: whose scatter the readings are judged by.
         calibration, extended: before and after.
         data: what was used; set-aside rows are listed there.
-        residual_um, after_um: (n, 3) residuals a coordinate before and after.
+        residual_um, after_um: (n, 3) residuals a coordinate before and after; NaN where nothing was read.
+        directions: (n, 3, 3) a row a coordinate: the direction in the machine's base along which it counts; zero where nothing was read.
     """
 
     verdict: Verdict
@@ -156,12 +177,14 @@ class Diagnosis:
     next_measurement: tuple[Mapping[str, Any], ...]
     trends: tuple[Trend, ...]
     ranking: tuple[tuple[str, str, float, float], ...]
+    tried: int
     scatter: str
     calibration: Calibration
     extended: Calibration
     data: Measurements
     residual_um: np.ndarray
     after_um: np.ndarray
+    directions: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
         """``schema: twin.diagnosis/1``."""

@@ -11,9 +11,11 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import pinocchio as pin
 
 from twin.arrays import locked
 from twin.errors import InputError
+from twin.identification.network import cross_matrix
 from twin.identification.setup import SetUp
 from twin.machine import Machine
 from twin.measurement import Measurements
@@ -24,7 +26,10 @@ FLOOR: Final = 1e-4
 """m: misfits below it weigh alike; the machine's own errors are that large."""
 FITS: Final = 5e-3
 """m: a command that misses the measured motion by more does not belong to it: no machine tool errs by that."""
-SWEEPS: Final = 30
+SWEEPS: Final = 60
+LARGEST_TURN: Final = 0.5
+"""rad a step."""
+STILL: Final = 1e-10
 
 
 def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[SetUp, np.ndarray]:
@@ -128,18 +133,31 @@ def _by_points(
                 line=int(data.lines[np.flatnonzero(station == i)[0]]),
             )
         rotation[i] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    # Rotations kept, origins and places fitted again: a turn that was not quite one has bent them.
-    seen = np.einsum("nij,nj->ni", rotation[station], y)
+    # The nearest turn was not quite what fitted, and nowhere near where a motion along one line left it open: it is fitted as a turn,
+    # origins and places with it.
     keep = np.array([k % 12 >= 9 or k >= 12 * stations for k in range(matrix.shape[2])]) & ~known
     fixed = np.array(values)
     fixed[[k for k in range(12 * stations) if k % 12 < 9]] = 0.0
-    right = b - seen - matrix @ np.where(keep, 0.0, fixed)
+    free = np.flatnonzero(~told.station_known)
     for _ in range(SWEEPS):
+        seen = np.einsum("nij,nj->ni", rotation[station], y)
+        right = b - seen - matrix @ np.where(keep, 0.0, fixed)
+        by_turn = np.zeros((n, 3, 3 * len(free)))
+        for k, i in enumerate(free.tolist()):
+            of = station == i
+            by_turn[of, :, 3 * k : 3 * k + 3] = -rotation[i] @ cross_matrix(y[of])
         root = np.sqrt(weight)[:, None]
-        flat = (matrix[:, :, keep] * root[:, :, None]).reshape(3 * n, -1)
-        solved = np.linalg.lstsq(flat, (right * root).ravel(), rcond=1e-9)[0]
+        flat = (np.concatenate([by_turn, matrix[:, :, keep]], axis=2) * root[:, :, None]).reshape(3 * n, -1)
+        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
+        solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-9)[0] / scale
+        turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
+        turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
+        for i, part in zip(free.tolist(), turned, strict=True):
+            rotation[i] = rotation[i] @ pin.exp3(part)
         misfit = np.linalg.norm(right - matrix[:, :, keep] @ solved, axis=1)
         weight = np.where(whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
+        if np.abs(turned).max(initial=0.0) < STILL:
+            break
     full = np.where(keep, 0.0, fixed)
     full[keep] = solved
     origin = np.array([full[12 * i + 9 : 12 * i + 12] - rotation[i] @ centre[i] for i in range(stations)])
