@@ -4,7 +4,8 @@ The names a script needs; everything else lives in the room its name says.
 """
 
 from twin.calibration import Calibration, Curve
-from twin.compensation import Compensation, Compensator, Options
+from twin.channels import Conditions
+from twin.compensation import Compensation, Compensator, Options, compensate
 from twin.diagnosis import Diagnosis, diagnose
 from twin.errors import InputError
 from twin.identification import Identification, identify
@@ -22,6 +23,7 @@ __all__ = [
     "Calibration",
     "Compensation",
     "Compensator",
+    "Conditions",
     "Curve",
     "Diagnosis",
     "Identification",
@@ -37,6 +39,7 @@ __all__ = [
     "Solution",
     "Status",
     "ToolUncertainty",
+    "compensate",
     "diagnose",
     "identify",
     "read_program",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from twin.calibration import Calibration
-from twin.iso16907 import iso_class
+from twin.channels import APPROACH, Conditions
+from twin.iso16907 import acts_as, iso_class
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 
@@ -52,42 +53,69 @@ def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray
     return np.asarray(np.array(lower) + (cells + rng.random(cells.shape)) / poses * (np.array(upper) - np.array(lower)))
 
 
+def drawn_sides(positions: np.ndarray) -> np.ndarray:
+    """The side every axis comes from at (n, axes) positions, +1 or −1, drawn with a seed."""
+    return np.asarray(np.random.default_rng(SEED).choice([-1.0, 1.0], np.shape(positions)))
+
+
 def error_budget(
-    machine: Machine, calibration: Calibration, *, tool_length_mm: float | None = None
+    machine: Machine,
+    calibration: Calibration,
+    *,
+    tool_length_mm: float | None = None,
+    conditions: Conditions | None = None,
 ) -> tuple[tuple[BudgetRow, ...], tuple[BudgetRow, ...]]:
     """Rows by error, and rows by class with the total last.
 
+    A reversal counts as ± half its size, the axes come to from either side.
+
     Args:
         machine: the machine.
-        calibration: its errors.
+        calibration: its errors, among them none whose channel the conditions do not give (`known_at`).
         tool_length_mm: None for the machine file's own.
+        conditions: temperatures and time.
     """
     q = volume(machine)
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q).point_mm
-    within = ~Kinematics(machine, calibration).outside_domain(q).any(axis=1)
+    within = ~calibration.outside(q).any(axis=1)
     q, meant = q[within], meant[within]
+    sides = drawn_sides(q)
+    acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
 
     def at_tool(limited: Calibration) -> tuple[float, float]:
-        reached = Kinematics(machine, limited, tool_length_mm=tool_length_mm).forward(q).point_mm
+        real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
+        reached = real.forward(q, sides).point_mm
         distance = np.linalg.norm(reached - meant, axis=1) * 1e3
         return float(np.sqrt(np.mean(distance**2))), float(distance.max())
 
     rows = []
     uncertainty = peak_uncertainty(calibration)
-    for name, peak, unit, illustrative in _entries(calibration):
+    others = _others(calibration, q, sides, Conditions() if conditions is None else conditions)
+    uncertainty |= {name: peak_u for name, _, peak_u, _ in others}
+    for name, peak, unit, illustrative in (
+        *_entries(calibration),
+        *((name, peak, unit, False) for name, peak, _, unit in others),
+    ):
         rms, largest = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
         rows.append(
-            BudgetRow(name, iso_class(name, machine), unit, peak, uncertainty[name], rms, largest, illustrative)
+            BudgetRow(name, iso_class(acts[name], machine), unit, peak, uncertainty[name], rms, largest, illustrative)
         )
     classes = []
     for found in dict.fromkeys(row.iso_class for row in rows):
-        of_class = calibration.where(lambda name, found=found: iso_class(name, machine) == found)  # type: ignore[misc]
+        of_class = calibration.where(lambda name, found=found: iso_class(acts[name], machine) == found)  # type: ignore[misc]
         rms, largest = at_tool(of_class)
         drawn = any(row.illustrative for row in rows if row.iso_class == found)
         classes.append(BudgetRow(found, found, "", np.nan, np.nan, rms, largest, drawn))
     rms, largest = at_tool(calibration)
     classes.append(BudgetRow("all", "all", "", np.nan, np.nan, rms, largest, any(row.illustrative for row in rows)))
     return tuple(rows), tuple(classes)
+
+
+def known_at(conditions: Conditions, calibration: Calibration) -> tuple[Calibration, dict[str, tuple[str, ...]]]:
+    """A calibration without the effects whose channel nobody gave, and those channels with the effects left out."""
+    missing = conditions.missing(calibration)
+    left_out = {name for by in missing.values() for name in by}
+    return calibration.where(lambda name: name not in left_out), missing
 
 
 def peak_uncertainty(calibration: Calibration) -> dict[str, float]:
@@ -98,7 +126,7 @@ def peak_uncertainty(calibration: Calibration) -> dict[str, float]:
     covariance = calibration.covariance
     known = set(covariance.names)
     found = {}
-    for effect in calibration.effects:
+    for effect in calibration.where(lambda name: name.startswith("E_")).effects:
         names = [parameter.name for parameter in effect.parameters]
         found[effect.name] = np.nan
         if known.issuperset(names):
@@ -122,4 +150,26 @@ def _entries(calibration: Calibration) -> list[tuple[str, float, str, bool]]:
         found.append((curve.name, float(np.abs(values).max()), curve.unit, curve.illustrative))
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
         found.append((name, abs(value), "um" if name[2] in "XYZ" else "urad", False))
+    return found
+
+
+def _others(
+    calibration: Calibration, q: np.ndarray, sides: np.ndarray, conditions: Conditions
+) -> list[tuple[str, float, float, str]]:
+    """Of every effect that is no error motion, squareness or location: name, peak over the poses, its u (NaN: not known), unit."""
+    names = calibration.machine.names
+    state: dict[str, Any] = {name: q[:, i] for i, name in enumerate(names)}
+    state |= {f"{APPROACH}{name}": sides[:, i] for i, name in enumerate(names)}
+    state |= conditions.channels
+    covariance = calibration.covariance
+    found = []
+    for effect in calibration.extra:
+        component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
+        numbers = [parameter.name for parameter in effect.parameters]
+        peak_u = np.nan
+        if set(numbers) <= set(covariance.names):
+            rates = [np.broadcast_to(rate.get(component, 0.0), len(q)) for rate in effect.derivatives(state)]
+            variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
+            peak_u = float(np.sqrt(max(variance.max(), 0.0)))
+        found.append((effect.name, float(np.max(np.abs(values))), peak_u, "um" if component < 3 else "urad"))
     return found

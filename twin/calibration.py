@@ -225,13 +225,14 @@ class Calibration:
         return (*found, *self.extra)
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
-        """The same calibration with only the error motions, squareness and locations whose name is kept."""
+        """The same calibration with only the effects (error motions, squareness, locations and others) whose name is kept."""
+        numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}
         return replace(
             self,
             curves=MappingProxyType({name: curve for name, curve in self.curves.items() if keep(name)}),
             squareness=MappingProxyType({name: value for name, value in self.squareness.items() if keep(name)}),
             location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
-            joint=None if self.joint is None else self.joint.where(lambda name: keep(name.partition("[")[0])),
+            joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
             extra=tuple(effect for effect in self.extra if keep(effect.name)),
         )
 

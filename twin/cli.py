@@ -18,8 +18,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from twin.budget import BudgetRow, error_budget
+from twin.budget import BudgetRow, error_budget, known_at
 from twin.calibration import Calibration
+from twin.channels import Conditions, options_of
 from twin.compensation import Compensator, Options
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.errors import InputError, OutputError
@@ -33,7 +34,7 @@ from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import load as load_measurements
 from twin.nc import dialect_for, find_program, read_program
-from twin.options import gathered, instrument_named, plan_file, positive, setup, surroundings
+from twin.options import conditions, gathered, instrument_named, plan_file, positive, setup, surroundings
 from twin.simulate import simulate as run_simulation
 from twin.toolpath import WordSpace, follow
 from twin.uncertainty import DEFINITION, ToolUncertainty
@@ -87,6 +88,21 @@ OriginOption = Annotated[
     str | None, typer.Option("--work-origin", help="x,y,z of the program's zero in the work frame (mm), in mode tcp.")
 ]
 ModeOption = Annotated[Mode, typer.Option("--mode", help="axis: words are axis positions; tcp: tool-tip coordinates.")]
+TemperatureOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--temperature",
+        help="°C of an axis's scale or of a sensor, over the whole program: X=23.1 bed=21.",
+    ),
+]
+TimeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--time",
+        help="For a warm-up: seconds on the clock of the measured table's time_s, which starts with the cold machine; held over "
+        "the whole program, so take its middle. A machine warmed through: a large number.",
+    ),
+]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
 
 
@@ -95,10 +111,14 @@ def info(
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
 ) -> None:
     """Axes, ranges, frames and the error budget of a machine."""
     loaded = Machine.load(machine)
     errors = _calibration(calibration, loaded)
+    at = conditions(temperature, time)
+    at.check(errors)
     console = Console()
     console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
     console.print(
@@ -137,7 +157,8 @@ def info(
         f"squareness {' '.join(loaded.squareness_names) or 'none'}, locations {' '.join(loaded.location_names) or 'none'}\n",
         highlight=False,
     )
-    rows, classes = error_budget(loaded, errors, tool_length_mm=tool_length)
+    known, missing = known_at(at, errors)
+    rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
     length = loaded.tool_length_mm if tool_length is None else tool_length
     console.print(
         _budget_table(f"Error budget at the tool over the volume, tool length {length:g} mm", rows, peak=True)
@@ -145,7 +166,16 @@ def info(
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
-    for line in _uncertainty_lines(Kinematics(loaded, errors, tool_length_mm=tool_length)):
+    if any(row.name.startswith("reversal:") for row in rows):
+        console.print("a reversal counts as ± half its size", highlight=False)
+    if at.channels:
+        console.print(
+            f"taken at: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}", highlight=False
+        )
+    _tell_unused(at, errors)
+    for channel, effects in missing.items():
+        console.print(f"left out: {', '.join(effects)} (needs {options_of([channel])})", highlight=False)
+    for line in _uncertainty_lines(Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)):
         console.print(line, highlight=False, soft_wrap=True)
 
 
@@ -175,10 +205,15 @@ def compensate(
     rotary_limit: Annotated[
         float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
     ] = DEFAULT_ROTARY_LIMIT_DEG,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
 ) -> None:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
     twin compensate part.nc -o part.compensated.nc --tool-length 120 --json report.json
+
+    A calibration extended by twin diagnose may need more: temperatures (--temperature X=23.1 bed=21) and, for a warm-up, the time
+    (--time). Reversals need nothing: the side each axis comes from follows from the program.
     """
     loaded = Machine.load(machine)
     source = find_program(program)
@@ -204,6 +239,7 @@ def compensate(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         method=method.value,
+        conditions=conditions(temperature, time),
     )
     compensator = Compensator(loaded, _calibration(calibration, loaded), options)
     with _progress() as say:
@@ -231,6 +267,8 @@ def scene(
     work_offset: OffsetOption = None,
     work_origin: OriginOption = None,
     exaggeration: Annotated[float | None, typer.Option("--exaggeration", help="Factor on the drawn deviation.")] = None,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
 ) -> None:
     """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network.
 
@@ -245,7 +283,9 @@ def scene(
     if exaggeration is not None:
         positive("--exaggeration", exaggeration)
     errors = _calibration(calibration, loaded)
-    real = Kinematics(loaded, errors, tool_length_mm=tool_length)
+    at = conditions(temperature, time)
+    at.require(errors)
+    real = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     space = WordSpace(loaded, setup(loaded, work_offset, work_origin), tool_length)
     with _progress() as say:
         say("reading", 0.0)
@@ -268,6 +308,7 @@ def scene(
     write_whole(output, html)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
     print(f"written: {output}{left}")
+    _tell_unused(at, errors)
     if run.left_out:
         raise typer.Exit(NOT_ALL_MET)
 
@@ -449,6 +490,11 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("twin: interrupted, nothing written", file=sys.stderr)
         sys.exit(INTERRUPTED)
+
+
+def _tell_unused(at: Conditions, errors: Calibration) -> None:
+    for name in at.unused(errors):
+        print(f"{name} was given and the calibration does not need it")
 
 
 def _calibration(path: Path | None, machine: Machine) -> Calibration:

@@ -31,6 +31,10 @@ DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
 """How far a rotary axis may move to repair an orientation, when nobody says otherwise."""
 
 
+Fixed = tuple[np.ndarray, ...]
+"""What the solver holds of every pose while it moves the axes: one array a kind, one row a pose."""
+
+
 @final
 class Status(Enum):
     """What became of a pose."""
@@ -93,15 +97,16 @@ class Inverse:
 
     @cached_property
     def _system(self) -> BatchFunction:
-        """(q, point, across) → residual (5) and its Jacobian (5, axes)."""
-        q = ca.SX.sym("q", len(self.kinematics.machine.axes))
+        """(q, point, across) → residual (5) and its Jacobian (5, axes); with the approach last where the machine is directed."""
+        at = self.kinematics.symbols()
+        q = at[0]
         target = ca.SX.sym("target", 3)
         across = ca.SX.sym("across", 3, 2)
-        rotation, point = self.kinematics.pose_at(q)
+        rotation, point = self.kinematics.pose_at(*at)
         residual = ca.vertcat(point - target, across.T @ rotation[:, 2])
-        return BatchFunction(ca.Function("system", [q, target, across], [residual, ca.jacobian(residual, q)]))
+        return BatchFunction(ca.Function("system", [q, target, across, *at[1:]], [residual, ca.jacobian(residual, q)]))
 
-    def solve(self, targets: Poses, start: Any, *, rotary: bool | np.ndarray = True) -> Solution:
+    def solve(self, targets: Poses, start: Any, *, rotary: bool | np.ndarray = True, approach: Any = None) -> Solution:
         """Commands that put the tool tip at each target, with its axis along the target's.
 
         Args:
@@ -109,6 +114,7 @@ class Inverse:
             start: (n, axes) commands near the solution, mm and degrees; the branch (B, C and its alternative) is the start's.
             rotary: whether the rotary axes may move (all poses, or (n,) each). Where not, they keep the start's positions
                 and only the point is solved for.
+            approach: (n, axes) sides the axes come from, where the machine is directed (`Kinematics.directed`).
 
         Raises:
             InputError: shapes that do not fit. Never for a pose that cannot be solved: it gets its status.
@@ -124,36 +130,38 @@ class Inverse:
         across = _across(targets.axis)
         good = np.isfinite(q0).all(axis=1) & np.isfinite(point).all(axis=1) & np.isfinite(across).all(axis=1)
         q = np.where(good[:, None], q0, 0.0)
+        fixed = (point, across, *self.kinematics.rows(q, approach)[1:])
         iterations = 0
         singular = np.zeros(n, dtype=bool)
         rows = np.flatnonzero(good & free)
         if rows.size:
-            solved, orient, steps = self._newton(q[rows], point[rows], across[rows], rotary=True)
+            solved, orient, steps = self._newton(q[rows], _of(fixed, rows), rotary=True)
             iterations = max(iterations, steps)
             reached = self._admissible(solved, q0[rows]) & orient
             q[rows[reached]] = solved[reached]
             stuck = rows[~reached]
             if stuck.size:
                 singular[stuck] = True
-                q[stuck] = self._repaired_in_part(q[stuck], point[stuck], across[stuck])
+                q[stuck] = self._repaired_in_part(q[stuck], _of(fixed, stuck))
         rows = np.flatnonzero(good & (~free | singular))
         if rows.size:
-            solved, _, steps = self._newton(q[rows], point[rows], across[rows], rotary=False)
+            solved, _, steps = self._newton(q[rows], _of(fixed, rows), rotary=False)
             iterations = max(iterations, steps)
             q[rows] = solved
-        return self._judged(q, point, targets.axis, across, good, singular, iterations)
+        return self._judged(q, fixed, targets.axis, good, singular, iterations)
 
-    def _newton(
-        self, q: np.ndarray, point: np.ndarray, across: np.ndarray, *, rotary: bool
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Newton's method; returns positions, whether each converged, and the steps taken."""
+    def _newton(self, q: np.ndarray, fixed: Fixed, *, rotary: bool) -> tuple[np.ndarray, np.ndarray, int]:
+        """Newton's method; returns positions, whether each converged, and the steps taken.
+
+        ``fixed``, here and below: point, across and, on a directed machine, approach of every pose.
+        """
         q = q.copy()
         done = np.zeros(len(q), dtype=bool)
         active = np.arange(len(q))
         steps = 0
         last = np.full(len(q), np.inf)
         for steps in range(STEPS + 1):
-            residual, by_position = self._evaluate(q[active], point[active], across[active])
+            residual, by_position = self._evaluate(q[active], _of(fixed, active))
             size = np.abs(residual if rotary else residual[:, :3]).max(axis=1)
             # Converged: within a tenth of the promise, or no longer improving while within it.
             finished = (size <= 0.1 * POINT_TOLERANCE) | ((size <= POINT_TOLERANCE) & (size >= last[active]))
@@ -169,8 +177,8 @@ class Inverse:
                 q[np.ix_(active, self._rotary)] += turn
         return q, done, steps
 
-    def _evaluate(self, q: np.ndarray, point: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residual, jacobian = self._system(q, point, across)
+    def _evaluate(self, q: np.ndarray, fixed: Fixed) -> tuple[np.ndarray, np.ndarray]:
+        residual, jacobian = self._system(q, *fixed)
         return residual, jacobian.reshape(len(q), -1, 5).transpose(0, 2, 1)
 
     def _step(self, residual: np.ndarray, by_position: np.ndarray, *, rotary: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -193,14 +201,14 @@ class Inverse:
         left = residual[:, 3:] - np.einsum("nij,nj->ni", coupling, solved[:, :, -1])
         return reduced, left
 
-    def _repaired_in_part(self, q0: np.ndarray, point: np.ndarray, across: np.ndarray) -> np.ndarray:
+    def _repaired_in_part(self, q0: np.ndarray, fixed: Fixed) -> np.ndarray:
         """Rotary axes moved as far as makes sense where the whole orientation cannot be had.
 
         Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β·(β/t)³: continuous at
         the limit, and soon gone towards the singularity, where turning C repairs nothing: C stays continuous through it, and
         a program that stands at B = 0 does not have its C moved for nothing.
         """
-        residual, by_position = self._evaluate(q0, point, across)
+        residual, by_position = self._evaluate(q0, fixed)
         reduced, left = self._reduced(residual, by_position)
         u, sigma, vt = np.linalg.svd(reduced, full_matrices=False)
         delta = -np.einsum("nji,nj->ni", u, left)
@@ -230,16 +238,15 @@ class Inverse:
     def _judged(
         self,
         q: np.ndarray,
-        point: np.ndarray,
+        fixed: Fixed,
         axis: np.ndarray,
-        across: np.ndarray,
         good: np.ndarray,
         singular: np.ndarray,
         iterations: int,
     ) -> Solution:
         machine = self.kinematics.machine
-        rotation, reached = self.kinematics.reached(q)
-        distance = np.linalg.norm(reached - point, axis=1)
+        rotation, reached = self.kinematics.reached(q, *fixed[2:])
+        distance = np.linalg.norm(reached - fixed[0], axis=1)
         left = angle_between_rad(rotation[:, 6:9], axis)
         positions = q / machine.scale
         slack = 1e-9
@@ -254,6 +261,10 @@ class Inverse:
         distance = np.where(good, distance, np.inf)
         left = np.where(good, left, np.inf)
         return Solution(locked(positions), locked(status), locked(distance / MM), locked(left), iterations)
+
+
+def _of(fixed: Fixed, rows: np.ndarray) -> Fixed:
+    return tuple(part[rows] for part in fixed)
 
 
 def _across(axis: np.ndarray) -> np.ndarray:

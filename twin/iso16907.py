@@ -10,9 +10,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, final
 
-from twin.effects import split_name
+import numpy as np
+
+from twin.channels import Listening
+from twin.effects import Effect, split_name
 from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine import DIRECTIONS, Machine
 
 BASIC: Final = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG")
 """The classes every error motion belongs to exactly one of."""
@@ -44,6 +47,21 @@ def iso_class(name: str, machine: Machine) -> str:
     if component < 3:
         return "R-RAX"
     return "R-POS" if component - 3 == along else "R-ANG"
+
+
+def acts_as(effect: Effect, machine: Machine) -> str:
+    """The error motion an effect is part of: a reversal of Y of E_YY. An error motion, squareness or location is itself.
+
+    Args:
+        effect: the effect; where it acts along several directions of its frame, the largest counts.
+        machine: the machine it belongs to.
+    """
+    if effect.name.startswith("E_"):
+        return effect.name
+    rates = effect.derivatives(Listening(machine))[0]
+    largest = max(rates, key=lambda component: float(np.max(np.abs(rates[component]))))
+    average = "0" if effect.frame.role == "location" else ""
+    return f"E_{DIRECTIONS[largest]}{average}{effect.frame.axis}"
 
 
 def is_angular(name: str) -> bool:

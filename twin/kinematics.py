@@ -16,6 +16,7 @@ import numpy as np
 from twin.arrays import locked
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
+from twin.channels import APPROACH, Conditions
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.symbolic import chain_function, error_vector
@@ -66,98 +67,134 @@ class Kinematics:
         machine: the machine.
         calibration: its errors; the machine file's own if None. `Calibration.zero` gives the machine as drawn.
         tool_length_mm: the machine file's own if None.
+        conditions: temperatures and time, for the effects that need them.
 
     Attributes:
-        machine, calibration, tool_length_mm: as given.
+        machine, calibration, tool_length_mm, conditions: as given.
         chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.symbolic.chain_function`.
-        errors: CasADi function q → e of this calibration.
+        directed: whether the side an axis was come to from matters (a reversal): where an argument ``approach`` is taken, it is
+            (n, axes), from +1 (from below) to −1 (from above), 0 where it is not known, and 0 throughout if None.
+        errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
 
     Raises:
-        InputError: a tool length that is no finite number.
+        InputError: a tool length that is no finite number; an effect that needs a channel nobody gave.
     """
 
     def __init__(
-        self, machine: Machine, calibration: Calibration | None = None, *, tool_length_mm: float | None = None
+        self,
+        machine: Machine,
+        calibration: Calibration | None = None,
+        *,
+        tool_length_mm: float | None = None,
+        conditions: Conditions | None = None,
     ) -> None:
         self.machine = machine
+        self.conditions = Conditions() if conditions is None else conditions
         self.calibration = Calibration.default(machine) if calibration is None else calibration
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
         if not np.isfinite(self.tool_length_mm):
             raise InputError("tool length is no number", expected="a finite number of mm", value=tool_length_mm)
         self.chain = chain_function(machine)
-        q = ca.SX.sym("q", len(machine.axes))
-        self.errors = ca.Function("errors", [q], [error_vector(machine, self.calibration.effects, q)], ["q"], ["e"])
+        q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(machine.axes))
+        sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
+        errors = error_vector(machine, self.calibration.effects, q, sides | self.conditions.channels)
+        self.directed = bool(ca.depends_on(errors, side))
+        given, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
+        self.errors = ca.Function("errors", given, [errors], names, ["e"])
 
-    def pose_at(self, q: Any) -> tuple[Any, Any]:
-        """Rotation and tip as expressions of q (metres, radians), errors of the calibration included."""
-        rotation, point = self.chain(q, self.errors(q), self.tool_length_mm * MM)
+    def symbols(self) -> list[Any]:
+        """Fresh symbols of what every pose is a function of: q (metres, radians), and the approach if directed."""
+        names = ("q", "approach") if self.directed else ("q",)
+        return [ca.SX.sym(name, len(self.machine.axes)) for name in names]
+
+    def rows(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, ...]:
+        """Values of `symbols` for (n, axes) q, metres and radians.
+
+        Raises:
+            InputError: an approach of another shape.
+        """
+        if not self.directed:
+            return (q,)
+        if approach is None:
+            return q, np.zeros(q.shape)
+        sides = np.atleast_2d(np.asarray(approach, dtype=float))
+        if sides.shape != q.shape:
+            raise InputError("approach of the wrong shape", expected=str(q.shape), value=sides.shape)
+        return q, sides
+
+    def pose_at(self, *at: Any) -> tuple[Any, Any]:
+        """Rotation and tip as expressions of `symbols`, errors of the calibration included."""
+        rotation, point = self.chain(at[0], self.errors(*at), self.tool_length_mm * MM)
         return rotation, point
 
     @cached_property
     def _forward(self) -> BatchFunction:
-        q = ca.SX.sym("q", len(self.machine.axes))
-        return BatchFunction(ca.Function("forward", [q], list(self.pose_at(q))))
+        at = self.symbols()
+        return BatchFunction(ca.Function("forward", at, list(self.pose_at(*at))))
 
     @cached_property
     def _sensitivities(self) -> BatchFunction:
-        q = ca.SX.sym("q", len(self.machine.axes))
+        at = self.symbols()
+        q = at[0]
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         rotation, point = self.chain(q, e, self.tool_length_mm * MM)
         # Against a rotation held fixed the change is a rotation vector: three rows to differentiate, not nine.
         held = ca.SX.sym("held", 3, 3)
         turn = rotation @ held.T
         pose = ca.vertcat(point, ca.inv_skew(turn - turn.T) / 2.0)
-        errors = self.errors(q)
+        errors = self.errors(*at)
         by_error = ca.jacobian(pose, e)
         # Errors follow the axes: total derivative.
         by_command = ca.jacobian(pose, q) + by_error @ ca.jacobian(errors, q)
         results = ca.substitute([by_command, by_error], [held], [rotation])
         results = ca.cse(ca.substitute(results, [e], [errors]))
-        return BatchFunction(ca.Function("sensitivities", [q], results))
+        return BatchFunction(ca.Function("sensitivities", at, results))
 
-    def reached(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def reached(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """What `forward` gives, unchecked and in our own units, for a batch that must never raise.
 
         Args:
             q: (n, axes) metres and radians.
+            approach: as of `directed`.
 
         Returns:
             (n, 9) rotations, column after column, and (n, 3) points in metres.
         """
-        rotation, point = self._forward(q)
+        rotation, point = self._forward(*self.rows(q, approach))
         return rotation, point
 
-    def forward(self, positions: Any) -> Poses:
+    def forward(self, positions: Any, approach: Any = None) -> Poses:
         """Poses the machine really reaches.
 
         Args:
             positions: (n, axes) or (axes,) commands, mm and degrees, command order.
+            approach: as of `directed`.
 
         Raises:
             InputError: wrong shape, a value that is no finite number, or outside the domain of a curve.
         """
         q = self.check(positions)
-        rotation, point = self.reached(q * self.machine.scale)
+        rotation, point = self.reached(q * self.machine.scale, approach)
         return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
-    def error_frames(self, positions: Any) -> np.ndarray:
+    def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
         """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
 
         Raises:
             InputError: as `forward`.
         """
         q = self.check(positions)
-        (errors,) = BatchFunction(self.errors)(q * self.machine.scale)
+        (errors,) = BatchFunction(self.errors)(*self.rows(q * self.machine.scale, approach))
         return locked(errors.reshape(len(q), -1, 6))
 
-    def sensitivities(self, positions: Any) -> Sensitivities:
+    def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
         """Derivatives of the pose with respect to commands and to every error motion.
 
         Raises:
             InputError: as `forward`.
         """
         q = self.check(positions)
-        command, error = self._sensitivities(q * self.machine.scale)
+        command, error = self._sensitivities(*self.rows(q * self.machine.scale, approach))
         shape = (len(q), -1, 6)
         return Sensitivities(
             locked(command.reshape(shape).transpose(0, 2, 1)), locked(error.reshape(shape).transpose(0, 2, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from twin.channels import Conditions
 from twin.errors import InputError
 from twin.instruments import INSTRUMENTS, Air, Instrument
 from twin.iso16907 import NAMES
@@ -77,6 +78,7 @@ def gathered(arguments: list[str]) -> list[str]:
     """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
     patterns = {
         "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
+        "--temperature": re.compile(r"[^\W\d][\w.-]*=.*"),
         "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
         "--only": re.compile(r"E_[A-Z0-9*?]+"),
     }
@@ -123,6 +125,23 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
         x, y, z = (number("--work-origin", part, origin) for part in parts)
         place = (x, y, z)
     return Setup(found, place)
+
+
+def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditions:
+    """Temperatures and time of a program.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    found = {}
+    for entry in temperatures or []:
+        name, equals, text = entry.partition("=")
+        if not equals or not name:
+            raise InputError("--temperature does not fit", expected="an axis or sensor and °C: X=23.1", value=entry)
+        if name in found:
+            raise InputError("--temperature given twice", expected="each axis or sensor once", value=entry)
+        found[name] = number("--temperature", text, entry)
+    return Conditions(found, time_s)
 
 
 def number(option: str, text: str, shown: str) -> float:

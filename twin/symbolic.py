@@ -5,6 +5,7 @@ Branch-free on purpose: the same expression is differentiated, mapped over batch
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -95,9 +96,11 @@ def gravity_load(machine: Machine) -> ca.Function:
     return ca.Function("load", [q], [ca.densify(-ca.jacobian(potential, q)).T], ["q"], ["load"])
 
 
-def error_vector(machine: Machine, effects: tuple[Effect, ...], q: Any) -> Any:
-    """(6·frames,) errors at positions ``q`` (metres, radians) under a model."""
-    positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)}
+def error_vector(
+    machine: Machine, effects: tuple[Effect, ...], q: Any, channels: Mapping[str, Any] | None = None
+) -> Any:
+    """(6·frames,) errors at positions ``q`` (metres, radians) under a model; ``channels``: numbers or expressions by name."""
+    positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)} | dict(channels or {})
     rows = assemble(effects, machine.frames, positions)
     return ca.vertcat(*[component for row in rows for component in row])
 

@@ -154,16 +154,34 @@ class Motion:
 
 @final
 @dataclass(frozen=True)
+class Passage:
+    """Axes moved between two motions by a line that is left as written.
+
+    Attributes:
+        before: index of the motion that comes next.
+        commands: (axes,) where the moved axes go, mm and degrees, command order; NaN where that is not known.
+        moved: (axes,) which they are.
+    """
+
+    before: int
+    commands: np.ndarray
+    moved: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
 class Path:
     """A program as motions.
 
     Attributes:
         motions: those with every position known.
         passed: notices on lines that move but are left as written, and on what was assumed.
+        passages: what those lines, and lines that leave an axis in a place unknown, do to the axes.
     """
 
     motions: tuple[Motion, ...]
     passed: tuple[Notice, ...]
+    passages: tuple[Passage, ...] = ()
 
 
 def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
@@ -179,14 +197,23 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
         solutions = dict(zip(vectors, candidates, strict=True))
     motions: list[Motion] = []
     passed: list[Notice] = []
+    passages: list[Passage] = []
     words = np.full(len(space.axes.names), np.nan)
     tcp = reading.moves[0].tcp if reading.moves else False
     assumed = False
+    left = 0
     for i, move in enumerate(reading.moves):
+        while left < len(reading.left) and reading.left[left].line < move.line:
+            forgotten = np.isin(np.arange(len(words)), reading.left[left].axes)
+            passages.append(_passage(len(motions), np.full(len(words), np.nan), forgotten, space))
+            if reading.left[left].moved:
+                words, assumed = np.where(forgotten, np.nan, words), assumed and not forgotten[3:].any()
+            left += 1
         if move.tcp != tcp:
             words, tcp = _switched(words, move.tcp, space), move.tcp
         end = np.array(move.position)
         if move.machine:
+            passages.append(_passage(len(motions), end, np.isfinite(end), space))
             words = _after_machine_move(words, end, move, space)
             passed.append(Notice(move.line, "machine coordinates: passed through as written"))
             continue
@@ -221,9 +248,14 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
                     value=program.lines[move.line].text.strip(),
                 )
             passed.append(Notice(move.line, f"{', '.join(names)} not said yet: rapid passed through as written"))
+            commands = end + space.offset
+            if move.tcp:
+                commands[:3] = np.nan
+            moved = np.array([name in move.named for name in space.axes.names])
+            passages.append(_passage(len(motions), commands, moved, space))
             continue
         motions.append(Motion(move, start, end))
-    return Path(tuple(motions), tuple(passed))
+    return Path(tuple(motions), tuple(passed), tuple(passages))
 
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
@@ -298,6 +330,13 @@ def _switched(words: np.ndarray, tcp: bool, space: WordSpace) -> np.ndarray:
         return np.concatenate([np.full(3, np.nan), words[3:]])
     commands = space.commands(words[None, :], np.array([not tcp]))
     return space.words(commands, np.array([tcp]))[0]
+
+
+def _passage(before: int, commands: np.ndarray, moved: np.ndarray, space: WordSpace) -> Passage:
+    """``commands`` and ``moved`` in the order of the words."""
+    ordered, which = np.empty_like(commands), np.empty_like(moved)
+    ordered[space.order], which[space.order] = commands, moved
+    return Passage(before, ordered, which)
 
 
 def _after_machine_move(words: np.ndarray, end: np.ndarray, move: Move, space: WordSpace) -> np.ndarray:

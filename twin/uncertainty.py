@@ -24,8 +24,9 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.batch import BatchFunction
-from twin.budget import POSES, volume
+from twin.budget import POSES, drawn_sides, volume
 from twin.calibration import Calibration
+from twin.channels import APPROACH
 from twin.covariance import Covariance
 from twin.errors import InputError
 from twin.kinematics import Kinematics
@@ -236,43 +237,52 @@ class ToolUncertainty:
         frames = kinematics.machine.frames
         self._start = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(frames)}
 
-    def at(self, positions: Any) -> PoseUncertainty:
+    def at(self, positions: Any, approach: Any = None) -> PoseUncertainty:
         """First order, at the calibration's own values.
 
         Args:
             positions: (n, axes) commands, mm and degrees. Memory stays bounded whatever n.
+            approach: (n, axes) sides the axes come from, as of `Kinematics.directed`: without them a reversal counts for nothing.
 
         Raises:
             InputError: as `Kinematics.forward`.
         """
         q = self.kinematics.check(positions)
+        sides = _sides(q, approach)
         covariance = np.full((len(q), 6, 6), np.nan)
         if self.parameters:
             for start in range(0, len(q), POSES_A_STEP):
                 step = q[start : start + POSES_A_STEP]
-                error = self.kinematics.sensitivities(step).error
+                error = self.kinematics.sensitivities(step, sides[start : start + POSES_A_STEP]).error
                 for first in range(0, len(step), POSES_A_PART):
                     part = slice(first, first + POSES_A_PART)
-                    rows, spread = self._spread(step[part])
+                    rows, spread = self._spread(step[part], sides[start : start + POSES_A_STEP][part])
                     # Metres a metre and radian are µm a µm and µrad; the product is a factor, so no variance is negative.
                     root = error[part][:, :, rows] @ spread
                     covariance[start:][part] = root @ root.transpose(0, 2, 1)
-        axis = self.kinematics.forward(q).axis if len(q) else np.zeros((0, 3))
+        axis = self.kinematics.forward(q, sides).axis if len(q) else np.zeros((0, 3))
         return PoseUncertainty(locked(covariance), axis, len(self.parameters), self.without_uncertainty)
 
     def monte_carlo(
-        self, positions: Any, rng: np.random.Generator, trials: int = TRIALS, *, digits: int = 1
+        self,
+        positions: Any,
+        rng: np.random.Generator,
+        trials: int = TRIALS,
+        *,
+        digits: int = 1,
+        approach: Any = None,
     ) -> MonteCarlo:
         """Draw the calibration's numbers from a normal distribution and run each through the chain.
 
         The chain is evaluated whole; the components of the error frames follow their parameters by `Effect.derivatives`, which is
-        exact for curves, squareness and locations, all linear in theirs.
+        exact for curves, squareness, locations and all other effects that are linear in theirs.
 
         Args:
             positions: (n, axes) commands, mm and degrees; every pose has draws of its own.
             rng: of the draws.
             trials: a pose.
             digits: significant digits of u taken as meaningful (JCGM 101, 7.9.2): 1, or 2 with some 1e6 trials.
+            approach: as of `at`.
 
         Raises:
             InputError: as `Kinematics.forward`; too few trials; a calibration without covariance.
@@ -282,8 +292,9 @@ class ToolUncertainty:
         if not self.parameters:
             raise InputError("nothing to draw from", expected="a calibration with a covariance", value="none")
         q = self.kinematics.check(positions)
-        standard = self.at(q).standard_um
-        deviations = (self._drawn(row, rng, trials) for row in q)
+        sides = _sides(q, approach)
+        standard = self.at(q, sides).standard_um
+        deviations = (self._drawn(row, side, rng, trials) for row, side in zip(q, sides, strict=True))
         found = [_summary(deviation, u, digits) for deviation, u in zip(deviations, standard, strict=True)]
         mean, covariance, interval, radius, tolerance, difference, validated = zip(*found, strict=True)
         return MonteCarlo(
@@ -335,20 +346,24 @@ class ToolUncertainty:
         return self._map(np.array(list(product(*steps))))
 
     def _map(self, positions: np.ndarray) -> UncertaintyMap:
+        """With every axis come to from one side or the other, drawn with a seed: a reversal counts as ± half its size."""
         inside = positions[~self.kinematics.outside_domain(positions).any(axis=1)]
         if not len(inside):
             raise InputError(
                 "no pose of the volume lies within every curve's domain", expected="curves over the ranges"
             )
-        return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside))
+        return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
 
-    def _spread(self, q: np.ndarray) -> tuple[list[int], np.ndarray]:
+    def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Factor of the covariance of the error frames' components that vary at all.
 
         Returns:
             Their indices into the (6·frames,) vector, and (n, indices, r), µm and µrad.
         """
-        positions = {name: q[:, i] for i, name in enumerate(self.kinematics.machine.names)}
+        names = self.kinematics.machine.names
+        positions: dict[str, Any] = {name: q[:, i] for i, name in enumerate(names)}
+        positions |= {f"{APPROACH}{name}": sides[:, i] for i, name in enumerate(names)}
+        positions |= self.kinematics.conditions.channels
         moved: dict[int, list[tuple[int, Any]]] = {}
         for effect in self.kinematics.calibration.effects:
             start = self._start[effect.frame.axis, effect.frame.role]
@@ -363,12 +378,12 @@ class ToolUncertainty:
             np.matmul(shape, self._factor[[column for column, _ in found]], out=spread[i])
         return list(moved), spread.transpose(1, 0, 2)
 
-    def _drawn(self, q: np.ndarray, rng: np.random.Generator, trials: int) -> np.ndarray:
+    def _drawn(self, q: np.ndarray, side: np.ndarray, rng: np.random.Generator, trials: int) -> np.ndarray:
         """(trials, 6) deviations of the pose at one command (axes,) from the estimated one, µm and µrad."""
-        rows, spread = self._spread(q[None, :])
-        estimate = self.kinematics.forward(q)
+        rows, spread = self._spread(q[None, :], side[None, :])
+        estimate = self.kinematics.forward(q, side)
         point, turned = estimate.point_mm[0], estimate.rotation[0].T
-        errors = self.kinematics.error_frames(q)[0].reshape(-1)
+        errors = self.kinematics.error_frames(q, side)[0].reshape(-1)
         own = q * self.kinematics.machine.scale
         length = np.array([self.kinematics.tool_length_mm * MM])
         found = np.empty((trials, 6))
@@ -390,6 +405,10 @@ class ToolUncertainty:
     @cached_property
     def _chain(self) -> BatchFunction:
         return BatchFunction(self.kinematics.chain)
+
+
+def _sides(q: np.ndarray, approach: Any) -> np.ndarray:
+    return np.zeros(q.shape) if approach is None else np.atleast_2d(np.asarray(approach, dtype=float))
 
 
 def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:

@@ -5,22 +5,27 @@ What comes out is read back and compared with what was meant, then re-simulated,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import final
 
 import numpy as np
 
 from twin.arrays import locked
 from twin.calibration import Calibration
+from twin.channels import Conditions
 from twin.compensation.account import Account
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.pieces import Pieces, Rows
 from twin.compensation.report import Report
 from twin.errors import InputError, OutputError
 from twin.machine import Machine
+from twin.nc import read_program
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
 from twin.nc.post import post
-from twin.toolpath import Path, check_domains, follow
+from twin.toolpath import Path as ToolPath
+from twin.toolpath import check_domains, follow
 
 PRINTED_MM: float = 2e-4
 """What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
@@ -47,7 +52,7 @@ class Compensation:
     report: Report
     reading: Reading
     rewrites: tuple[Rewrite, ...]
-    path: Path
+    path: ToolPath
     nominal: np.ndarray
     exact: np.ndarray
     commands: np.ndarray
@@ -127,6 +132,39 @@ class Compensator:
         )
 
 
+def compensate(
+    program: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    options: Options | None = None,
+    temperature: Mapping[str, float] | None = None,
+    time_s: float | None = None,
+) -> Compensation:
+    """Compensate the program of a file, or one that comes with twin.
+
+    Args:
+        program: its path.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        options: what to do.
+        temperature: °C by axis (of its scale) or sensor over the whole program, instead of those of the options.
+        time_s: the time of a warm-up, on the clock of the measured table's ``time_s``, instead of that of the options.
+
+    Raises:
+        InputError: as `Compensator` and its `compensate`; the program cannot be read.
+        OutputError: as `Compensator.compensate`.
+    """
+    chosen = Options() if options is None else options
+    given = chosen.conditions
+    conditions = Conditions(
+        given.temperature_degC if temperature is None else temperature, given.time_s if time_s is None else time_s
+    )
+    errors = Calibration.default(machine) if calibration is None else calibration
+    read, dialect = read_program(program)
+    return Compensator(machine, errors, replace(chosen, conditions=conditions)).compensate(read, dialect)
+
+
 def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:
     """One a motion, in order."""
     found = []
@@ -143,8 +181,20 @@ def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:
             positions[:, 3:] = np.nan  # no rotary words: the vector says it, or the program has none
         if pieces.by_vector[i]:
             vectors = rows.vectors[part]
-        found.append(Rewrite(motion.move, positions, vectors))
+        found.append(Rewrite(motion.move, positions, vectors, _shares(pieces, rows, part)))
     return found
+
+
+def _shares(pieces: Pieces, rows: Rows, part: slice) -> np.ndarray | None:
+    """Of a motion's time that each of its rows takes, where they are not all alike; one degree counts as one millimetre."""
+    taken = rows.taken[part]
+    if not np.any(taken):
+        return None
+    shares = np.diff(rows.fraction[part], prepend=0.0)
+    before = rows.printed[np.maximum(np.arange(part.start, part.stop) - 1, 0)]
+    way = np.linalg.norm(rows.printed[part] - before, axis=1)
+    shares[taken] = way[taken] / max(float(way.sum()), pieces.increment[0])
+    return np.clip(shares, 1e-6, 1.0)
 
 
 def _verify(program: Program, reading: Reading, rewrites: list[Rewrite], again: Reading) -> None:

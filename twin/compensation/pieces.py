@@ -3,17 +3,23 @@
 Nominal pose -> commands that reach it -> rotary words at their least increment -> linear axes solved again for what was rounded
 -> linear words at theirs. A block is split where the machine, moving straight between two compensated ends, would leave the meant
 path by more than the tolerance.
+
+With reversals a block is cut where such an axis turns round inside it, too. Wherever one turns round, between blocks or inside one, a
+move of its own takes up the reversal before the way back begins: that start needs the new side's command, not the old one's.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
 
+from twin.approach import LostMotion
 from twin.compensation.bench import Bench, Progress
+from twin.compensation.legs import Legs, turning_points
 from twin.inverse import Inverse, Status
 from twin.iso16907 import Scope
 from twin.kinematics import Kinematics, Poses
@@ -28,6 +34,10 @@ LARGEST_SPLIT: Final = 4096
 """Pieces a block may be split into; an error that needs more is not one that splitting cures."""
 VECTOR_DECIMALS: Final = {"apt": 9}
 """Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
+SAME: Final = 1e-9
+"""Words closer than this are printed alike."""
+RETURN: Final = 3.0
+"""Least increments by which an axis is taken beyond a place and back so that it has turned: rounding may take one of them."""
 CUTTER_LOCATION_INCREMENT: Final = 1e-5
 """mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
 
@@ -35,9 +45,18 @@ CUTTER_LOCATION_INCREMENT: Final = 1e-5
 @final
 @dataclass(frozen=True)
 class Rows:
-    """Ends of pieces: which motion each belongs to, at which fraction of it, and everything solved for it."""
+    """Ends of pieces: which leg and motion each belongs to, at which fraction of it, and everything solved for it.
 
+    ``approach`` are the sides it is solved for, ``turned`` the axes that turn round in front of it; ``taken`` says that the row only
+    takes up what that costs, standing at its fraction, ``beyond`` by how much it goes too far on purpose (mm and degrees).
+    """
+
+    leg: np.ndarray
     motion: np.ndarray
+    taken: np.ndarray
+    approach: np.ndarray
+    turned: np.ndarray
+    beyond: np.ndarray
     fraction: np.ndarray
     words: np.ndarray
     nominal: np.ndarray
@@ -50,6 +69,11 @@ class Rows:
     singular: np.ndarray
     clamped: np.ndarray
     untouched: np.ndarray
+
+    def where(self, keep: np.ndarray) -> Rows:
+        """Some of the rows, (n,) booleans."""
+        fields = {name: getattr(self, name)[keep] for name in Rows.__dataclass_fields__ if name != "target"}
+        return Rows(target=Poses(self.target.point_mm[keep], self.target.rotation[keep]), **fields)
 
 
 @final
@@ -65,7 +89,8 @@ class Pieces:
 
     Attributes:
         idle: whether no error motion is in scope.
-        count: (motions,) how many pieces each motion is in.
+        lost: the reversals in scope.
+        legs: the motions, cut where an axis with one of them turns round inside, and how many pieces each is in.
         turns: whether the program moves rotary axes at all.
         scope: what is corrected.
         interpolated: (motions,) whether the control follows a line or arc from a known start.
@@ -98,9 +123,16 @@ class Pieces:
         # Nothing to correct: arcs stay arcs, and the program is written as it came.
         nothing = self.point.calibration.empty and self._orientation_inverse is None
         self.idle = nothing and not posted and bench.thesis is None
-        self.count = np.array(
-            [1 if self.idle else chords(motion, bench.options.tolerance_mm) for motion in path.motions]
+        self.lost = LostMotion(
+            bench.corrected(self.scope, orientation=self.turns) if bench.thesis is None else bench.none
         )
+        motions = path.motions
+        turning = turning_points(bench, motions, np.flatnonzero(self.interpolated), self.lost.axes)
+        self.legs = Legs.of(len(motions), turning)
+        if not self.idle:
+            whole = np.array([chords(motion, bench.options.tolerance_mm) for motion in motions])
+            share = self.legs.end - self.legs.begin
+            self.legs.count = np.maximum(np.ceil(whole[self.legs.motion] * share), 1).astype(int)
 
     @cached_property
     def point(self) -> Kinematics:
@@ -129,41 +161,129 @@ class Pieces:
 
     def solve(self, say: Progress) -> Rows:
         """Solve all blocks, splitting where the error between two ends exceeds the tolerance."""
-        everything = np.arange(len(self.path.motions))
-        rows = self._solve(*self._ends(everything))
+        legs = self.legs
+        everything = np.arange(len(legs.motion))
+        rows = self._solve(*legs.ends(everything))
         if self.bench.options.method == "thesis" or self.idle:
             return rows
-        candidates = everything[self.interpolated]
+        candidates = everything[self.interpolated[legs.motion]]
         step = 0
         while candidates.size and step < 16:
             step += 1
             say("splitting", min(0.7, 0.2 + 0.05 * step))
             worst = self.between(candidates, rows)
-            stuck = np.zeros(len(everything), dtype=bool)
+            stuck = np.zeros(len(self.path.motions), dtype=bool)
             stuck[rows.motion[rows.clamped | rows.untouched]] = True
-            failing = (worst > self.bench.options.tolerance_mm) & ~stuck[candidates]
-            failing &= self.count[candidates] < LARGEST_SPLIT
+            failing = (worst > self.bench.options.tolerance_mm) & ~stuck[legs.motion[candidates]]
+            failing &= legs.count[candidates] < LARGEST_SPLIT
             candidates = candidates[failing]
             if not candidates.size:
                 break
             # The error between ends is quadratic in length.
             factor = np.sqrt(worst[failing] / self.bench.options.tolerance_mm)
-            grown = np.ceil(self.count[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
-            self.count[candidates] = np.minimum(grown, LARGEST_SPLIT)
-            rows = _replaced(rows, candidates, self._solve(*self._ends(candidates)))
+            grown = np.ceil(legs.count[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
+            legs.count[candidates] = np.minimum(grown, LARGEST_SPLIT)
+            rows = _replaced(rows, candidates, self._solve(*legs.ends(candidates)))
         kept = np.unique(rows.motion[rows.untouched])
-        if np.any(self.count[kept] > 1):
+        if np.any(self.count(rows)[kept] > 1):
             # A block that leaves the range on its way is left as written, whole.
-            self.count[kept] = 1
-            rows = _replaced(rows, kept, self._solve(*self._ends(kept)))
+            legs.whole(kept)
+            again = np.flatnonzero(np.isin(legs.motion, kept))
+            rows = _replaced(rows, again, self._solve(*legs.ends(again)))
             rows = replace(rows, untouched=rows.untouched | np.isin(rows.motion, kept))
-        return rows
+        return self._taken_up(rows) if self.lost.axes else rows
 
-    def _ends(self, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        of = np.repeat(motions, self.count[motions])
-        counts = self.count[motions]
-        within = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
-        return of, within / np.repeat(counts, counts)
+    def count(self, rows: Rows) -> np.ndarray:
+        """(motions,) how many blocks each motion becomes."""
+        return np.bincount(rows.motion, minlength=len(self.path.motions))
+
+    def _taken_up(self, rows: Rows) -> Rows:
+        """The same pieces with every axis commanded for the side it comes from, and the moves that take up what a turn costs."""
+        wanted = self._wanted(rows)
+        sides = self.lost.turned(self.path, rows.motion, wanted)
+        turned = np.append(np.zeros_like(sides[:1], dtype=bool), sides[1:] != sides[:-1], axis=0)
+        at = np.flatnonzero(turned.any(axis=1))
+        same = rows.motion[at] == rows.motion[at - 1]
+        # On a rapid, and behind a line passed through, the axis is taken to its new side on its way to the end: unless it jumps ahead
+        # when it turns, and its way is too short to show it.
+        passed = np.array([passage.before for passage in self.path.passages], dtype=int)
+        short = (np.abs(wanted[at] - wanted[at - 1]) < self.lost.size + RETURN * self.bench.machine_increment) & turned[
+            at
+        ]
+        known = np.isfinite(self.start[rows.motion[at]]).all(axis=1) & ~self.bench.outside(
+            self.space.commands(self.start[rows.motion[at]], self.tcp[rows.motion[at]])
+        )
+        free = self.interpolated[rows.motion[at]] | (known & (short & (self.lost.size > 0.0)).any(axis=1))
+        free &= ~rows.untouched[at] & (same | ~np.isin(rows.motion[at], passed))
+        at, same = at[free], same[free]
+        begin = np.where(same, rows.fraction[at - 1], 0.0)
+        # Where an axis jumps ahead when it turns, it goes beyond what takes that up and back, so that it has turned.
+        ahead = turned[at] & (self.lost.size >= self.bench.machine_increment)
+        beyond = np.where(ahead, -RETURN * self.bench.machine_increment * sides[at], 0.0)
+        over = np.flatnonzero(ahead.any(axis=1))
+        kept = np.unique(rows.motion[rows.untouched])
+        of = np.concatenate([np.arange(len(rows.leg)), at, at[over]])
+        order = np.lexsort((np.repeat([2, 1, 0], [len(rows.leg), len(at), len(over)]), of))
+        found = self._solve(
+            rows.leg[of][order], np.concatenate([rows.fraction, begin, begin[over]])[order], sides[of][order]
+        )
+        found = replace(
+            found,
+            taken=(np.arange(len(of)) >= len(rows.leg))[order],
+            turned=np.concatenate([turned, turned[at], np.zeros_like(turned[over])])[order],
+            beyond=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
+            untouched=found.untouched | np.isin(found.motion, kept),
+        )
+        found = self._ratcheted(_distinct(self._printed(found)), found.approach, self.bench.machine.rotary)
+        return _distinct(self._ratcheted(self._followed(found), found.approach, self.bench.machine.linear))
+
+    def _followed(self, rows: Rows) -> Rows:
+        """What is printed may take a rotary axis to its new side in part only: the linear axes follow what it does."""
+        rotary = np.array(self.bench.machine.rotary, dtype=int)
+        if not set(rotary.tolist()) & set(self.lost.axes):
+            return rows
+        sides = np.array(rows.approach)
+        there = ~rows.beyond.any(axis=1)
+        real = self.lost.sides(self.path, rows.motion, rows.commands)
+        start = np.array(rows.exact)
+        for axis in rotary:
+            sides[there, axis] = real[there, axis]
+            start[:, axis] = (rows.commands - rows.beyond)[:, axis]
+        exact = self._point_inverse.solve(rows.target, start, rotary=False, approach=sides).positions
+        return self._printed(replace(rows, exact=exact, approach=sides))
+
+    def _ratcheted(self, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
+        """Axes that do not step back, by rounding, on the way to their side: play would swallow it, a control might turn."""
+        commands = rows.commands.copy()
+        fixed = rows.untouched | rows.clamped | (self.by_vector[rows.motion] & (axes == self.bench.machine.rotary))
+        for axis in set(self.lost.axes) & set(axes):
+            passed = [passage.before for passage in self.path.passages if passage.moved[axis]]
+            breaks = [*np.searchsorted(rows.motion, passed), *np.flatnonzero(fixed), *(np.flatnonzero(fixed) + 1)]
+            starts = np.unique([0, *breaks, *np.flatnonzero(np.diff(sides[:, axis])) + 1, len(sides)])
+            for first, last in pairwise(starts.tolist()):
+                if sides[first, axis] != 0.0:
+                    way = commands[first:last, axis] * sides[first, axis]
+                    commands[first:last, axis] = _not_back(way, abs(self.lost.size[axis])) * sides[first, axis]
+        which = np.flatnonzero((commands != rows.commands).any(axis=1) & ~fixed)
+        tcp_out = self.tcp_out[rows.motion[which]]
+        printed, final = rows.printed.copy(), rows.commands.copy()
+        words = self.space.words(commands[which], tcp_out)
+        free = ~self.by_vector[rows.motion[which]]
+        printed[which, :3] = np.round(words[:, :3] / self.increment[:3]) * self.increment[:3]
+        printed[which[free], 3:] = np.round(words[free, 3:] / self.increment[3:]) * self.increment[3:]
+        final[which] = self.space.commands(printed[which], tcp_out)
+        return replace(rows, printed=printed, commands=final)
+
+    def _wanted(self, rows: Rows) -> np.ndarray:
+        """(rows, axes) where the axes are really to be: compensated for everything but reversals, and not rounded."""
+        commands = np.clip(rows.nominal, *self.bench.limits.T)
+        if self._orientation_inverse is not None:
+            solution = self._orientation_inverse.solve(rows.target, commands)
+            good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
+            for axis in self.bench.machine.rotary:
+                commands[good, axis] = solution.positions[good, axis]
+        solved = self._point_inverse.solve(rows.target, commands, rotary=False).positions
+        return np.where(rows.untouched[:, None], rows.nominal, solved)
 
     def words_at(self, of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """(n, axes) meant words at fractions of motions."""
@@ -175,10 +295,11 @@ class Pieces:
             words[rows] = along(self.path.motions[motion], fraction[rows])
         return words
 
-    def _solve(self, of: np.ndarray, fraction: np.ndarray) -> Rows:
+    def _solve(self, leg: np.ndarray, fraction: np.ndarray, approach: np.ndarray | None = None) -> Rows:
+        of = self.legs.motion[leg]
+        sides = np.zeros((len(of), len(self.bench.machine.axes))) if approach is None else approach
         words = self.words_at(of, fraction)
-        tcp = self.tcp[of]
-        nominal = self.space.commands(words, tcp)
+        nominal = self.space.commands(words, self.tcp[of])
         limits = self.bench.limits
         untouched = self.bench.outside(nominal)
         safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
@@ -193,36 +314,52 @@ class Pieces:
             exact = np.array(commands)
         else:
             if self._orientation_inverse is not None:
-                solution = self._orientation_inverse.solve(target, safe)
+                solution = self._orientation_inverse.solve(target, safe, approach=sides)
                 good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
                 commands[np.ix_(good, rotary)] = solution.positions[np.ix_(good, rotary)]
                 singular = solution.where(Status.SINGULAR)
                 orientation_left = np.where(singular, solution.orientation_residual_rad, 0.0)
             commands, vectors = self._rotary_as_printed(commands, of)
-            exact = self._point_inverse.solve(target, commands, rotary=False).positions
-        clipped = np.clip(exact, limits[:, 0], limits[:, 1])
-        clamped = (np.abs(clipped - exact)[:, self.space.order] > 0.5 * self.bench.increment).any(axis=1)
-        tcp_out = self.tcp_out[of]
+            exact = self._point_inverse.solve(target, commands, rotary=False, approach=sides).positions
+        none = np.zeros(len(of), dtype=bool)
+        nowhere = np.zeros(sides.shape)
+        rows = Rows(
+            leg=leg,
+            motion=of,
+            taken=none,
+            approach=sides,
+            turned=nowhere.astype(bool),
+            beyond=nowhere,
+            fraction=fraction,
+            words=words,
+            nominal=nominal,
+            target=target,
+            exact=exact,
+            commands=exact,
+            printed=words,
+            vectors=vectors,
+            orientation_left=orientation_left,
+            singular=singular,
+            clamped=none,
+            untouched=untouched,
+        )
+        return self._printed(rows)
+
+    def _printed(self, rows: Rows) -> Rows:
+        """Rows with what ``exact`` comes to in words at their increments."""
+        limits = self.bench.limits
+        wanted = rows.exact + rows.beyond
+        clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
+        clamped = (np.abs(clipped - wanted)[:, self.space.order] > 0.5 * self.bench.increment).any(axis=1)
+        tcp_out = self.tcp_out[rows.motion]
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / self.increment) * self.increment
-        free = np.ix_(self.by_vector[of], range(3, printed.shape[1]))
+        free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
         printed[free] = out[free]
-        printed[untouched] = self.space.words(nominal, tcp_out)[untouched] if self.posted else words[untouched]
-        final = self.space.commands(printed, tcp_out)
-        return Rows(
-            of,
-            fraction,
-            words,
-            nominal,
-            target,
-            exact,
-            final,
-            printed,
-            vectors,
-            orientation_left,
-            singular,
-            clamped & ~untouched,
-            untouched,
+        left = rows.untouched
+        printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
+        return replace(
+            rows, printed=printed, commands=self.space.commands(printed, tcp_out), clamped=clamped & ~rows.untouched
         )
 
     def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -248,39 +385,45 @@ class Pieces:
 
     # --- re-simulation -----------------------------------------------------------------------------------------------
 
-    def samples(self, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Dense points inside the pieces of interpolated motions.
+    def samples(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Dense points inside the pieces of legs of interpolated motions.
 
         Returns:
-            (n,) motion, (n,) fraction of it, and (n, 2) piece and fraction within the piece.
+            (n,) leg, (n,) fraction of the motion, and (n, 2) piece of the leg and fraction within the piece.
         """
+        motions = self.legs.motion[legs]
         size = np.abs(self.end[motions] - self.start[motions])
         linear, turned = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
         spacing = np.maximum(linear / SAMPLE_SPACING[0], turned / SAMPLE_SPACING[1])
-        pieces = self.count[motions]
-        each = np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / pieces)).astype(int)
+        spacing *= self.legs.end[legs] - self.legs.begin[legs]
+        pieces = self.legs.count[legs]
+        each = np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / np.maximum(pieces, 1))).astype(int)
         count = pieces * each
-        of = np.repeat(motions, count)
+        of = np.repeat(legs, count)
         index = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
         within = (index % np.repeat(each, count) + 0.5) / np.repeat(each, count)
         piece = index // np.repeat(each, count)
-        return of, (piece + within) / np.repeat(pieces, count), np.stack([piece, within], axis=1)
+        share = (piece + within) / np.repeat(pieces, count)
+        return of, self.legs.at(of, share), np.stack([piece, within], axis=1)
 
     def path_commands(
         self, of: np.ndarray, local: np.ndarray, rows: Rows, given: np.ndarray, *, as_run: bool = False
-    ) -> np.ndarray:
-        """Commands at (piece, fraction within it) of motions whose piece ends are ``given`` in words, row by row.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Commands at (piece, fraction within it) of legs whose piece ends are ``given`` in words, row by row.
 
         A motion that starts from a place left as written really starts there (``as_run``); for splitting it is taken to
         start compensated, since no splitting cures its first end.
+
+        Returns:
+            (n, axes) commands, and (n,) the row each piece ends in.
         """
-        first = np.searchsorted(rows.motion, of)
-        row = first + local[:, 0].astype(int)
-        begin = np.where(
-            (local[:, 0] == 0)[:, None], self._begin(rows, given, as_run=as_run)[of], given[np.maximum(row - 1, 0)]
-        )
+        ends = np.flatnonzero(~rows.taken)
+        row = ends[np.searchsorted(rows.leg[ends], of) + local[:, 0].astype(int)]
+        first = np.append(True, rows.motion[1:] != rows.motion[:-1])[row]
+        motion = self.legs.motion[of]
+        begin = np.where(first[:, None], self._begin(rows, given, as_run=as_run)[motion], given[np.maximum(row - 1, 0)])
         words = begin + local[:, 1][:, None] * (given[row] - begin)
-        return self.space.commands(words, self.tcp_out[of])
+        return self.space.commands(words, self.tcp_out[motion]), row
 
     def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
         """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
@@ -291,32 +434,60 @@ class Pieces:
         follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & (self.start[1:] == self.end[:-1]).all(axis=1)
         apart = np.flatnonzero(~follows & np.isfinite(self.start).all(axis=1))
         if apart.size:
-            rows = self._solve(apart, np.zeros(len(apart)))
+            sides = rows.approach[np.searchsorted(rows.motion, apart)]
+            rows = self._solve(np.searchsorted(self.legs.motion, apart), np.zeros(len(apart)), sides)
             begin[apart] = self.space.words(rows.nominal if as_run else rows.exact, self.tcp_out[apart])
         return begin
 
-    def between(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
-        """(motions,) largest distance (mm) of the reached point from the meant one between the ends of each motion.
+    def between(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
+        """(legs,) largest distance (mm) of the reached point from the meant one between the ends of each leg's pieces.
 
         Linear words are taken before rounding, so that splitting is not asked to cure rounding.
         """
-        of, fraction, local = self.samples(motions)
+        of, fraction, local = self.samples(legs)
+        motion = self.legs.motion[of]
         given = self.space.words(rows.exact, self.tcp_out[rows.motion])
-        commands = self.path_commands(of, local, rows, given)
+        commands, row = self.path_commands(of, local, rows, given)
         meant = self.space.nominal.reached(
-            self.space.commands(self.words_at(of, fraction), self.tcp[of]) * self.bench.machine.scale
+            self.space.commands(self.words_at(motion, fraction), self.tcp[motion]) * self.bench.machine.scale
         )[1]
-        reached = self.point.reached(commands * self.bench.machine.scale)[1]
+        sides = rows.approach[row]
+        for axis in set(self.lost.axes) & set(self.bench.machine.rotary):
+            # A rotary axis may be part of the way through its play at either end. One that turned unseen is through.
+            last = np.maximum(row - 1, 0)
+            unseen = rows.turned[row, axis] & ~rows.taken[last]
+            before = np.where(unseen, sides[:, axis], rows.approach[last, axis])
+            sides[:, axis] = before + local[:, 1] * (sides[:, axis] - before)
+        reached = self.point.reached(commands * self.bench.machine.scale, sides)[1]
         distance = np.linalg.norm(reached - meant, axis=1) * 1e3
-        worst = np.zeros(len(self.path.motions))
+        worst = np.zeros(len(self.legs.motion))
         np.maximum.at(worst, of, distance)
-        return worst[motions]
+        return worst[legs]
 
 
-def _replaced(rows: Rows, motions: np.ndarray, new: Rows) -> Rows:
-    """Rows with those of some motions exchanged, still in order."""
-    keep = ~np.isin(rows.motion, motions)
-    order = np.argsort(np.concatenate([rows.motion[keep], new.motion]), kind="stable")
+def _not_back(way: np.ndarray, most: float) -> np.ndarray:
+    """A way up with its steps back left out, if they are smaller than ``most``: larger ones are no rounding."""
+    out = []
+    top = way[0]
+    for place in way.tolist():
+        top = place if place >= top or top - place >= most else top
+        out.append(top)
+    return np.array(out)
+
+
+def _distinct(rows: Rows) -> Rows:
+    """Rows without moves that take up what words cannot tell from the place before, or from the one behind."""
+    for behind in (False, True):
+        vectors = np.nan_to_num(rows.vectors)
+        alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
+        rows = rows.where(~(rows.taken & (np.append(alike, False) if behind else np.append(False, alike))))
+    return rows
+
+
+def _replaced(rows: Rows, legs: np.ndarray, new: Rows) -> Rows:
+    """Rows with those of some legs exchanged, still in order."""
+    keep = ~np.isin(rows.leg, legs)
+    order = np.argsort(np.concatenate([rows.leg[keep], new.leg]), kind="stable")
 
     def merged(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(np.concatenate([a[keep], b])[order])

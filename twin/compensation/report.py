@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, final
 
 import numpy as np
 
+from twin.channels import TIME
 from twin.compensation.correction import Corrections
 from twin.kinematics import Poses, angle_between_rad
 from twin.uncertainty import DEFINITION
@@ -85,6 +86,26 @@ class LineNote:
 
 @final
 @dataclass(frozen=True)
+class ReversalNote:
+    """What was done about the reversal of one axis.
+
+    Attributes:
+        axis: its name.
+        unit: ``um`` or ``urad``.
+        size: its size, in ``unit``.
+        corrected: whether the scope has it.
+        taken_up: at how many turns of the axis moves were added that take it up.
+    """
+
+    axis: str
+    unit: str
+    size: float
+    corrected: bool
+    taken_up: int
+
+
+@final
+@dataclass(frozen=True)
 class Report:
     """A compensation's account of itself; every field is in the JSON under its name.
 
@@ -96,6 +117,8 @@ class Report:
         not_met: blocks whose error between ends stays above the tolerance.
         notes: lines passed through as written, and assumptions.
         uncertainty: of the correction, from the calibration's covariance.
+        conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
+        reversals: by axis; the side each axis comes from follows from the program.
     """
 
     program: str
@@ -124,6 +147,8 @@ class Report:
     notes: tuple[LineNote, ...]
     uncertainty: Corrections
     orientation_asked: bool = False
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    reversals: tuple[ReversalNote, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -156,6 +181,7 @@ class Report:
             f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
             f"{self.split} split where {self.tolerance_um:g} µm between ends asked for it (+{self.added} blocks)",
+            *self._channels_text(),
             "  largest move  "
             + ", ".join(
                 f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
@@ -193,6 +219,21 @@ class Report:
                 if len(notes) > SHOWN:
                     out.append(f"    … and {len(notes) - SHOWN} more (all in the JSON report)")
         return "\n".join(out) + "\n"
+
+    def _channels_text(self) -> list[str]:
+        """What the effects that need more than positions were given."""
+        out = []
+        given = [
+            f"{value:g} s on the clock of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
+            for name, value in self.conditions.items()
+        ]
+        if given:
+            out.append(f"  taken at      {', '.join(given)}, over the whole program")
+        for one in self.reversals:
+            size = f"{one.axis} {one.size:.1f} {'µm' if one.unit == 'um' else 'µrad'}"
+            done = f"taken up by extra moves at {one.taken_up} turns of {one.axis}"
+            out.append(f"  reversal      {size}: {done if one.corrected else 'not in scope'}")
+        return out
 
     def _uncertainty_text(self) -> list[str]:
         """What "after" is worth: it is what the calibration itself predicts."""

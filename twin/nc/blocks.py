@@ -166,12 +166,28 @@ class Notice(NamedTuple):
 
 
 @final
+class Left(NamedTuple):
+    """Axes that a line, behind its own moves, leaves in a place the program does not say.
+
+    Attributes:
+        line: index into ``Program.lines``.
+        axes: indices into ``AxisWords.names``.
+        moved: whether it moves them for certain (a reference return, a retraction), or perhaps (a word not understood).
+    """
+
+    line: int
+    axes: tuple[int, ...]
+    moved: bool
+
+
+@final
 @dataclass(frozen=True)
 class Reading:
-    """What interpreting a program gave: its moves, in order, and notices."""
+    """What interpreting a program gave: its moves, in order, notices, and what it leaves in a place unknown."""
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
+    left: tuple[Left, ...] = ()
 
 
 @final
@@ -185,11 +201,13 @@ class Rewrite:
             increment; NaN for a word that is not to be written (rotary axes of a move that gives a tool vector, or of
             a program that never names them).
         vectors: (pieces, 3) unit tool vectors, or None.
+        shares: (pieces,) of the move's time that each piece takes, where the feed is an inverse time; None: equal ones.
     """
 
     move: Move
     positions: np.ndarray
     vectors: np.ndarray | None = field(default=None)
+    shares: np.ndarray | None = field(default=None)
 
 
 class Dialect(ABC):

@@ -41,7 +41,7 @@ class Heidenhain(TextDialect):
                 move = step(index, text).move
             if move is not None:
                 moves.append(move)
-        return Reading(tuple(moves), tuple(interpreter.notices))
+        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
 
     def _rewrite(
         self,

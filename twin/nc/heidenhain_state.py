@@ -215,7 +215,7 @@ class Interpreter(Modal):
         else:
             what = "probing" if keyword == "TCH" else "a statement that is not understood"
             self.note(f"{what} passes through, every axis is unknown afterwards: {body[:60]}")
-            self.forget(block, range(len(self.names)))
+            self.forget(block, range(len(self.names)), moved=keyword == "TCH")
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
@@ -351,7 +351,7 @@ class Interpreter(Modal):
         elif keyword in ("C", "CR"):
             raise self.refuse("a circular block without its sense", text.strip(), "DR+ or DR-")
         if retracts:
-            self.forget(block, range(self.linear))
+            self.forget(block, range(self.linear), moved=True)
 
     def _misc(
         self, block: PathBlock, start: int, end: int, code: int, machine: bool, retracts: bool
@@ -482,7 +482,7 @@ class Interpreter(Modal):
                 self.tcp_given = False
         self.tcp = on
         block.switched = True
-        self.forget(block, range(self.linear))
+        self.forget(block, range(self.linear), moved=None)
 
     def _valueless(self, name: str, written: str) -> InputError:
         if "Q" in written.upper():

@@ -39,7 +39,7 @@ class Iso(TextDialect):
             block = step(index, text)
             if block is not None and block.moves:
                 moves += block.moves
-        return Reading(tuple(moves), tuple(interpreter.notices))
+        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
 
     def _rewrite(
         self,

@@ -178,7 +178,7 @@ class Interpreter(Modal):
         if reference:
             which = [self._axis(item) for item in axis_words]
             self.note("reference return or probing passes through uncompensated; its axes are unknown afterwards")
-            self.forget(block, which or range(len(self.names)))
+            self.forget(block, which or range(len(self.names)), moved=True)
             return block
         if axis_words or centre:
             self._motion(block, axis_words, centre, machine)
@@ -573,7 +573,7 @@ class Interpreter(Modal):
         self.tcp = on
         self.tcp_by = word if on else "off"
         block.switched = True
-        self.forget(block, range(self.linear))
+        self.forget(block, range(self.linear), moved=None)
 
     def _stray(self, character: str, text: str, at: int) -> InputError:
         letter = character.upper()

@@ -220,9 +220,8 @@ class Writer:
                 while start > 0 and block.text[start - 1] in " \t":
                     start -= 1
                 edits.append((start, span.end, ""))
-        factor = len(rows) if many and block.inverse_time and code == 1 else 1
-        feed = ""
-        if factor > 1:
+        feeds: list[str] = []
+        if many and block.inverse_time and code == 1:
             if block.feed is None:
                 raise InputError(
                     "an inverse time block without F cannot be split",
@@ -231,8 +230,9 @@ class Writer:
                     line=line + 1,
                     value=block.text.strip(),
                 )
-            feed = self._faster(block, block.feed, factor)
-            edits.append((block.feed.start, block.feed.end, feed))
+            factors = [float(len(rows))] * len(rows) if rewrite.shares is None else (1.0 / rewrite.shares).tolist()
+            feeds = [self._faster(block, block.feed, factor) for factor in factors]
+            edits.append((block.feed.start, block.feed.end, feeds[0]))
         last_m: list[str] = []
         if many:
             for span in block.last_m:
@@ -248,13 +248,13 @@ class Writer:
             return text
         end = ending(block.text)
         out = [text if end else text + self.newline]
-        f_word = block.text[block.feed.start - 1] if block.feed is not None and feed else "F"
+        f_word = block.text[block.feed.start - 1] if block.feed is not None and feeds else "F"
         for place in range(1, len(rows)):
             words = self._later(line, block, rows[place], move)
             if vectors is not None and block.vector_names is not None:
                 words += self._vector(block, vectors[place], None)
-            if feed and words:
-                words.append(f"{f_word if f_word.upper() == 'F' else 'F'}{feed}")
+            if feeds and words:
+                words.append(f"{f_word if f_word.upper() == 'F' else 'F'}{feeds[place]}")
             if place == len(rows) - 1:
                 words += last_m
             if words:
@@ -436,7 +436,7 @@ class Writer:
         after = separator if rest and not text[at : at + 1].isspace() else ""
         edits.append((at, at, f"{before}{joined}{after}"))
 
-    def _faster(self, block: Block, span: Span, factor: int) -> str:
+    def _faster(self, block: Block, span: Span, factor: float) -> str:
         """An inverse time feed for one of several pieces."""
         old = block.text[span.start : span.end]
         value = number(old)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from twin.errors import InputError
-from twin.nc.blocks import AxisWords, Notice
+from twin.nc.blocks import AxisWords, Left, Notice
 from twin.nc.iso_block import AxisWord
 from twin.nc.text import number, unit_vector
 
@@ -25,6 +25,7 @@ class Modal:
         position: last position said, mm and degrees, NaN where unknown.
         vector: the tool vector in force, if orientation is given as one.
         notices: what a reader of the report must know.
+        left: axes left in places unknown.
         tcp: whether the control's kinematics are on.
     """
 
@@ -37,6 +38,7 @@ class Modal:
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
         self.tcp = tcp
+        self.left: list[Left] = []
         self._line = 0
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
@@ -53,9 +55,17 @@ class Modal:
             self._noted.add(text)
         self.notices.append(Notice(self._line, text))
 
-    def forget(self, block: Forgetful, which: Iterable[int]) -> None:
-        """Make axes unknown after a block."""
+    def forget(self, block: Forgetful, which: Iterable[int], *, moved: bool | None = False) -> None:
+        """Make axes unknown after a block.
+
+        Args:
+            block: the block.
+            which: the axes.
+            moved: whether it moves them; False: perhaps; None: not at all, or to a place that is said.
+        """
         axes = tuple(which)
+        if moved is not None:
+            self.left.append(Left(self._line, axes, moved))
         block.forgets = tuple(sorted({*block.forgets, *axes})) if block.forgets else axes
         for axis in axes:
             self.position[axis] = math.nan
@@ -118,7 +128,7 @@ class Modal:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):
             self.vector = None
-        self.forget(block, which)
+        self.forget(block, which, moved=None)
         return tuple(position)
 
     def no_position(self, axis: int) -> InputError:
