@@ -29,10 +29,16 @@ SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
 FURTHER: Final = 2.5
 """What each cause beside the first must explain more: several at once are rarer than one."""
+OWN: Final = (MISPLACED, "error_motion", "following_error")
+"""Effects that are none of the contract's: mistakes of which one look tells, if they are there at all."""
+SELDOM: Final = 0.1
+"""Their share of `ALARMS` beside that of others."""
 SILENT: Final = 200
 """Data sets of scatter alone that the price of the search is taken from."""
 OFTEN: Final = 0.15
 """Share of those at which the price is read; rarer ones follow in proportion."""
+RARER: Final = 0.8
+"""What of that proportion is left: forms that go with one another do so less, the further out."""
 SEED: Final = 4711
 SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
@@ -132,7 +138,8 @@ class Pool:
                     most = found[(dof == of[0]) & (price == of[1])].max(axis=0)
                     least = np.minimum(least, log_chance(most, float(of[0]), self.dof) + of[1])
         often = float(np.exp(np.quantile(least, OFTEN)))
-        self.level = min(often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5)
+        # The sum of the chances bounds the chance of any: the forms' being alike can only allow more.
+        self.level = max(ALARMS, min(RARER * often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5))
         self._costs = _costs(self.forms, self.level, self.dof)
         self._scans = {}
 
@@ -469,5 +476,6 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     tests: dict[str, float] = {}
     for candidate in candidates:
         tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
-    total = sum(count**SHARE for count in tests.values())
-    return {effect: float(np.log(total * count ** (1.0 - SHARE))) for effect, count in tests.items()}
+    shares = {effect: count**SHARE * (SELDOM if effect in OWN else 1.0) for effect, count in tests.items()}
+    total = sum(shares.values())
+    return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}
