@@ -29,9 +29,10 @@ from twin.diagnosis.account import _equivalent
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.estimate import estimate
+from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.search import Form, Pool, Selection
+from twin.diagnosis.search import Selection
 from twin.diagnosis.signatures import of_effect
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
@@ -143,7 +144,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
         effect = list(families)[rng.integers(len(families))]
         candidate = families[effect][rng.integers(len(families[effect]))]
         # What a dropped constant does is a form of the same curve, not another effect.
-        cells = [one for one in candidate.cells if "stops" not in one.fixed]
+        cells = [one for one in candidate.cells if "stops" not in one.fixed and not one.fixed.get("first", 0.0)]
         cell = cells[rng.integers(len(cells))]
         fixed, columns = dict(cell.fixed), list(cell.columns)
         # Periods and time constants as they come, not as the search has them on its grid.
@@ -301,9 +302,12 @@ def _pulls(
         if fixed.get("order", 0.0) != form.cell.fixed.get("order", 0.0):
             continue
         if candidate.space is not None:
+            # The truth has no constant, a straightness no slope; a form without them is as good.
+            linear = linear[round(form.cell.fixed.get("first", 0.0)) :]
             if len(linear) != len(form.cell.columns) or "stops" in form.cell.fixed:
                 continue
-            linear = candidate.space.transform[: len(linear), : len(linear)] @ linear
+            first = round(form.cell.fixed.get("first", 0.0))
+            linear = candidate.space.transform[: first + len(linear), first : first + len(linear)] @ linear
         true = dict(zip([q.name for q in quantities if q.name != "order"], linear, strict=False))
         if candidate.effect == "pitch_error":
             true = {"amplitude": float(np.hypot(*linear)), "period": fixed["period"]}

@@ -14,22 +14,26 @@ from twin.budget import volume
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
-from twin.diagnosis.flaws import constant_dropped, flaw
+from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
+from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained
-from twin.diagnosis.search import Form, Pool, Selection, chosen, log_chance, pseudo, whole
+from twin.diagnosis.search import Selection, chosen, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect
 from twin.kinematics import Kinematics
 
-DOUBT: Final = 9.21
-"""Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
 SEEN_AT: Final = 0.05
 """Chance below which a column is said to go with the misfit."""
 LARGE: Final = 1e-4
+SMALL: Final = 0.01
+"""Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
+FOLDS: Final = 8
+"""Selections that are made again without some of the rounds, at most."""
 BOOTSTRAP: Final = 2000
 RANKED: Final = 12
 RIVALS: Final = 2
@@ -56,10 +60,14 @@ def account(
         scatter: of the readings.
         calibration: the model that was judged.
     """
-    named = [form for form in best.forms if form.candidate.effect != EFFECT]
-    unnamed = [form for form in best.forms if form.candidate.effect == EFFECT]
-    forms = [*named, *unnamed]
-    found = estimate(problem, forms)
+    forms = sorted(best.forms, key=lambda form: form.candidate.effect == EFFECT)
+    found = estimate(problem, forms, scatter.dof)
+    small: list[Form] = []
+    while (least := _least(pool, forms, found)) is not None:
+        forms = [form for form in forms if form is not least]
+        small += [least]
+        found = estimate(problem, forms, scatter.dof)
+    named, unnamed = ([form for form in forms if (form.candidate.effect != EFFECT) is has] for has in (True, False))
     excess = max(problem.chi2 - problem.dof, found.explained, 1e-30)
     causes = []
     for k, form in enumerate(named):
@@ -82,15 +90,17 @@ def account(
             )
         )
     also, silent = reported(pool, forms, lambda moved: _unwhitened(problem, moved))
-    causes = [*sorted(causes, key=lambda cause: -cause.share), *also]
+    order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
+    named, causes = [named[k] for k in order], [*(causes[k] for k in order), *also]
+    silent += [_too_small(pool, forms, form, excess) for form in small]
     left = _unexplained(pool, unnamed, forms, excess)
     p_value = _p_value(problem, scatter)
     if left is None and not causes and p_value < LARGE:
         left = Unexplained(1.0, (), "both", "more scatter than stated, without any pattern in the columns given")
     elif left is None and causes:
         after = problem.chi2 - found.explained
-        if stats.chi2.sf(after, problem.dof - len(causes)) < LARGE and not np.isfinite(scatter.dof):
-            share = float((after - problem.dof) / excess)
+        share = float((after - problem.dof) / excess)
+        if stats.chi2.sf(after, problem.dof - len(causes)) < LARGE and not np.isfinite(scatter.dof) and share > SMALL:
             left = Unexplained(
                 share, (), "both", "more scatter than stated is left, without any pattern in the columns given"
             )
@@ -143,8 +153,41 @@ def account(
     )
 
 
+def _least(pool: Pool, forms: Sequence[Form], found: Estimate) -> Form | None:
+    """The form that is to be left out next: a pattern without a name that is too small, or what is not beyond what is left.
+
+    Beyond, by how what is left differs from group to group, and only where the groups are many enough to say.
+    """
+    small = SMALL * found.explained
+    for form in forms:
+        others = [one for one in forms if one is not form]
+        if form.candidate.effect == EFFECT and others and pool.scores(others, [form.index])[0, 0] < small:
+            return form
+    judged = [
+        (_log_p(a) + form.price, form) for form, a in zip(forms, found.against, strict=True) if MANY <= a[2] < np.inf
+    ]
+    worst = max(judged, key=lambda one: one[0], default=None)
+    return worst[1] if worst is not None and worst[0] > np.log(pool.level) else None
+
+
+def _log_p(against: tuple[float, int, float]) -> float:
+    """Of a cause that is not there, by its Wald statistic (F with the groups' degrees of freedom, Hotelling's T² with one cause)."""
+    statistic, width, count = against
+    free = count - width
+    return float(stats.f.logsf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
+
+
+def _too_small(pool: Pool, forms: Sequence[Form], form: Form, excess: float) -> str:
+    """What was left out, for the notes."""
+    share = 100.0 * float(pool.scores(forms, [form.index])[0, 0]) / excess
+    if form.candidate.effect != EFFECT:
+        return f"{' '.join(form.key)} shows ({share:.2g} % of the excess), but not beyond what is left from place to place: not named"
+    side, names = depends_on(form.candidate)
+    return f"a small pattern is left, {share:.2g} % of the excess, that goes with {' and '.join(names)} on the {side} side: not named"
+
+
 def _index(pool: Pool, form: Form) -> int:
-    return next(i for i, one in enumerate(pool.forms) if one is form)
+    return form.index
 
 
 def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -> tuple[tuple[str, str], ...]:
@@ -159,6 +202,8 @@ def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -
             worth = float(explained - pool.cost(pool.forms[i], dof))
             if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
                 continue  # the same thing, said with more
+            if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
+                continue
             if worth > margin - DOUBT and not whole(pool, pool.forms[i], [*others, pool.forms[i]]):
                 continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
@@ -183,8 +228,7 @@ def _next(
     problem: Problem, pool: Pool, named: Sequence[Form], forms: Sequence[Form], causes: Sequence[Cause]
 ) -> tuple[Mapping[str, Any], ...]:
     found: list[Mapping[str, Any]] = []
-    for form in named:
-        cause = next(one for one in causes if (one.effect, one.where) == form.key)
+    for form, cause in zip(named, causes, strict=False):
         others = [one for one in forms if one is not form and one.candidate.effect != EFFECT]
         rivals = [_best(pool, key, others) for key in cause.equivalent[:RIVALS]]
         if rivals:
@@ -257,7 +301,10 @@ def _flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibratio
         return ""
     # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.
     count = max(len(curve.coefficients), len(form.columns))
-    wide = next((f for f in pool.forms if f.key == form.key and len(f.columns) == count), form)
+    wide = next(
+        (f for f in pool.forms if f.key == form.key and len(f.columns) == count and f.cell.fixed.get("first") == 0.0),
+        form,
+    )
     if "stops" in form.cell.fixed:
         wide = form
     columns, values = pool.fitted([wide, *(one for one in forms if one is not form)])
@@ -265,9 +312,15 @@ def _flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibratio
     own = np.searchsorted(columns, wide.columns)
     scale = np.array([column.scale for column in wide.cell.columns])
     if "stops" in form.cell.fixed:
-        text = constant_dropped(curve, float(values[own[0]] * scale[0]))
+        size = float(values[own[0]] * scale[0])
+        text = times(1.0 + size) if form.cell.fixed["stops"] == ITSELF else constant_dropped(curve, size)
     else:
-        text = flaw(space, curve, values[own] * scale, inverse[np.ix_(own, own)] * np.outer(scale, scale))
+        # Functions that the form leaves out it says nothing of: no correction, and none known.
+        first = round(wide.cell.fixed.get("first", 0.0))
+        correction = np.concatenate([np.zeros(first), values[own] * scale])
+        covariance = np.zeros((len(correction), len(correction)))
+        covariance[first:, first:] = inverse[np.ix_(own, own)] * np.outer(scale, scale)
+        text = flaw(space, curve, correction, covariance)
     return f"; {text}" if text else ""
 
 
@@ -328,7 +381,7 @@ def _trends(pool: Pool) -> tuple[Trend, ...]:
             where = form.candidate.where
             best[where] = min(best.get(where, (0.0, 0.0)), (log_p, float(explained[form.index])))
     found = []
-    for where, (log_p, chi2) in sorted(best.items(), key=lambda one: one[1]):
+    for where, (log_p, chi2) in sorted(best.items(), key=lambda one: (one[1][0], -one[1][1])):
         if log_p < np.log(SEEN_AT):
             side, column = where.split("|")
             found.append(Trend(column, side, chi2, float(np.exp(log_p))))
@@ -341,7 +394,7 @@ def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
     for form, (explained, _, log_p) in zip(pool.forms, pool.scores([], everything), strict=True):
         if form.candidate.effect != EFFECT and log_p < best.get(form.key, (0.0, 1.0))[1]:
             best[form.key] = float(explained), float(log_p)
-    ranked = sorted(best.items(), key=lambda one: one[1][1])[:RANKED]
+    ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:RANKED]
     return tuple((effect, where, explained, pool.chance(log_p)) for (effect, where), (explained, log_p) in ranked)
 
 
@@ -356,33 +409,37 @@ def _gain(
 
 
 def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, float]]:
-    """Residuals of rounds that neither the selection nor the fit has seen, without and with the causes chosen then."""
+    """Residuals of rounds that neither the selection nor the fit has seen, without and with the causes chosen then.
+
+    Poses where there is but one round; at most `FOLDS` selections, each without some of them.
+    """
+    nothing = float("nan"), float("nan"), (float("nan"), float("nan"))
     data = problem.network.data
-    rounds = list(dict.fromkeys(data.round))
-    if len(rounds) < 2:
-        return float("nan"), float("nan"), (float("nan"), float("nan"))
-    sums = []
-    for name in rounds:
-        held = np.repeat(data.round == name, 3)
+    names, group = np.unique(data.round.astype(str), return_inverse=True)
+    if len(names) < 2:
+        names, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    if len(names) < 2:
+        return nothing
+    rng = np.random.default_rng(2001)
+    fold = rng.permutation(len(names)) % min(len(names), FOLDS)
+    table = np.zeros((len(names), 3))
+    for k in range(int(fold.max()) + 1):
+        rows = fold[group] == k
+        held = np.repeat(rows, 3)
         part = problem.without(held)
         if part is None:
-            return float("nan"), float("nan"), (float("nan"), float("nan"))
+            return nothing
         small = pool.on(part)
         # What has no name is modelled by nothing, and foretells nothing.
-        forms = [form for form in chosen(small).forms if form.candidate.effect != EFFECT]
+        forms = [form for form in chosen(small, starts=1).forms if form.candidate.effect != EFFECT]
         plain = problem.following(problem.residual, ~held)[held]
         # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
         columns, values = small.fitted(forms)
         better = problem.following(problem.residual - pool.signature[:, columns] @ values, ~held)[held]
-        sums.append(
-            [
-                _squares(problem, plain, held),
-                _squares(problem, better, held),
-                float(np.count_nonzero(problem.network.read[data.round == name])),
-            ]
-        )
-    table = np.array(sums)
-    rng = np.random.default_rng(2001)
+        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        found = [_squares(problem, plain, held), _squares(problem, better, held), read]
+        np.add.at(table, group[rows], np.stack(found, axis=1))
     drawn = table[rng.integers(0, len(table), (BOOTSTRAP, len(table)))].sum(axis=1)
     gains = np.sqrt(drawn[:, 0] / drawn[:, 2]) - np.sqrt(drawn[:, 1] / drawn[:, 2])
     total = table.sum(axis=0)
@@ -390,13 +447,13 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
     return float(np.sqrt(total[0] / total[2])), float(np.sqrt(total[1] / total[2])), (float(low), float(high))
 
 
-def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> float:
-    """Sum of squares in µm² of whitened residuals."""
+def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(rows,) sum of squares in µm² of whitened residuals."""
     rows = held.reshape(-1, 3)[:, 0]
     read = problem.network.read[rows]
     safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
     found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0] * 1e6
-    return float(np.sum(np.where(read, found, 0.0) ** 2))
+    return np.asarray(np.sum(np.where(read, found, 0.0) ** 2, axis=1))
 
 
 def _at_tool(problem: Problem, effects: Sequence[Effect], found: Estimate) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import BASES
-from twin.diagnosis.flaws import STOPS, without_constant
+from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect
 from twin.effects import (
     AxisLocation,
@@ -267,10 +267,11 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
                 else "straightness"
             )
             wrapped = axis.lower is None
-            # What a constant left out of the calibration's polynomial did to it: one number, not as many as the polynomial has.
+            # What one mistake did to the calibration's polynomial is one number, not as many as the polynomial has.
             shapes: dict[float, np.ndarray | None] = {}
             if curve is not None:
                 shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
+                shapes[ITSELF] = of_curve(space, curve)
             patterns = {stops: shape for stops, shape in shapes.items() if shape is not None}
 
             def build(
@@ -282,18 +283,25 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
             ) -> tuple[Effect, ...]:
                 if "stops" in fixed:
                     values = values[0] * patterns[fixed["stops"]]
-                n = len(values)
-                coefficients = tuple(float(v) for v in space.transform[:n, :n] @ values)
+                first = round(fixed.get("first", 0.0))
+                n = first + len(values)
+                coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
                 return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
 
-            cells = tuple(Cell(columns[: degree + 1]) for degree in range(2 if effect == "straightness" else 1, count))
+            # What the datum leaves a curve (`twin.identification.unknowns`): no constant, and a straightness no slope.
+            own = 2 if effect == "straightness" else 1
+            cells = tuple(
+                Cell(columns[first : degree + 1], {"first": float(first)})
+                for degree in range(own, count)
+                for first in (0, own)
+            )
             if cells:
                 at_frame = 6 * index[axis.name, "motion"] + component
                 short = tuple(
                     Cell((of_components({at_frame: functions @ shape}),), {"stops": stops})
                     for stops, shape in patterns.items()
                 )
-                tests = float(len(cells) + min(len(short), 2))
+                tests = float(count - own + min(len(short), 2))
                 names = tuple((f"g{k}", "um" if component < 3 else "urad") for k in range(count))
                 found.append(Candidate(effect, name, "machine", names, (*cells, *short), tests, build, space))
     return found

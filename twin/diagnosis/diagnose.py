@@ -14,10 +14,11 @@ from twin.diagnosis.account import account
 from twin.diagnosis.catalogue import Candidate, Catalogue
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.noise import Scatter
+from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import Pool, Selection, chosen, every, prices
+from twin.diagnosis.search import Selection, chosen, every, prices
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.screen import outliers
 from twin.instruments import Instrument

@@ -11,9 +11,10 @@ from scipy.linalg import block_diag
 
 from twin.arrays import locked
 from twin.covariance import Covariance
+from twin.diagnosis.misfit import more_left, widened
+from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.search import Form, pseudo
 from twin.diagnosis.signatures import of_effect
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
 from twin.measurement import state_of
@@ -37,6 +38,8 @@ class Estimate:
         covariance: of the parameters of all effects, under their names in a calibration.
         signature: (3n, k) what the causes do to the whitened readings, held out or not, one column a cause.
         explained: of the misfit.
+        against: by cause, what the Wald statistic of all its numbers is beside their covariance, their number, and the groups that
+            covariance is known from (infinite where it is the stated scatter's).
     """
 
     quantities: tuple[tuple[Quantity, ...], ...]
@@ -44,14 +47,16 @@ class Estimate:
     covariance: Covariance
     signature: np.ndarray
     explained: float
+    against: tuple[tuple[float, int, float], ...] = ()
 
 
-def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
+def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("inf")) -> Estimate:
     """Gauss-Newton on all parameters of the causes, the set-up projected out.
 
     Args:
         problem: the data.
         forms: the causes, named or not.
+        scatter: degrees of freedom the scatter is known with.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
@@ -118,9 +123,19 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     total = signature.sum(axis=1)
     left = problem.residual - total
     after = float(left @ problem.project(left))
+    count = float("inf")
+    if more_left(problem, left, whole.shape[1], scatter):
+        size = np.concatenate(sizes)
+        wide, count = widened(problem, whole * size, left, inverse / np.outer(size, size))
+        inverse = wide * np.outer(size, size)
+    against = []
     quantities, rows, apart, names, at = [], [], [], [], 0
     for k, form in enumerate(forms):
         width = blocks[k].shape[1]
+        part = slice(at, at + width)
+        now = values[k] if not curved[k] else np.array([p.value for p in effects[k][0].parameters])
+        own_size = sizes[k] if k not in loose else scales[k]
+        against.append(_wald(now / own_size, inverse[part, part] / np.outer(own_size, own_size), count))
         block = inverse[at : at + width, at : at + width]
         matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
         own = loose.get(k, matrix @ block @ matrix.T)
@@ -139,7 +154,14 @@ def estimate(problem: Problem, forms: Sequence[Form]) -> Estimate:
     if loose:
         spread += block_diag(*apart)
     covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
-    return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after)
+    return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after, tuple(against))
+
+
+def _wald(values: np.ndarray, covariance: np.ndarray, count: float) -> tuple[float, int, float]:
+    found, vectors = np.linalg.eigh(covariance)
+    kept = found > 1e-12 * found[-1]
+    along = vectors[:, kept].T @ values
+    return float(np.sum(along**2 / found[kept])), int(kept.sum()), count
 
 
 def _creep(

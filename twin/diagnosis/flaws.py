@@ -25,6 +25,8 @@ MOSTLY: Final = 0.97
 """Share of the correction above which a mistake is named all the same: beside it, other errors of the curve are small."""
 STOPS: Final = (9, 11, 13, 16, 21, 51)
 """Numbers of even stops a curve may have been fitted at."""
+ITSELF: Final = 0.0
+"""In place of a number of stops: the curve itself, taken with another factor."""
 SEEN: Final = 1e-9
 
 
@@ -37,8 +39,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
         correction: (k,) coefficients of the first functions, µm or µrad.
         covariance: (k, k) of them; what the data do not see is zero.
     """
-    count = space.count
-    given = np.linalg.solve(space.transform, _padded(curve.coefficients, count))
+    given = _given(space, curve)
     weight, rank = _inverse(covariance)
     k = len(correction)
     whole = float(correction @ weight @ correction)
@@ -58,7 +59,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
     if np.linalg.norm(given[k:]) < (1.0 - MOSTLY) * np.linalg.norm(given):
         _, factor, stands = left(np.zeros(k), given[:k, None])
         if stands:
-            return _times(1.0 + float(factor[0]))
+            return times(1.0 + float(factor[0]))
     tried = []
     for stops in STOPS:
         pattern = without_constant(space, len(curve.coefficients) - 1, stops)
@@ -116,7 +117,19 @@ def without_constant(space: CurveSpace, degree: int, stops: int) -> np.ndarray |
     return np.asarray(functions.T @ (weight * values))
 
 
-def _times(factor: float) -> str:
+def of_curve(space: CurveSpace, curve: Curve) -> np.ndarray | None:
+    """(count,) the curve's own coefficients of the functions; None if it has more than they, or is nothing."""
+    if len(curve.coefficients) > space.count or not np.any(curve.coefficients):
+        return None
+    return _given(space, curve)
+
+
+def _given(space: CurveSpace, curve: Curve) -> np.ndarray:
+    return np.asarray(np.linalg.solve(space.transform, _padded(curve.coefficients, space.count)))
+
+
+def times(factor: float) -> str:
+    """In words: what the machine does is the calibration's curve with a factor."""
     if abs(factor) < 0.1:
         return "the machine does not have the calibration's curve at all: it is corrected elsewhere, or it was another machine's"
     if abs(factor + 1.0) < 0.1:

@@ -15,8 +15,8 @@ import numpy as np
 from twin.arrays import locked
 from twin.budget import volume
 from twin.diagnosis.estimate import estimate
+from twin.diagnosis.pool import Form
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.search import Form
 from twin.effects import Effect, assemble
 from twin.identification.network import Network
 from twin.measurement import state_of

@@ -146,6 +146,15 @@ def _scatter(
         return Scatter(
             locked(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
+    if not read.all():
+        # Something that reads a plane is no tracker: the same in every coordinate it reads.
+        left, taken = _cleared(every)
+        dof = free * np.count_nonzero(read) / len(read) - taken.shape[2]
+        if dof < ENOUGH:
+            return None
+        sigma = float(np.sqrt(np.sum(left**2) / dof))
+        text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
+        return Scatter(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     a = c = 1.0
     for _ in range(WEIGHINGS):

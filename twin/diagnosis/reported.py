@@ -14,8 +14,8 @@ import numpy as np
 from scipy import stats
 
 from twin.arrays import locked
+from twin.diagnosis.pool import Form, Pool, pseudo
 from twin.diagnosis.result import Cause, Quantity
-from twin.diagnosis.search import Form, Pool, pseudo
 from twin.measurement import Measurements
 
 EFFECT: Final = "following_error"

@@ -52,6 +52,9 @@ def _candidates(
     where = f"{side}|{'|'.join(column_name(name, machine) for name in names)}"
     directions = [tuple(_shift(i, functions[:, k] * mask) for k in range(functions.shape[1])) for i in range(3)]
     cells = [Cell(columns) for columns in directions]
+    if len(names) > 1:
+        # Of one column alone, most of it has a name: positioning, straightness, squareness.
+        cells.append(Cell(tuple(column for columns in directions for column in columns)))
     return [Candidate(EFFECT, where, "unknown", (), tuple(cells), float(len(cells)))]
 
 

@@ -139,6 +139,7 @@ def _by_points(
     fixed = np.array(values)
     fixed[[k for k in range(12 * stations) if k % 12 < 9]] = 0.0
     free = np.flatnonzero(~told.station_known)
+    stand = np.concatenate([np.ones(3 * len(free), dtype=bool), np.flatnonzero(keep) < 12 * stations])
     for _ in range(SWEEPS):
         seen = np.einsum("nij,nj->ni", rotation[station], y)
         right = b - seen - matrix @ np.where(keep, 0.0, fixed)
@@ -149,7 +150,11 @@ def _by_points(
         root = np.sqrt(weight)[:, None]
         flat = (np.concatenate([by_turn, matrix[:, :, keep]], axis=2) * root[:, :, None]).reshape(3 * n, -1)
         scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-        solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-9)[0] / scale
+        # What only their sum shows is the station's: a place that no turn of its carrier shows is no lever for one.
+        solved = np.zeros(flat.shape[1])
+        for part in (stand, np.ones_like(stand)):
+            left = (right * root).ravel() - flat @ solved
+            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], left, rcond=1e-9)[0] / scale[part]
         turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
         turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
         for i, part in zip(free.tolist(), turned, strict=True):

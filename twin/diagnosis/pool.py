@@ -1,0 +1,365 @@
+"""What the data say of every form a cause can take, alone and beside others, and what each must explain to be believed.
+
+A form of a candidate (a cell) explains F = bᵀG⁻¹b of the misfit, given the causes already in. Its p-value is that of a chi² with as
+many degrees of freedom as the data see of it (of an F where the scatter itself is estimated), times the number of forms tried in its
+family times the number of families: the price of the search. Forms go with one another, so that price is too high; how much, the
+same search on scatter alone says (`Pool.calibrate`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, final
+
+import numpy as np
+from scipy import special, stats
+
+from twin.diagnosis.catalogue import Candidate, Cell
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.signatures import Column
+
+ALARMS: Final = 0.04
+"""Share of data sets with nothing in them in which anything is found, all forms together."""
+SILENT: Final = 200
+"""Data sets of scatter alone that the price of the search is taken from."""
+FURTHER: Final = 2.5
+"""What each cause beside the first must explain more: several at once are rarer than one."""
+OFTEN: Final = 0.15
+"""Share of those at which the price is read; rarer ones follow in proportion."""
+RARER: Final = 0.8
+"""What of that proportion is left: forms that go with one another do so less, the further out."""
+SEED: Final = 4711
+SEEN: Final = 25.0
+"""Noncentrality at the largest plausible size below which the data do not see a direction at all."""
+DOUBT: Final = 9.21
+"""Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
+NONE: Final = np.zeros(0, dtype=int)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Form:
+    """One cell of one candidate, among the columns of a pool.
+
+    Attributes:
+        candidate: whose it is.
+        cell: which form.
+        columns: in the pool.
+        price: natural log of the number of forms tried.
+        index: among the pool's forms.
+    """
+
+    candidate: Candidate
+    cell: Cell
+    columns: np.ndarray
+    price: float
+    index: int
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and where."""
+        return self.candidate.key
+
+    @property
+    def slot(self) -> tuple[str, str, float]:
+        """What only one form at a time can fill: effect and where, and the order of a harmonic, of which an axis may have several."""
+        return *self.key, self.cell.fixed.get("order", 0.0)
+
+
+@final
+class Pool:
+    """Forms with what the data say of each: inner products within a form, and on demand those with the forms that are in.
+
+    Args:
+        problem: the data.
+        forms: (candidate, cell, price) of each.
+        dof: degrees of freedom the scatter is known with; infinite where it is given.
+    """
+
+    def __init__(
+        self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]], dof: float = float("inf")
+    ) -> None:
+        self.dof = dof
+        self.level = ALARMS
+        self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
+        at: dict[Column, int] = {}
+        self.forms: list[Form] = []
+        for index, (candidate, cell, price) in enumerate(forms):
+            columns = np.array([at.setdefault(column, len(at)) for column in cell.columns])
+            self.forms.append(Form(candidate, cell, columns, price, index))
+        self.signature = problem.signature(list(at))
+        self.key_of = _numbered([form.key for form in self.forms])
+        self.slot_of = _numbered([form.slot for form in self.forms])
+        self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
+        self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
+        self._raw = self._blocks(self.signature)
+        self._project(problem)
+        self.calibrate()
+
+    def calibrate(self) -> None:
+        """Set the level at which forms are believed so that scatter alone passes for a cause in `ALARMS` of all data sets.
+
+        The smallest p-value of all forms, prices paid, is drawn on scatter alone; in its tail the chance of one below p is
+        proportional to p.
+        """
+        problem, rng = self.problem, np.random.default_rng(SEED)
+        own = problem.nuisance[:, problem.prior.any(axis=0)]
+        read = problem.network.read.reshape(-1)
+        silent = rng.standard_normal((len(problem.residual), SILENT)) * read[:, None]
+        silent += own @ rng.standard_normal((own.shape[1], SILENT))
+        silent -= problem.basis @ (problem.basis.T @ silent)
+        slope = self.signature.T @ silent
+        scale = rng.chisquare(self.dof, SILENT) / self.dof if np.isfinite(self.dof) else np.ones(SILENT)
+        least = np.zeros(SILENT)
+        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+            values, vectors = np.linalg.eigh(blocks)
+            seen = _seen(values, np.einsum("nii->ni", blocks).max(axis=1))
+            root = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
+            found = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
+            dof, price = seen.sum(axis=1), np.array([self.forms[i].price for i in rows])
+            for of in {*zip(dof.tolist(), price.tolist(), strict=True)} if len(rows) else ():
+                if of[0]:
+                    most = found[(dof == of[0]) & (price == of[1])].max(axis=0)
+                    least = np.minimum(least, log_chance(most, float(of[0]), self.dof) + of[1])
+        often = float(np.exp(np.quantile(least, OFTEN)))
+        # The sum of the chances bounds the chance of any: the forms' being alike can only allow more.
+        self.level = max(ALARMS, min(RARER * often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5))
+        self._costs = _costs(self.forms, self.level, self.dof)
+        self._scans = {}
+
+    def forbid(self, keys: Collection[tuple[str, str]]) -> None:
+        """Believe no form of some candidates, whatever it explains."""
+        self._costs = np.array(self._costs)
+        self._costs[[form.index for form in self.forms if form.key in keys]] = np.inf
+
+    def chance(self, log_p: float) -> float:
+        """A p-value, the whole search paid for, from a form's log p with its price."""
+        return float(min(np.exp(log_p) * ALARMS / self.level, 1.0))
+
+    def cost(self, form: Form, dof: float) -> float:
+        """What a form must explain to be believed."""
+        return cost(dof, form.price, self.level, self.dof)
+
+    def _project(self, problem: Problem) -> None:
+        self._within = problem.basis.T @ self.signature
+        self._inner = [raw - within for raw, within in zip(self._raw, self._blocks(self._within), strict=True)]
+        # Inner products with all columns of those that were asked for, a row each, and which row is whose.
+        self._cross = np.zeros((0, self.signature.shape[1]))
+        self._row = np.full(self.signature.shape[1], -1)
+        self.judge(problem)
+
+    def judge(self, problem: Problem) -> None:
+        """Take the residual of a problem whose set-up and rows are the same."""
+        self.problem = problem
+        self.slope = self.signature.T @ problem.projected
+        self._scans = {}
+
+    def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Inner products within each form, by width: (forms, w, w)."""
+        found = []
+        for columns in self._columns:
+            blocks = np.empty((len(columns), columns.shape[1], columns.shape[1]))
+            for k, own in enumerate(columns):
+                part = rows[:, _run(own)]
+                blocks[k] = part.T @ part
+            found.append(blocks)
+        return found
+
+    def on(self, part: Problem) -> Pool:
+        """The same forms on other rows of the same data: what is held out is zero in its basis and residual."""
+        other = copy(self)
+        out = self._blocks(self.signature[_run(part.held)])
+        other._raw = [raw - gone for raw, gone in zip(self._raw, out, strict=True)]
+        other._project(part)
+        return other
+
+    def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """The columns of some forms, and how much of each (plausible sizes)."""
+        columns = together(forms)
+        if len(columns) == 0:
+            return columns, np.zeros(0)
+        inverse, _ = pseudo(self.among(columns))
+        return columns, inverse @ self.slope[columns]
+
+    def explained_by(self, forms: Sequence[Form]) -> float:
+        """What some forms explain together."""
+        columns, values = self.fitted(forms)
+        return float(self.slope[columns] @ values)
+
+    def among(self, columns: np.ndarray) -> np.ndarray:
+        """Inner products of some columns."""
+        self._with(columns)
+        return np.asarray(self._cross[np.ix_(self._row[columns], columns)])
+
+    def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
+        """Whether what a form can do beside some others is done by a larger set already."""
+        alone = self._left(form.columns, together(others))
+        left = self._left(form.columns, together(larger))
+        return bool(np.trace(left) < 1e-3 * np.trace(alone))
+
+    def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
+        """Whether a form would have to be ten times as large as what shows of it beside others, and more so than a cause."""
+        left, own = (
+            float(np.trace(self._left(one.columns, together(others))) / np.trace(self._left(one.columns, NONE)))
+            for one in (form, cause)
+        )
+        return left < 1e-2 * min(own, 1.0)
+
+    def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """What every form of the pool explains beside some others, and the degrees of freedom it does it with."""
+        key = frozenset(form.index for form in forms)
+        if key in self._scans:
+            return self._scans[key]
+        explained, dof = np.zeros(len(self.forms)), np.zeros(len(self.forms), dtype=int)
+        factor, slope = self._after(forms)
+        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+            lost = factor[columns]
+            explained[rows], dof[rows] = _explained(blocks, blocks - lost @ lost.transpose(0, 2, 1), slope[columns])
+        self._scans[key] = explained, dof
+        return explained, dof
+
+    def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
+        """(tried, 3) explained, degrees of freedom and log p (price paid) of forms, given others."""
+        explained, dof = (values[list(tried)] for values in self.scan(forms))
+        price = np.array([self.forms[i].price for i in tried])
+        log_p = np.where(dof > 0, log_chance(explained, np.maximum(dof, 1), self.dof) + price, 0.0)
+        return np.stack([explained, dof, np.minimum(log_p, 0.0)], axis=1)
+
+    def margins(self, forms: Sequence[Form]) -> np.ndarray:
+        """What every form explains beside some others, less what it must to be believed; −inf where nothing is seen of it."""
+        explained, dof = self.scan(forms)
+        return explained - self._costs[np.arange(len(dof)), dof]
+
+    def worth(self, forms: Sequence[Form]) -> float:
+        """What a set explains less what each of it must, along the directions that are seen of it beside the others."""
+        columns = together(forms)
+        if len(columns) == 0:
+            return 0.0
+        gram = self.among(columns)
+        # A unit on the diagonal is far below what counts as seen, and makes the inverse exist.
+        inverse = np.linalg.inv(gram + np.eye(len(columns)))
+        total = self.explained_by(forms) - FURTHER * (len(forms) - 1)
+        for form in forms:
+            own = np.searchsorted(columns, form.columns)
+            left = np.linalg.inv(inverse[np.ix_(own, own)]) - np.eye(len(own))
+            most = float(np.diag(gram)[own].max())
+            dof = int(_seen(np.linalg.eigvalsh(left)[None], np.array([most])).sum())
+            total -= float(self._costs[form.index, dof]) if dof else self.cost(form, 1.0)
+        return total
+
+    def prepare(self, forms: Sequence[Form]) -> None:
+        """Work out the inner products of some forms with all others in one go."""
+        self._with(together(forms))
+
+    def _with(self, columns: np.ndarray) -> np.ndarray:
+        """(columns, all) inner products."""
+        fresh = columns[self._row[columns] < 0]
+        if len(fresh):
+            own = self.signature[:, fresh]
+            own[self.problem.held] = 0.0
+            found = own.T @ self.signature - self._within[:, fresh].T @ self._within
+            self._row[fresh] = len(self._cross) + np.arange(len(fresh))
+            self._cross = np.concatenate([self._cross, found])
+        return self._cross[self._row[columns]]
+
+    def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+        """(all, r) what is taken from inner products by forms that are in (factor · factorᵀ), and the slope left."""
+        columns = together(forms)
+        if len(columns) == 0:
+            return np.zeros((len(self.slope), 0)), self.slope
+        cross = self._with(columns)
+        inverse, root = pseudo(cross[:, columns])
+        return cross.T @ root, self.slope - (inverse @ self.slope[columns]) @ cross
+
+    def _left(self, columns: np.ndarray, others: np.ndarray) -> np.ndarray:
+        block = self.among(columns)
+        if len(others) == 0:
+            return np.asarray(block)
+        cross = self._with(others)
+        inverse, _ = pseudo(cross[:, others])
+        return np.asarray(block - cross[:, columns].T @ inverse @ cross[:, columns])
+
+
+def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of (n, w, w) inner products and (n, w) slopes: what is explained, along how many directions that are seen."""
+    if blocks.shape[1] == 1:
+        values, along = blocks[:, :, 0], slope
+    else:
+        values, vectors = np.linalg.eigh(blocks)
+        along = np.einsum("nij,ni->nj", vectors, slope)
+    seen = _seen(values, np.einsum("nii->ni", whole).max(axis=1))
+    return np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1), seen.sum(axis=1)
+
+
+def _seen(values: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Which directions of (n, w) eigenvalues the data see, beside what there was of the form before others were in."""
+    return (values > SEEN) & (values > 1e-8 * most[:, None])
+
+
+def log_chance(explained: np.ndarray, dof: np.ndarray | float, scatter: float) -> np.ndarray:
+    """Log p of what is explained with some degrees of freedom, the scatter being known with ``scatter``."""
+    half = np.asarray(dof) / 2.0
+    # Beyond what the library's sf can hold, the leading term (Abramowitz and Stegun 1972, 6.5.32 and 26.5.4): an order stays one.
+    if np.isfinite(scatter):
+        found = np.asarray(stats.f.logsf(explained / dof, dof, scatter))
+        far, rest = np.isneginf(found), scatter / 2.0
+        small = scatter / (scatter + np.where(far, explained, 1.0))
+        return np.where(far, rest * np.log(small) - np.log(rest) - special.betaln(rest, half), found)
+    found = np.asarray(stats.chi2.logsf(explained, dof))
+    far = np.isneginf(found)
+    safe = np.where(far, explained, 1.0) / 2.0
+    return np.where(far, (half - 1.0) * np.log(safe) - safe - special.gammaln(half), found)
+
+
+@lru_cache(maxsize=4096)
+def cost(dof: float, price: float, level: float, scatter: float) -> float:
+    """What a form must explain to be believed at a level."""
+    dof, p = max(dof, 1.0), level * np.exp(-price)
+    return float(dof * stats.f.isf(p, dof, scatter) if np.isfinite(scatter) else stats.chi2.isf(p, dof))
+
+
+def _costs(forms: Sequence[Form], level: float, scatter: float) -> np.ndarray:
+    """(forms, dof + 1) `cost` by degrees of freedom; infinite for none."""
+    most = max((len(form.columns) for form in forms), default=0)
+    found = np.full((len(forms), most + 1), np.inf)
+    for form in forms:
+        for dof in range(1, len(form.columns) + 1):
+            found[form.index, dof] = cost(float(dof), form.price, level, scatter)
+    return found
+
+
+def _numbered(names: Sequence[Hashable]) -> np.ndarray:
+    number: dict[Hashable, int] = {}
+    return np.array([number.setdefault(name, len(number)) for name in names], dtype=int)
+
+
+def _by_width(forms: Sequence[Form]) -> dict[int, list[Form]]:
+    found: dict[int, list[Form]] = {}
+    for form in forms:
+        found.setdefault(len(form.columns), []).append(form)
+    return found
+
+
+def together(forms: Sequence[Form]) -> np.ndarray:
+    """The columns of some forms, each once, in order."""
+    found = [form.columns for form in forms]
+    return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
+
+
+def _run(columns: np.ndarray) -> slice | np.ndarray:
+    """Indices that follow one another as a slice: a view instead of a copy."""
+    if len(columns) == 0:
+        return columns
+    first, last = int(columns[0]), int(columns[-1])
+    return slice(first, last + 1) if last - first == len(columns) - 1 else columns
+
+
+def pseudo(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse over the directions the data see, and its root."""
+    values, vectors = np.linalg.eigh(gram)
+    seen = (values > SEEN) & (values > 1e-9 * values[-1])
+    root = vectors[:, seen] / np.sqrt(values[seen])
+    return np.asarray(root @ root.T), np.asarray(root)
