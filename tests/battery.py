@@ -56,7 +56,7 @@ Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 @dataclass(frozen=True)
 class Answer:
-    """What was hidden in one draw, and what was said; ``alone`` if nothing is equivalent to what was named, or to what was missed."""
+    """What was hidden in one draw, and what was said; ``alone`` if nothing could be mistaken for it even without scatter."""
 
     truth: tuple[Key, ...]
     columns: tuple[str, ...]
@@ -237,11 +237,12 @@ def answers(
                 if row.startswith("outside"):
                     columns, extra = outside(rng, problem, size)
                     total = total + extra
+                by_itself = count == 1 and alone(problem, searcher.pool, truth[0][0], truth[0][1])
                 problem.judge(total)
                 began = time.process_time()
                 searcher.pool.judge(problem)
                 pool, best = searcher.run()
-                found.append(_answer(problem, pool, best, truth, columns, time.process_time() - began))
+                found.append(_answer(problem, pool, best, truth, columns, by_itself, time.process_time() - began))
     return found
 
 
@@ -251,6 +252,7 @@ def _answer(
     best: Selection,
     truth: Sequence[Truth],
     columns: tuple[str, ...],
+    alone: bool,
     seconds: float,
 ) -> Answer:
     named = [form for form in best.forms if form.candidate.effect != EFFECT]
@@ -261,29 +263,30 @@ def _answer(
         explained, dof = (float(values[form.index]) for values in pool.scan(others))
         groups.append(_equivalent(pool, form, others, explained - pool.cost(form, dof)))
     pulls = _pulls(problem, named, unnamed, truth)
-    missed = [_own_group(pool, key) for key in (one[0] for one in truth) if key not in {form.key for form in named}]
     return Answer(
         truth=tuple(one[0] for one in truth),
         columns=columns,
         named=tuple(form.key for form in named),
         equivalent=tuple(groups),
         unnamed=tuple(name for form in unnamed for name in depends_on(form.candidate)[1]),
-        alone=not any(groups) and (bool(named) or not any(missed)),
+        alone=alone if len(truth) == 1 else not any(groups),
         covered=tuple(bool(abs(pull) < stats.norm.isf(0.025)) for _, pull in pulls),
         pulls=pulls,
         seconds=seconds,
     )
 
 
-def _own_group(pool: Pool, key: Key) -> tuple[Key, ...]:
-    """What could not have been told from a cause that was not found."""
+def alone(problem: Problem, pool: Pool, key: Key, signature: np.ndarray) -> bool:
+    """Whether nothing could be mistaken for a cause even without scatter, by the measure of ``equivalent``."""
+    problem.judge(signature)
+    pool.judge(problem)
     explained, dof = pool.scan([])
-    tried = [form for form in pool.forms if form.key == key and dof[form.index] > 0]
-    if not tried:
-        return ()
-    best = max(tried, key=lambda form: explained[form.index] - pool.cost(form, dof[form.index]))
-    margin = float(explained[best.index] - pool.cost(best, float(dof[best.index])))
-    return _equivalent(pool, best, [], margin)
+    form = max(
+        (one for one in pool.forms if one.key == key and dof[one.index] > 0),
+        key=lambda one: explained[one.index] - pool.cost(one, float(dof[one.index])),
+    )
+    margin = float(explained[form.index] - pool.cost(form, float(dof[form.index])))
+    return not _equivalent(pool, form, [], margin)
 
 
 def _pulls(
