@@ -26,12 +26,15 @@ from twin.diagnosis.search import Selection, chosen, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import Effect
 from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.units import UM
 
 SEEN_AT: Final = 0.05
 """Chance below which a column is said to go with the misfit."""
 LARGE: Final = 1e-4
 SMALL: Final = 0.01
 """Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
+TOOL_MM: Final = 100.0
 FOLDS: Final = 8
 """Selections that are made again without some of the rounds, at most."""
 BOOTSTRAP: Final = 2000
@@ -150,6 +153,7 @@ def account(
         residual_um=locked(before_um),
         after_um=locked(after_um),
         directions=locked(_plain(problem, problem.view.by_base)),
+        precision=locked(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
 
 
@@ -405,7 +409,16 @@ def _gain(
     held_before, held_after, interval = _held_out(problem, pool)
     machine_effects = [effect for effects in found.effects for effect in effects]
     tool_before, tool_after = _at_tool(problem, machine_effects, found)
-    return Gain(_rms(before, read), _rms(after, read), held_before, held_after, interval, tool_before, tool_after)
+    return Gain(
+        _rms(before, read),
+        _rms(after, read),
+        held_before,
+        held_after,
+        interval,
+        tool_before,
+        tool_after,
+        _tool_mm(problem.network.machine),
+    )
 
 
 def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, float]]:
@@ -456,6 +469,11 @@ def _squares(problem: Problem, residual: np.ndarray, held: np.ndarray) -> np.nda
     return np.asarray(np.sum(np.where(read, found, 0.0) ** 2, axis=1))
 
 
+def _tool_mm(machine: Machine) -> float:
+    """Of the machine file, or of a usual tool: at the spindle nose itself a turn about it would seem to do no harm."""
+    return machine.tool_length_mm or TOOL_MM
+
+
 def _at_tool(problem: Problem, effects: Sequence[Effect], found: Estimate) -> tuple[float, float]:
     """RMS at the tool over the volume after compensating, with the old model and with the extended one, executed on the extended one.
 
@@ -472,7 +490,8 @@ def _at_tool(problem: Problem, effects: Sequence[Effect], found: Estimate) -> tu
     rows = rng.integers(0, len(network.data), len(positions))
     state["time_s"] = np.asarray(network.data.time_s)[rows]
     state |= {f"T_{name}_degC": np.asarray(values)[rows] for name, values in network.data.temperature_degC.items()}
-    by_error = Kinematics(machine, Calibration.zero(machine)).sensitivities(positions).error[:, :3]
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=_tool_mm(machine))
+    by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 
     def moved(effect: Effect, parts: Mapping[int, Any]) -> np.ndarray:

@@ -127,6 +127,7 @@ class Gain:
         held_ci95_um: 95 % bootstrap interval, by round, of the difference of the two.
         tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each model, the extended one
             taken as the machine.
+        tool_length_mm: of the tool that is for: the machine file's, or a usual one.
     """
 
     rms_before_um: float
@@ -136,6 +137,7 @@ class Gain:
     held_ci95_um: tuple[float, float]
     tool_before_um: float
     tool_after_um: float
+    tool_length_mm: float
 
 
 @final
@@ -160,7 +162,8 @@ class Diagnosis:
         calibration, extended: before and after.
         data: what was used; set-aside rows are listed there.
         residual_um, after_um: (n, 3) residuals a coordinate before and after; NaN where nothing was read.
-        directions: (n, 3, 3) a row a coordinate: the direction in the machine's base along which it counts; zero where nothing was read.
+        directions: (n, 3, 3) a row a coordinate: direction in the machine's base along which it counts; zero where nothing was read.
+        precision: (n, 3, 3) inverse covariance of each reading, µm⁻²; zero where nothing was read.
     """
 
     verdict: Verdict
@@ -185,6 +188,7 @@ class Diagnosis:
     residual_um: np.ndarray
     after_um: np.ndarray
     directions: np.ndarray
+    precision: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
         """``schema: twin.diagnosis/1``."""
@@ -222,7 +226,11 @@ class Diagnosis:
                     "rms_after_um": gain.held_after_um,
                     "ci95_um": list(gain.held_ci95_um),
                 },
-                "tool_point": {"before_um": gain.tool_before_um, "after_um": gain.tool_after_um},
+                "tool_point": {
+                    "before_um": gain.tool_before_um,
+                    "after_um": gain.tool_after_um,
+                    "tool_length_mm": gain.tool_length_mm,
+                },
             },
             "next_measurement": [dict(one) for one in self.next_measurement],
             "trends": [
@@ -235,49 +243,15 @@ class Diagnosis:
         }
 
     def to_text(self) -> str:
-        """For people."""
-        lines = [
-            {
-                "consistent": "CONSISTENT: nothing beyond the scatter of the readings.",
-                "explained": "EXPLAINED: causes found, nothing else left.",
-                "ambiguous": "AMBIGUOUS: a cause is found, but these data cannot tell it from others.",
-                "unexplained": "UNEXPLAINED: structure is left that no known effect accounts for.",
-            }[self.verdict],
-            f"residuals {self.rms_um:.3g} µm RMS a coordinate, expected {self.expected_rms_um:.3g} µm from {self.scatter}; "
-            f"p = {self.p_value:.2g}",
-        ]
-        for cause in self.causes:
-            lines += ["", f"{cause.effect} {cause.where} ({cause.origin}): {cause.evidence}"]
-            lines += [
-                f"    {q.name} = {q.value:.4g} ± {q.u:.2g} {readable_unit(q.unit)} (k = 1)" for q in cause.parameters
-            ]
-            lines.append(f"    {100 * cause.share:.0f} % of the excess, p = {cause.p_value:.2g}")
-            if cause.equivalent:
-                lines.append(f"    could as well be: {', '.join(f'{e} {w}' for e, w in cause.equivalent)}")
-        if self.unexplained is not None:
-            lines += ["", f"unexplained: {self.unexplained.evidence}"]
-        if self.gain is not None:
-            g = self.gain
-            lines += ["", f"modelling it: residuals {g.rms_before_um:.3g} -> {g.rms_after_um:.3g} µm"]
-            if not np.isnan(g.held_before_um):
-                lines[-1] += (
-                    f"; on rounds not seen {g.held_before_um:.3g} -> {g.held_after_um:.3g} µm (less by {g.held_ci95_um[0]:.3g} to "
-                    f"{g.held_ci95_um[1]:.3g}, 95 %)"
-                )
-            lines.append(
-                f"at the tool over the volume after compensation {g.tool_before_um:.3g} -> {g.tool_after_um:.3g} µm RMS"
-            )
-        if self.next_measurement:
-            lines += ["", "measure next:"] + [f"  {one['text']}" for one in self.next_measurement]
-        if self.unidentifiable:
-            lines += ["", "these data could not show: " + ", ".join(f"{e} {w}" for e, w in self.unidentifiable)]
-        if self.not_evaluated:
-            lines.append(
-                "not evaluated, for want of a column: " + ", ".join(f"{e} {w} ({c})" for e, w, c in self.not_evaluated)
-            )
-        lines += [f"line {note.line} set aside: {note.text}" for note in self.data.set_aside]
-        lines += [f"note: {notice}" for notice in self.data.notices]
-        return "\n".join(lines) + "\n"
+        """For people, in lines of at most 100 characters."""
+        from twin.diagnosis.text import diagnosis_text  # which needs this class
+
+        return diagnosis_text(self)
+
+    def _repr_html_(self) -> str:
+        from twin.diagnosis.text import diagnosis_brief
+
+        return diagnosis_brief(self)
 
 
 def readable_unit(unit: str) -> str:
