@@ -11,7 +11,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.curves import BASES
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
-from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect
+from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, of_unit
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -189,8 +189,7 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     frequencies = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
     cells = []
     for f in frequencies:
-        sine, cosine = PitchError(axis, 1.0, 1.0 / f, 0.0), PitchError(axis, 1.0, 1.0 / f, np.pi / 2.0)
-        columns = (*of_effect(sine, machine, state, [0]), *of_effect(cosine, machine, state, [0]))
+        columns = tuple(of_unit(PitchError(axis, 1.0, 1.0 / f, phase), machine, state) for phase in (0.0, np.pi / 2.0))
         cells.append(Cell(columns, {"period": float(1.0 / f)}))
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
@@ -383,7 +382,7 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
         span = max(float(np.ptp(state["time_s"])), 1.0)
         cells = tuple(
             Cell(
-                tuple(of_effect(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state, [0])),
+                (of_unit(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state),),
                 {"time_constant": float(tau)},
             )
             for tau in np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS)

@@ -55,6 +55,13 @@ def of_effect(
     ]
 
 
+def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
+    """The column of a machine's effect that is proportional to its first parameter, which is one: cheaper than all its derivatives."""
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+    at = 6 * index[effect.frame.axis, effect.frame.role]
+    return of_components({at + i: values for i, values in effect.components(state).items()})
+
+
 def of_components(parts: Mapping[int, np.ndarray]) -> Column:
     """A column from functions of the state in error components (µm or µrad a unit)."""
     fixed = {at: np.asarray(values, dtype=float) for at, values in parts.items()}
