@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import nbformat
@@ -35,3 +37,30 @@ def test_it_runs(path: Path, tmp_path: Path) -> None:
             assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
         if cell.cell_type == "code":
             assert not any(output.get("name") == "stderr" for output in cell.outputs), cell.source
+            if re.fullmatch(r"\w+", cell.source.splitlines()[-1]):
+                assert any("text/html" in output.get("data", {}) for output in cell.outputs), cell.source
+    CLAIMS.get(path.stem, lambda notebook: None)(notebook)
+
+
+def told(notebook: nbformat.NotebookNode) -> str:
+    """Everything its cells printed or answered, in order."""
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    return "\n".join(output.get("text", "") + output.get("data", {}).get("text/html", "") for output in outputs)
+
+
+def diagnosed(notebook: nbformat.NotebookNode) -> None:
+    """The story as it is written: open at first, with the wrong name first; told apart by what was measured then; the parts right."""
+    text = told(notebook)
+    assert text.index("<small>ambiguous</small>") < text.index("<small>explained</small>")
+    first, second = (part.split("<b>")[1] for part in text.split("could as well be</td>")[1:])
+    assert first.startswith("Tilt of Y about x changes with Z") and second.startswith(
+        "Tilt of X about x changes with Z"
+    )
+    rms = {name: float(value) for name, value in re.findall(r"^(\w[\w ]+?) +RMS +([\d.]+) µm", text, re.M)}
+    assert (
+        9.0 < rms["before"] < 11.0
+        and rms["extended"] < 1.0 < 0.4 * rms["before"] < rms["wrong guess"] < 0.8 * rms["before"]
+    )
+
+
+CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {"02_diagnose": diagnosed}

@@ -26,6 +26,8 @@ CARRIERS: Final = ("tool", "work")
 POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
+SIMULATED: Final = "simulated"
+"""What the comment of a simulated table begins with."""
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
 RANGE_SLACK: Final = 0.5
@@ -145,7 +147,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
             number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
             pose given in part.
     """
-    header, rows = _table(path)
+    header, rows, made = _table(path)
     axes = machine.axes
     columns = {name: i for i, name in enumerate(header)}
     needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
@@ -168,7 +170,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
     known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
     strange = [name for name in header if name not in known]
-    notices = tuple(_strange(name, sorted(known)) for name in strange)
+    notices = (*made, *(_strange(name, sorted(known)) for name in strange))
     table = Measurements(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
@@ -307,12 +309,12 @@ def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     return found
 
 
-def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    lines = [
-        (number, text)
-        for number, text in enumerate(read_text(path).splitlines(), start=1)
-        if text.strip() and not text.lstrip().startswith("#")
-    ]
+def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
+    """Header, rows with their lines, and what a comment says of data that no machine gave."""
+    whole = [(number, text) for number, text in enumerate(read_text(path).splitlines(), start=1) if text.strip()]
+    lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
+    comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
+    made = [f"the file says: {text}" for text in comments if text.startswith(SIMULATED)]
     if not lines:
         raise InputError("no header row", expected="a CSV table with a header", file=path)
     cells = list(csv.reader([text for _, text in lines]))
@@ -333,7 +335,7 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
                 value=",".join(row),
             )
         rows.append((number, [cell.strip() for cell in row]))
-    return header, rows
+    return header, rows, made
 
 
 @final

@@ -100,7 +100,9 @@ def readings(
     repeated = None if stated else _first_look(data, covariance)
     if repeated is not None:
         covariance = repeated
-    figures = f"the figures of the {reader.name}" + ("" if instrument is not None else ", presumed: nothing else is said")
+    figures = f"the figures of the {reader.name}" + (
+        "" if instrument is not None else ", presumed: nothing else is said"
+    )
     scatter = Scatter(covariance, np.inf, "the table's uncertainties" if given else figures)
     network = Network(machine, data, reader, nothing, calibration, covariance)
     setup, bad = _settled(network, setup)

@@ -1,31 +1,79 @@
-"""The diagnosis as one HTML file that reads as an argument: expected, seen, tried, found, doubted, gained, to be measured next."""
+"""The diagnosis as one HTML file that reads as an argument: expected, seen, tried, why this one, doubted, gained, to be measured next.
+
+The first screen is for the machinist: what is wrong, how much it makes, what to do, what not. Symbols stand beside words, never
+instead of them. Pictures are embedded; nothing is fetched.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
 import io
-from typing import Any, Final
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
+from twin.diagnosis.panels import Panel, cause_panels, residual_panels
+from twin.diagnosis.plots import alone, plot_left
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
+from twin.diagnosis.verdict import SHOWN, advised, either_side, facts, headline, moves, sentence
+from twin.diagnosis.words import (
+    NOTHING,
+    capital,
+    chance,
+    coefficient,
+    column,
+    contests,
+    grouped,
+    kind,
+    listed,
+    lower,
+    measured,
+    missing,
+    odds,
+    percent,
+    plain,
+    probability,
+    side,
+    symbol,
+    tied,
+)
 
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
-"""Okabe and Ito's: told apart by everybody."""
-VERDICTS: Final = {
-    "consistent": ("Nothing is wrong that these data could show", "#e8f3ea"),
-    "explained": ("Something is wrong, and it is known what", "#fdf2df"),
-    "ambiguous": ("Something is wrong, and it could be one of several things", "#fdf2df"),
-    "unexplained": ("Something is wrong that no known cause explains", "#fbe4de"),
-}
+LIKELY: Final = 0.5
+"""Chance above which a cause is not worth a line."""
+LISTED: Final = 20
+"""Readings set aside that are listed."""
+ONCE: Final = ("frame_shift", "target_shift", "station_drift", "thermal_drift")
+"""Causes that belong to one time of the measurement."""
+COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
 STYLE: Final = """
-body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:0 auto;padding:1rem 1.5rem 4rem;color:#1b1b1b;background:#fff}
-h1{font-size:1.7rem;margin:.2rem 0}h2{font-size:1.2rem;margin:2.2rem 0 .4rem;border-bottom:1px solid #ccc}
-.verdict{padding:1rem 1.3rem;border-radius:.5rem}.verdict p{margin:.3rem 0}
-table{border-collapse:collapse;width:100%;margin:.6rem 0}td,th{border-bottom:1px solid #ddd;padding:.25rem .6rem;text-align:left}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.small{color:#555;font-size:.9rem}
-@media print{body{max-width:none}h2{break-after:avoid}img,table{break-inside:avoid}}
+*{box-sizing:border-box}
+body{font:16px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif;max-width:62rem;margin:0 auto;padding:.6rem 1.2rem 4rem;
+color:#1b1b1b;background:#fff;overflow-wrap:anywhere}
+h1{font-size:1.55rem;line-height:1.25;margin:.1rem 0 .6rem}
+h2{font-size:1.2rem;margin:2.2rem 0 .4rem;border-bottom:1px solid #ccc}
+h3{font-size:1.02rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;padding-left:1.3rem}
+pre{margin:.3rem 0;white-space:pre-wrap;font-size:.9rem}
+.verdict{padding:.9rem 1.2rem 1rem;border-radius:.5rem;border:1px solid #0002}
+.cause{margin:.5rem 0}.symbol{color:#555;font-size:.85rem;font-weight:400}.small,figcaption{color:#555;font-size:.88rem}
+.badge{display:inline-block;background:#1b1b1b;color:#fff;border-radius:.25rem;padding:.05rem .5rem;font-size:.85rem;font-weight:600}
+dl{display:grid;grid-template-columns:8.5rem 1fr;gap:.3rem .8rem;margin:.7rem 0 0}dt{font-weight:600}dd{margin:0}
+.wide{overflow-x:auto}table{border-collapse:collapse;width:100%;margin:.6rem 0;font-size:.95rem}
+td,th{border-bottom:1px solid #ddd;padding:.25rem .5rem;text-align:left;vertical-align:top}
+td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}td.w{white-space:nowrap}
+td.bars{width:20%}.bar{display:block;height:.7rem;margin-top:.3rem;background:#8a8a8a;min-width:1px}
+.bar.found{background:#d55e00}.bar.doubted{background:#0072b2}
+.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,17rem),1fr));gap:.6rem 1rem;margin:.6rem 0}
+.why{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.4rem 1.6rem}
+figure{margin:0;max-width:30rem}figure img{width:100%;display:block}
+@media(max-width:600px){body{padding:.5rem .8rem 3rem;font-size:15px}h1{font-size:1.3rem}.verdict{padding:.7rem .8rem}
+dl{grid-template-columns:1fr;gap:.1rem}dd{margin:0 0 .45rem}td.bars,th.bars{display:none}td,th{padding:.25rem .3rem}}
+@media print{body{max-width:none;font-size:10.5pt}h2,h3{break-after:avoid}figure,tr,.verdict{break-inside:avoid}
+*{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
 """
 
 
@@ -35,263 +83,319 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     Args:
         diagnosis: what `twin.diagnosis.diagnose` found.
     """
-    title, colour = VERDICTS[diagnosis.verdict]
+    title, mood = headline(diagnosis)
     machine = diagnosis.calibration.machine
+    source = Path(diagnosis.data.source).name
     parts = [
-        f"<p class=small>{_e(machine.name)} · {_e(diagnosis.data.source)} · {diagnosis.points} points</p>",
-        f'<div class=verdict style="background:{colour}"><h1>{_e(title)}</h1>{_headline(diagnosis)}</div>',
+        f"<p class=small>{_e(machine.name)} · {_e(source)} · {diagnosis.points:,} readings {_drawn(diagnosis)}</p>",
+        f'<div class=verdict style="background:{COLOURS[mood]}"><h1>{_e(title)}</h1>{_first_screen(diagnosis)}</div>',
+        "<h2>What was expected</h2>" + _expected(diagnosis),
+        "<h2>What was seen</h2>" + _seen(diagnosis),
+        "<h2>What was tried, and how it ranked</h2>" + _tried(diagnosis),
     ]
-    if diagnosis.calibration.illustrative:
-        parts.append("<p><b>ILLUSTRATIVE:</b> the calibration that was judged is drawn, not measured.</p>")
-    parts.append("<h2>What was expected, what was seen</h2>" + _seen(diagnosis))
-    for cause in diagnosis.causes:
-        parts.append(f"<h2>{_e(_name(cause))}</h2>" + _cause(diagnosis, cause))
+    if diagnosis.causes:
+        parts.append("<h2>Why this one</h2>" if len(diagnosis.causes) == 1 else "<h2>Why these</h2>")
+        parts += [_why(diagnosis, cause) for cause in diagnosis.causes]
+        parts.append("<h2>What it could be mistaken for</h2>" + _mistaken(diagnosis))
     if diagnosis.unexplained is not None:
-        parts.append(f"<h2>What is left</h2><p>{_e(_capital(diagnosis.unexplained.evidence))}.</p>" + _left(diagnosis))
-    if diagnosis.gain is not None:
+        parts.append("<h2>What is left unexplained</h2>" + _left(diagnosis))
+    if diagnosis.causes:
         parts.append("<h2>What changes when it is modelled</h2>" + _gain(diagnosis))
-    if diagnosis.next_measurement:
-        items = "".join(f"<li>{_e(str(one['text']))}</li>" for one in diagnosis.next_measurement)
-        parts.append(f"<h2>What to measure next</h2><ul>{items}</ul>")
-    parts.append("<h2>What was tried</h2>" + _tried(diagnosis))
-    if diagnosis.data.set_aside:
-        items = "".join(f"<li>line {note.line}: {_e(note.text)}</li>" for note in diagnosis.data.set_aside)
-        parts.append(f"<h2>Rows that were not used</h2><ul class=small>{items}</ul>")
+    parts.append("<h2>What to measure next</h2>" + _next(diagnosis))
+    parts.append("<h2>Small print</h2>" + _small_print(diagnosis))
+    body = tied("".join(parts), "&nbsp;")
     return (
-        f'<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">'
-        f"<title>{_e(title)}: {_e(machine.name)}</title><style>{STYLE}</style><body>{''.join(parts)}</body></html>\n"
+        f'<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width,initial-scale=1">'
+        f"<title>{_e(title)}: {_e(machine.name)}</title><style>{STYLE}</style><body>{body}</body></html>\n"
     )
 
 
-def _headline(diagnosis: Diagnosis) -> str:
-    if diagnosis.verdict == "consistent":
-        return (
-            f"<p>The machine does what its model says, within the scatter of the readings "
-            f"({diagnosis.rms_um:.3g} µm seen, {diagnosis.expected_rms_um:.3g} µm expected).</p>"
-        )
-    lines = [f"<p><b>{_e(_name(cause))}</b>: {_e(cause.evidence)}.</p>" for cause in diagnosis.causes]
-    for cause in diagnosis.causes:
-        if cause.equivalent:
-            rivals = ", ".join(f"{effect} {where}" for effect, where in cause.equivalent)
-            lines.append(f"<p>{_e(_name(cause))} cannot be told from: {_e(rivals)}. See what to measure next.</p>")
-    if diagnosis.unexplained is not None:
-        lines.append(f"<p>{_e(_capital(diagnosis.unexplained.evidence))}.</p>")
-    if diagnosis.gain is not None and diagnosis.gain.tool_before_um > 0.0:
-        gain = diagnosis.gain
-        lines.append(
-            f"<p>At the tool it makes {gain.tool_before_um:.3g} µm; compensated with it in the model, "
-            f"{gain.tool_after_um:.2g} µm are left of it.</p>"
-        )
-    return "".join(lines)
+def _drawn(diagnosis: Diagnosis) -> str:
+    """Badges of what is not measured on a machine."""
+    found, data = [], diagnosis.data
+    if data.source == "simulated" or any("simulated" in notice for notice in data.notices):
+        found.append("SIMULATED READINGS")
+    if diagnosis.calibration.illustrative:
+        found.append("ILLUSTRATIVE CALIBRATION: drawn, not measured")
+    return " ".join(f"<span class=badge>{_e(text)}</span>" for text in found)
+
+
+def _first_screen(diagnosis: Diagnosis) -> str:
+    causes = diagnosis.causes
+    text = "".join(
+        f"<p class=cause><b>{_e(plain(one.effect, one.where))}</b> {_symbol(one)}<br>{_e(sentence(one))}</p>"
+        for one in causes[:SHOWN]
+    )
+    if len(causes) > SHOWN:
+        text += f"<p>And {len(causes) - SHOWN} more below.</p>"
+    return text + _facts(*facts(diagnosis))
+
+
+def _expected(diagnosis: Diagnosis) -> str:
+    calibration = diagnosis.calibration
+    source = calibration.source if calibration.path is None else f"{calibration.path.name}: {calibration.source}"
+    return (
+        f"<p>The model is {_e(calibration.machine.name)} with the calibration that was given (<span class=small>{_e(source)}</span>). "
+        "What was not told of where the instrument stood and where its targets sit was fitted, and nothing else. If the model is "
+        f"right, the readings differ from it by their own scatter only: <b>{diagnosis.expected_rms_um:.3g} µm</b> a coordinate (RMS), "
+        f"from {_e(diagnosis.scatter)}.</p>"
+    )
 
 
 def _seen(diagnosis: Diagnosis) -> str:
+    said = "It goes with none of the columns of the table"
+    if diagnosis.trends or diagnosis.unexplained is not None:
+        said = "Where it shows most"
+    elif diagnosis.causes:
+        said = "No column of the table shows it by itself"
+    how = f"The chance that scatter alone does this: {chance(diagnosis.p_value)}."
+    if diagnosis.causes and all(cause.effect == "read_back" for cause in diagnosis.causes):
+        how, said = (
+            "That is as expected, with the axes where they were told to go.",
+            "It goes with none of the columns of the table",
+        )
+    return (
+        f"<p>They differ by <b>{diagnosis.rms_um:.3g} µm</b> a coordinate (RMS). {how}</p>"
+        f"{_figures(residual_panels(diagnosis))}<p class=small>{said}. Dots: means of what was read "
+        "less what the model foresees, in the directions of the machine (x, y, z); bars: their 95 % intervals, from the scatter of the "
+        "readings in them. A model that is right leaves the dots on the line at zero.</p>"
+    )
+
+
+def _tried(diagnosis: Diagnosis) -> str:
+    text = f"<p>{diagnosis.tried} possible causes in machine, calibration and instrument were tried. "
+    if not diagnosis.ranking:
+        return text + "None of them explains anything.</p>"
+    named = {(cause.effect, cause.where) for cause in diagnosis.causes}
+    doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
+    ranked = [one for one in diagnosis.ranking if one[3] < LIKELY or one[:2] in named]
+    if not ranked:
+        return text + "None of them explains more than scatter does.</p>"
+    shown = {one[:2] for one in ranked}
+    most = max(explained for _, _, explained, _ in ranked)
+    rows = []
+    for effect, where, explained, p in ranked:
+        of = "found" if (effect, where) in named else "doubted" if (effect, where) in doubted else ""
+        name = f"<b>{_e(plain(effect, where))}</b>" if of == "found" else _e(plain(effect, where))
+        bar = f'<span class="bar {of}" style="width:{100 * explained / most:.0f}%"></span>'
+        rows.append(
+            f"<tr><td>{name} <span class=symbol>{_e(symbol(effect, where))}</span><td class=bars>{bar}<td class=n>{explained:.0f}"
+            f"<td class=w>{chance(p)}"
+        )
+    text += f"The first {len(rows)}, each alone, in the order of the chance that scatter looks like that somewhere among all tried. "
+    text += "Orange: found. " if named & shown else ""
+    text += "Blue: cannot be told from what was found. " if doubted & shown else ""
+    if diagnosis.verdict == "consistent":
+        text += "None of them is more than scatter shows now and then. "
+    if len(named) > 1:
+        text += "A smaller cause may stand far down here: it comes to light when the larger are taken out."
+    return (
+        f"{text}</p><div class=wide><table><tr><th>cause<th class=bars>explains<th class=n>chi²<th>by chance{''.join(rows)}"
+        "</table></div>"
+    )
+
+
+def _why(diagnosis: Diagnosis, cause: Cause) -> str:
+    belongs = {
+        "instrument": f"<p><b>It belongs to the instrument</b> and enters no calibration. {NOTHING}</p>",
+        "calibration": "<p><b>It belongs to the calibration file</b>, not to the machine.</p>",
+        "machine": "",
+    }[kind(cause.effect, cause.origin)]
+    reasons = [] if cause.effect == "read_back" else [moves(cause)]
+    if cause.share > 0.0:
+        reasons.append(
+            f"It explains {percent(cause.share)} of what is beyond the scatter. By chance: {chance(cause.p_value)}."
+        )
+    reasons += [
+        f"Ruled out in its place: {_e(lower(plain(rival.effect, rival.where)))} "
+        f"<span class=symbol>{_e(symbol(rival.effect, rival.where))}</span> would explain {percent(rival.share)}, "
+        f"{odds(rival.log_odds)}."
+        for rival in cause.rivals
+    ]
+    figures = "".join(_figure(panel, captioned=False) for panel in cause_panels(diagnosis, cause))
+    caption = "Dots: means of what was read, all else that was found taken out; bars: their 95 % intervals. Line: what this cause says."
     text = (
-        f"<p>Stations and targets were fitted and nothing else. The readings scatter by {diagnosis.expected_rms_um:.3g} µm "
-        f"({_e(diagnosis.scatter)}); what is left of them is {diagnosis.rms_um:.3g} µm RMS a coordinate. Chance that scatter "
-        f"alone does that: {_p(diagnosis.p_value)}.</p>"
+        f"<h3>{_e(plain(cause.effect, cause.where))} {_symbol(cause)}</h3><p>{_e(capital(cause.evidence))}.</p>{belongs}"
+        f"<div class=why><div>{figures}<p class=small>{caption if figures else ''}</p></div>"
+        f"<div>{_list(reasons)}{_parameters(cause)}</div></div>"
     )
-    names = [name for name, values in _columns(diagnosis).items() if np.ptp(values) > 0.0][:6]
-    return text + _picture(diagnosis, names, "residual, before")
+    told = advised(cause)
+    if diagnosis.verdict == "unexplained" or cause.equivalent:
+        # What to do stands on the first screen: not this yet.
+        return text + _facts(told[0], told[2])
+    return text + (_facts(*told) if len(diagnosis.causes) > 1 else "")
 
 
-def _cause(diagnosis: Diagnosis, cause: Cause) -> str:
-    rows = "".join(
-        f"<tr><td>{_e(q.name)}<td class=n>{q.value:.4g}<td class=n>± {1.96 * q.u:.2g}<td>{_e(readable_unit(q.unit))}"
-        for q in cause.parameters
-    )
-    text = (
-        f"<p>{_e(_capital(cause.evidence))}. It accounts for {100 * cause.share:.0f} % of what is beyond the scatter; chance of that "
-        f"by accident, all causes that were tried counted: {_p(cause.p_value)}. "
-        + ("It belongs to the instrument and never enters a compensation." if cause.origin == "instrument" else "")
-        + f"</p><table><tr><th>parameter<th class=n>value<th class=n>95 %<th>unit{rows}</table>"
-    )
-    return text + _pattern(diagnosis, cause)
+def _parameters(cause: Cause) -> str:
+    """Its numbers; a curve's coefficients mean nothing to a reader and are counted."""
+    told = [q for q in cause.parameters if not coefficient(q.name)]
+    rows = [
+        f"<tr><td>{_e(q.name.replace('_', ' '))}<td class=n>{_e(measured(q.value, q.u, readable_unit(q.unit)))}"
+        for q in told
+    ]
+    if len(told) < len(cause.parameters):
+        rows.append(f"<tr><td>curve<td>{len(cause.parameters) - len(told)} coefficients: in --json and --extended")
+    return f"<table><tr><th>number<th class=n>value, 95 % interval{''.join(rows)}</table>" if rows else ""
 
 
-def _pattern(diagnosis: Diagnosis, cause: Cause) -> str:
-    """The cause's own part of the readings with all that is left of them, against its columns; a line where the cause says it is."""
-    shift = np.nan_to_num(cause.pattern_um, nan=0.0)
-    size = np.linalg.norm(shift, axis=1)
-    touched = size > 1e-3 * max(float(size.max()), 1e-12)
-    if not np.any(touched):
-        return ""
-    _, _, main = np.linalg.svd(shift[touched], full_matrices=False)
-    unit = shift / np.where(touched, size, 1.0)[:, None]
-    unit *= np.where(unit @ main[0] < 0.0, -1.0, 1.0)[:, None]
-    says = np.sum(shift * unit, axis=1)
-    seen = says + np.sum(np.nan_to_num(diagnosis.after_um, nan=0.0) * unit, axis=1)
-    columns = _columns(diagnosis)
-    names = _of_cause(diagnosis, cause)
-    series = [("", touched)]
-    if cause.effect == "reversal":
-        i = diagnosis.calibration.machine.names.index(cause.where)
-        series = [
-            (f"from {side}", touched & (diagnosis.data.approach[:, i] == sign)) for side, sign in (("+", 1), ("−", -1))
-        ]
-    figure = _figure(len(names))
-    for k, name in enumerate(names):
-        axes = figure.add_subplot(1, len(names), k + 1)
-        for j, (label, rows) in enumerate(series):
-            x = columns[name][rows]
-            _binned(axes, x, seen[rows], COLOURS[j], f"seen {label}".strip(), "o", 1.0)
-            _binned(axes, x, says[rows], COLOURS[j], f"this cause {label}".strip(), "-", 0.6, bars=False)
-        _dress(axes, name, "shift of the target / µm", legend=k == 0)
-    return _embedded(figure, f"what {_name(cause)} says and what was seen")
+def _mistaken(diagnosis: Diagnosis) -> str:
+    items = []
+    for cause in diagnosis.causes:
+        name = f"<b>{_e(plain(cause.effect, cause.where))}</b>"
+        if not cause.equivalent:
+            items.append(f"{name}: nothing else that was tried fits these readings nearly as well.")
+            continue
+        others = [f"{_e(lower(plain(*key)))} <span class=symbol>{_e(symbol(*key))}</span>" for key in cause.equivalent]
+        meant = "With that the readings fit as well, within a factor of a hundred in likelihood; sizes are of what is named first."
+        if either_side([cause]):
+            meant += " It may thus be the instrument or the machine; of the instrument nothing is to be compensated."
+        items.append(f"{name} could as well be {listed(others)}. {meant}")
+    return _list(items)
 
 
 def _left(diagnosis: Diagnosis) -> str:
-    wanted = diagnosis.unexplained.depends_on if diagnosis.unexplained is not None else ()
-    names = [name for name in _columns(diagnosis) if name in wanted or name.partition("_")[0] in wanted]
-    return _picture(diagnosis, names, "residual, causes taken out", after=True) if names else ""
+    left = diagnosis.unexplained
+    if left is None:
+        return ""
+    stays = (
+        "<p>Compensating what was found is not enough: this part stays, and it may have pulled at the sizes found.</p>"
+    )
+    stays = stays if diagnosis.causes else ""
+    if not left.depends_on:
+        return f"<p>{_e(capital(left.evidence))}.</p>{stays}"
+    names = listed([column(name) for name in left.depends_on])
+    figures = [_figure(panel) for panel in residual_panels(diagnosis, after=True)[: len(left.depends_on)]]
+    mapped = plot_left(diagnosis)
+    if mapped is not None:
+        over = listed([column(name) for name in left.depends_on[:2]])
+        figures.insert(
+            0, _embedded(mapped, f"what is left, over {over}", f"over {over} together, {side(left.carrier)}")
+        )
+    return (
+        f"<p>{percent(left.share)} of what is beyond the scatter goes with {_e(names)} ({_e(side(left.carrier))}) and fits nothing "
+        f"that is known here.</p>{stays}<div class=figures>{''.join(figures)}</div>"
+    )
 
 
 def _gain(diagnosis: Diagnosis) -> str:
     gain = diagnosis.gain
     if gain is None:
-        return ""
-    rows = [
-        f"<tr><td>residuals, all data<td class=n>{gain.rms_before_um:.3g}<td class=n>{gain.rms_after_um:.3g}<td>µm RMS"
-    ]
+        return f"<p>Nothing enters the model. {NOTHING}</p>"
+    expected = f"{diagnosis.expected_rms_um:.3g} expected"
+    rows = [("readings less model", gain.rms_before_um, f"{gain.rms_after_um:.3g}", expected)]
+    doubt = ""
     if not np.isnan(gain.held_before_um):
         low, high = gain.held_ci95_um
+        less = f"less by {low:.2g} to {high:.2g} (95 %)"
         rows.append(
-            f"<tr><td>on rounds that were not looked at (less by {low:.2g} to {high:.2g}, 95 %)"
-            f"<td class=n>{gain.held_before_um:.3g}<td class=n>{gain.held_after_um:.3g}<td>µm RMS"
+            ("the same, on rounds that were not looked at", gain.held_before_um, f"{gain.held_after_um:.3g}", less)
         )
+        if low <= 0.0:
+            doubt = (
+                "<p>On rounds that were not looked at, no gain is proven: what was found may not come back alike.</p>"
+            )
     if gain.tool_before_um > 0.0:
-        rows.append(
-            f"<tr><td>at the tool over the volume, after compensation<td class=n>{gain.tool_before_um:.3g}"
-            f"<td class=n>{gain.tool_after_um:.2g}<td>µm RMS"
-        )
-    return f"<table><tr><th><th class=n>without<th class=n>with<th>{''.join(rows)}</table>"
-
-
-def _tried(diagnosis: Diagnosis) -> str:
-    rows = "".join(
-        f"<tr><td>{_e(effect)}<td>{_e(where)}<td class=n>{explained:.1f}<td class=n>{_p(p)}"
-        for effect, where, explained, p in diagnosis.ranking
+        where = "at the tool over the working volume, compensated"
+        rows.append((where, gain.tool_before_um, f"{gain.tool_after_um:.2g}", "by what is uncertain in what was found"))
+    body = "".join(
+        f"<tr><td>{_e(name)}<td class=n>{before:.3g}<td class=n>{after}<td>{_e(note)}"
+        for name, before, after, note in rows
     )
-    text = (
-        "<p>Each alone, best first; the chance counts how many were tried.</p>"
-        f"<table><tr><th>cause<th>where<th class=n>explains (chi²)<th class=n>chance{rows}</table>"
-    )
-    if diagnosis.unidentifiable:
-        blind = ", ".join(f"{effect} {where}" for effect, where in diagnosis.unidentifiable)
-        text += f"<p class=small>These data could not show, however large: {_e(blind)}.</p>"
-    if diagnosis.not_evaluated:
-        blind = ", ".join(f"{effect} {where} ({column})" for effect, where, column in diagnosis.not_evaluated)
-        text += f"<p class=small>Not evaluated, for want of a column: {_e(blind)}.</p>"
-    return text
-
-
-def _columns(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
-    data, machine = diagnosis.data, diagnosis.calibration.machine
-    found = {f"{axis.name}_{axis.unit}": np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
-    if np.all(np.isfinite(data.time_s)):
-        found["time_s"] = np.asarray(data.time_s)
-    rounds = list(dict.fromkeys(data.round))
-    found["round"] = np.array([float(rounds.index(name)) for name in data.round])
-    for name, values in data.temperature_degC.items():
-        if np.all(np.isfinite(values)):
-            found[f"T_{name}_degC"] = np.asarray(values)
-    return found
-
-
-def _of_cause(diagnosis: Diagnosis, cause: Cause) -> list[str]:
-    """The columns in which its pattern shows."""
-    names = list(_columns(diagnosis))
-    axes = [axis.name for axis in diagnosis.calibration.machine.axes]
-    parts = cause.where.replace(" by ", " ").split()
-    found = [name for part in parts for name in names if name.partition("_")[0] in axes and part[-1] == name[0]]
-    if cause.effect.startswith("thermal") or cause.effect == "station_drift":
-        found += [name for name in names if name == "time_s" or name.startswith("T_")]
-    if "round" in cause.where:
-        found.append("round")
-    return list(dict.fromkeys(found))[:3] or names[:3]
-
-
-def _picture(diagnosis: Diagnosis, names: list[str], label: str, *, after: bool = False) -> str:
-    """Residual components of the station's frame against columns, as binned means with their scatter."""
-    columns = _columns(diagnosis)
-    if not names:
-        return ""
-    figure = _figure(len(names))
-    for k, name in enumerate(names):
-        axes = figure.add_subplot(-(-len(names) // 3), min(len(names), 3), k + 1)
-        values = diagnosis.after_um if after else diagnosis.residual_um
-        for i, letter in enumerate("xyz"):
-            _binned(axes, columns[name], values[:, i], COLOURS[i], letter, "o-", 1.0)
-        _dress(axes, name, f"{label} / µm", legend=k == 0)
-    return _embedded(figure, f"{label} against {', '.join(names)}")
-
-
-def _figure(panels: int) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    wide = min(panels, 3)
-    figure = Figure(figsize=(3.6 * wide + 0.4, 2.7 * -(-panels // wide)), layout="constrained", dpi=110)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _dress(axes: Any, name: str, label: str, *, legend: bool) -> None:
-    axes.axhline(0.0, color="#999", lw=0.6)
-    axes.set_xlabel(name.replace("_", " / ").replace("deg", "°") if name != "round" else "round, from 0")
-    axes.set_ylabel(label)
-    if legend:
-        axes.legend(fontsize=7)
-
-
-def _embedded(figure: Any, text: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    code = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img alt="{_e(text)}" src="data:image/png;base64,{code}">'
-
-
-def _binned(
-    axes: Any, x: np.ndarray, y: np.ndarray, colour: str, label: str, style: str, alpha: float, *, bars: bool = True
-) -> None:
-    keep = np.isfinite(y)
-    x, y = x[keep], y[keep]
-    distinct = np.unique(np.round(x, 3))
-    if len(distinct) <= 24:
-        group = np.searchsorted(distinct, np.round(x, 3))
-        centre = distinct
+    text = f"<div class=wide><table><tr><th>µm RMS<th class=n>without<th class=n>with<th>{body}</table></div>{doubt}"
+    if diagnosis.extended is diagnosis.calibration:
+        only = all(cause.origin == "instrument" for cause in diagnosis.causes)
+        text += f"<p>It is taken out of the account of the readings and enters no calibration. {NOTHING if only else ''}</p>"
+    elif diagnosis.verdict == "unexplained":
+        text += "<p>Not enough to compensate with: something is left that is not in it.</p>"
     else:
-        edges = np.quantile(x, np.linspace(0.0, 1.0, 17))
-        group = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, 15)
-        size = np.maximum(np.bincount(group, minlength=16), 1)
-        centre = np.bincount(group, x, minlength=16) / size
-    size = np.bincount(group, minlength=len(centre))
-    mean = np.bincount(group, y, minlength=len(centre)) / np.maximum(size, 1)
-    square = np.bincount(group, y**2, minlength=len(centre)) / np.maximum(size, 1)
-    error = np.sqrt(np.maximum(square - mean**2, 0.0) / np.maximum(size - 1, 1))
-    some = size > 1
-    if not bars:
-        axes.plot(centre[some], mean[some], style, lw=1.5, color=colour, label=label, alpha=alpha)
-        return
-    axes.errorbar(
-        centre[some], mean[some], 2.0 * error[some], fmt=style, ms=3, lw=1, color=colour, label=label, alpha=alpha
-    )
+        text += (
+            "<p>To write the calibration with it, and to use it:</p><pre>twin diagnose … --extended better.yaml\n"
+            "twin compensate part.nc -o part.compensated.nc --calibration better.yaml</pre>"
+        )
+        if any(cause.origin == "instrument" for cause in diagnosis.causes):
+            text += "<p>What belongs to the instrument is not in it.</p>"
+    if diagnosis.unexplained is not None and diagnosis.unexplained.depends_on:
+        return text
+    caption = "<p class=small>The pictures of “What was seen” on the same scale, what was found taken out.</p>"
+    return text + _figures(residual_panels(diagnosis, after=True)) + caption
 
 
-def _name(cause: Cause) -> str:
-    return (
-        f"{cause.effect.replace('_', ' ')} {cause.where}".capitalize()
-        if cause.where == "—"
-        else (f"{_capital(cause.effect.replace('_', ' '))} {cause.where}")
-    )
+def _next(diagnosis: Diagnosis) -> str:
+    text = ""
+    for one in contests(diagnosis.next_measurement, diagnosis.expected_rms_um):
+        text += f"<h3>To tell {_e(lower(one.names[0]))} from {_e(lower(one.names[1]))}</h3><p>{_e(one.verdict)}</p>"
+        if one.rows:
+            body = "".join("<tr>" + "".join(f"<td>{_e(cell)}" for cell in row) for row in one.rows)
+            head = "<th>position / mm, °<th>arriving from<th>target<th>station<th>they differ by"
+            text += f"<div class=wide><table><tr>{head}{body}</table></div>"
+    text += _list(_e(str(one["text"])) for one in diagnosis.next_measurement if "separates" not in one)
+    left = diagnosis.unexplained
+    if left is not None and left.depends_on:
+        names = listed([column(name) for name in left.depends_on])
+        text += (
+            f"<p>For what is left: more readings over {_e(names)} ({_e(side(left.carrier))}), one of them changing while all else "
+            "stays as it is, forth and back, and twice.</p>"
+        )
+    if diagnosis.not_evaluated:
+        items = [one.partition(": ") for one in missing(diagnosis.not_evaluated)]
+        text += "<p>Columns the table did not have, and what could not be tried without them:</p>"
+        text += _list(f"<b>{_e(columns)}</b>: {_e(told)}" for columns, _, told in items)
+    if diagnosis.unidentifiable:
+        text += (
+            "<p>These readings could not show, however large (where instrument and targets sit takes it up, or nothing moved that "
+            "would show it):</p>" + _list(_e(one) for one in grouped(diagnosis.unidentifiable))
+        )
+    return text or "<p>Nothing more is asked of these readings.</p>"
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _small_print(diagnosis: Diagnosis) -> str:
+    chances = "".join(f"; {_e(symbol(one.effect, one.where))} {probability(one.p_value)}" for one in diagnosis.causes)
+    items = [
+        "RMS a coordinate: root of the mean square of all coordinates that were read.",
+        "A cause is judged by what it explains once everything that instrument, targets and the calibration's own uncertainty can take "
+        "up has been taken out; every form tried is paid for.",
+        f"Degrees of freedom {diagnosis.dof:,}; misfit {probability(diagnosis.p_value)}{chances}.",
+        *(_e(capital(notice)) for notice in diagnosis.data.notices),
+    ]
+    aside = diagnosis.data.set_aside
+    if aside:
+        rows = [f"line {note.line}: {_e(note.text)}" for note in aside[:LISTED]]
+        if len(aside) > LISTED:
+            rows.append(f"and {len(aside) - LISTED} more, all in --json")
+        items.append(f"Readings that were not used: {len(aside)}.{_list(rows)}")
+    return f"<div class=small>{_list(items)}</div>"
 
 
-def _p(value: float) -> str:
-    return "below 1e-99" if value < 1e-99 else f"{value:.2g}"
+def _figures(panels: Sequence[Panel]) -> str:
+    return f"<div class=figures>{''.join(_figure(panel) for panel in panels)}</div>" if panels else ""
+
+
+def _figure(panel: Panel, *, captioned: bool = True) -> str:
+    return _embedded(alone(panel), f"{panel.title}: {panel.y} against {panel.x}", panel.title if captioned else "")
+
+
+def _embedded(figure: Figure, words: str, caption: str) -> str:
+    """A picture in the page itself, the same bytes for the same picture."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    code = base64.b64encode(buffer.getvalue()).decode()
+    told = f"<figcaption>{_e(capital(caption))}</figcaption>" if caption else ""
+    return f'<figure><img alt="{_e(words)}" src="data:image/svg+xml;base64,{code}">{told}</figure>'
+
+
+def _facts(*told: tuple[str, str]) -> str:
+    return "<dl>" + "".join(f"<dt>{_e(name)}<dd>{_e(text)}" for name, text in told) + "</dl>" if told else ""
+
+
+def _list(items: Iterable[str]) -> str:
+    """Items that are HTML already."""
+    rows = "".join(f"<li>{item}" for item in items)
+    return f"<ul>{rows}</ul>" if rows else ""
+
+
+def _symbol(cause: Cause) -> str:
+    return f"<span class=symbol>{_e(symbol(cause.effect, cause.where))}</span>"
 
 
 def _e(text: str) -> str:

@@ -6,10 +6,12 @@ stand beside them as symbols.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil, exp, floor, log10
 from types import MappingProxyType
-from typing import Final, Literal, final
+from typing import Any, Final, Literal, final
 
 from twin.effects import split_name
 from twin.machine import DIRECTIONS
@@ -17,8 +19,16 @@ from twin.machine import DIRECTIONS
 Kind = Literal["machine", "calibration", "instrument"]
 MANY: Final = 8
 """Things a list names before it counts the rest."""
+COVERAGE: Final = 1.96
+TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
+"""A number and its unit, which stay on one line."""
+ENOUGH: Final = 25.0
+"""Chi² between two causes at which one of them is out."""
+HOPELESS: Final = 1000.0
+"""Readings at one place beyond which nobody takes them."""
 EXTENDED: Final = "Compensate with the extended calibration"
-NOT_TWICE: Final = "Do not correct it in the control and in the calibration: it would be corrected twice."
+EXTENDING: Final = "compensate with the extended calibration"
+NOT_TWICE: Final = "Not both in the control and in the calibration: it would be corrected twice."
 NOTHING: Final = "Compensate nothing and repair nothing on the machine because of this."
 
 
@@ -38,6 +48,9 @@ class Advice:
     never: str
 
 
+INSTRUMENTS: Final = ("frame_shift", "target_shift", "station_drift", "refraction_scale", "read_back")
+
+
 def kind(effect: str, origin: str) -> Kind:
     """Where a cause sits: in the machine, in the file that describes it, or in what measured it."""
     return "calibration" if effect == "misplaced" else "instrument" if origin == "instrument" else "machine"
@@ -51,7 +64,7 @@ def symbol(effect: str, where: str) -> str:
 def plain(effect: str, where: str) -> str:
     """What a cause is called where nobody knows the symbols: ``Lost motion of Y``."""
     name = PLAIN.get(effect)
-    return f"{_capital(effect.replace('_', ' '))} {where}" if name is None else _capital(name(where))
+    return f"{capital(effect.replace('_', ' '))} {where}" if name is None else capital(name(where))
 
 
 def advice(effect: str, where: str) -> Advice:
@@ -68,7 +81,11 @@ def motion(name: str) -> str:
     component, average, axis = split_name(name)
     direction = "xyz"[component % 3]
     if average:
-        return f"axis of {axis} displaced along {direction}" if component < 3 else f"axis of {axis} tilted about {direction}"
+        return (
+            f"axis of {axis} displaced along {direction}"
+            if component < 3
+            else f"axis of {axis} tilted about {direction}"
+        )
     if DIRECTIONS[component] == axis:
         return f"position of {axis}" if component < 3 else f"angle of {axis}"
     return f"error of {axis} in {direction}" if component < 3 else f"tilt of {axis} about {direction}"
@@ -87,7 +104,9 @@ def column(name: str) -> str:
 
 def side(carrier: str) -> str:
     """Where the targets sit of which something is said."""
-    return {"tool": "targets on the tool side", "work": "targets on the work side"}.get(carrier, "targets on both sides")
+    return {"tool": "targets on the tool side", "work": "targets on the work side"}.get(
+        carrier, "targets on both sides"
+    )
 
 
 def listed(names: Sequence[str], *, most: int = MANY) -> str:
@@ -102,7 +121,9 @@ def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
     by_effect: dict[str, list[str]] = {}
     for effect, where in keys:
         by_effect.setdefault(effect, []).append(where)
-    return [f"{FAMILIES.get(effect, effect.replace('_', ' '))}: {listed(places)}" for effect, places in by_effect.items()]
+    return [
+        f"{FAMILIES.get(effect, effect.replace('_', ' '))}: {listed(places)}" for effect, places in by_effect.items()
+    ]
 
 
 def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
@@ -117,12 +138,99 @@ def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
     return [f"{listed(columns)}: {family}" for family, columns in shown.items()]
 
 
+def measured(value: float, u: float, unit: str) -> str:
+    """A number with its 95 % interval, to two digits of that: 9.29 ± 0.51 µm."""
+    sign = "" if unit == "1" else f" {unit}"
+    if u <= 0.0:
+        return f"{value:.4g}{sign}".replace("-", "−")
+    half = COVERAGE * u
+    decimals = max(1 - floor(log10(half)), 0)
+    # Plus zero: no minus before a nothing.
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−")
+
+
+@final
+@dataclass(frozen=True)
+class Contest:
+    """Two causes and where to measure next to tell them apart.
+
+    Attributes:
+        names: of the two, in words with their symbols.
+        rows: position, sides of approach, target, station, and what a reading there tells.
+        verdict: what it comes to.
+    """
+
+    names: tuple[str, str]
+    rows: tuple[tuple[str, str, str, str, str], ...]
+    verdict: str
+
+
+def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Contest]:
+    """The points of `Diagnosis.next_measurement`, by what they tell apart.
+
+    Args:
+        wanted: as there; entries that compare nothing are left out.
+        sigma_um: what a coordinate scatters by.
+    """
+    by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for one in wanted:
+        if "separates" in one:
+            a, b = (str(name) for name in one["separates"])
+            by_pair.setdefault((a, b), []).append(one)
+    found = []
+    for pair, points in by_pair.items():
+        a, b = (_both(*_parted(name)) for name in pair)
+        posed = [one for one in points if "pose" in one]
+        if not posed:
+            found.append(Contest((a, b), (), capital(str(points[0]["text"]).rpartition(": ")[2]) + "."))
+            continue
+        best = max(float(one["expected_chi2"]) for one in posed)
+        apart = best**0.5 * sigma_um
+        if ENOUGH > HOPELESS * best:
+            text = f"No position that was tried tells them apart: they differ by {apart:.1g} µm at most. To compensate, either will do."
+            found.append(Contest((a, b), (), text))
+            continue
+        rows = tuple(
+            (
+                " ".join(f"{axis}{value:g}" for axis, value in one["pose"].items()),
+                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in one["approach"].items()),
+                str(one["target"]),
+                str(one["station"]),
+                f"{float(one['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
+            )
+            for one in posed
+        )
+        many = max(ceil(ENOUGH / best), 1)
+        readings = "one reading decides" if many == 1 else f"some {many} readings decide"
+        found.append(Contest((a, b), rows, f"They differ most at these positions; {readings} at the first."))
+    return found
+
+
+def _parted(name: str) -> tuple[str, str]:
+    effect, _, where = name.partition(" ")
+    return effect, where
+
+
+def _both(effect: str, where: str) -> str:
+    return f"{plain(effect, where)} ({symbol(effect, where)})"
+
+
+def probability(p: float) -> str:
+    """A p-value as a number."""
+    return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
+
+
+def tied(text: str, space: str) -> str:
+    """With another space between numbers and their units."""
+    return TIED.sub(rf"\1{space}\2", text)
+
+
 def chance(p: float) -> str:
-    """A p-value in words: less than one in a million; one in 5,000; 12 %."""
+    """A p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
     if p < 1e-6:
-        return "less than one in a million"
+        return "under 1 in a million"
     if p < 0.01:
-        return f"one in {_round_number(1.0 / p):,}"
+        return f"1 in {_round_number(1.0 / p):,}"
     return f"{100.0 * p:.0f} %"
 
 
@@ -130,13 +238,13 @@ def odds(log_odds: float) -> str:
     """How many times less likely, from the natural log."""
     if log_odds > 13.8:
         return "more than a million times less likely"
-    return f"about {_round_number(2.718281828 ** log_odds):,} times less likely"
+    return f"about {_round_number(exp(log_odds)):,} times less likely"
 
 
 def _round_number(value: float) -> int:
     """Two digits of it."""
     digits = max(len(str(int(value))) - 2, 0)
-    return int(round(value / 10**digits)) * 10**digits
+    return round(value / 10**digits) * 10**digits
 
 
 def _axis(where: str) -> str:
@@ -145,14 +253,34 @@ def _axis(where: str) -> str:
     return split_name(first)[2] if first.startswith("E_") else first
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """With a capital at its beginning."""
     return text[:1].upper() + text[1:]
+
+
+def lower(text: str) -> str:
+    """A name in the middle of a sentence: an axis keeps its capital."""
+    return text if text[1:2] == " " else text[:1].lower() + text[1:]
+
+
+def percent(share: float) -> str:
+    """A share of one."""
+    return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def coefficient(name: str) -> bool:
+    """Whether a parameter is one of a curve's many, and means nothing by itself."""
+    return name[:1] in ("c", "g") and name[1:].isdigit()
 
 
 def _squareness(where: str) -> str:
     component, _, axis = split_name(where)
     others = [letter for letter in "XYZ" if letter not in (axis, "XYZ"[component - 3])]
-    return f"{axis} out of square to {others[0]}" if len(others) == 1 else f"{axis} out of square about {'xyz'[component - 3]}"
+    return (
+        f"{axis} out of square to {others[0]}"
+        if len(others) == 1
+        else f"{axis} out of square about {'xyz'[component - 3]}"
+    )
 
 
 def _turning(where: str) -> str:
@@ -168,7 +296,11 @@ def _turning(where: str) -> str:
 def _turns(where: str) -> str:
     component, _, axis = split_name(where)
     direction = "xyz"[component % 3]
-    return f"{axis} shifts along {direction} as it turns" if component < 3 else f"{axis} tilts about {direction} as it turns"
+    return (
+        f"{axis} shifts along {direction} as it turns"
+        if component < 3
+        else f"{axis} tilts about {direction} as it turns"
+    )
 
 
 def _coupled(where: str) -> str:
@@ -177,7 +309,11 @@ def _coupled(where: str) -> str:
     direction = "xyz"[component % 3]
     if DIRECTIONS[component] == axis:
         return f"positioning of {axis} changes with {by}"
-    return f"straightness of {axis} in {direction} changes with {by}" if component < 3 else f"tilt of {axis} about {direction} changes with {by}"
+    return (
+        f"straightness of {axis} in {direction} changes with {by}"
+        if component < 3
+        else f"tilt of {axis} about {direction} changes with {by}"
+    )
 
 
 def _growth(where: str) -> str:
@@ -187,7 +323,11 @@ def _growth(where: str) -> str:
 
 def _again(where: str) -> str:
     station, _, number = where.rpartition("round ")
-    return f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on" if station else f"instrument re-aligned from round {number} on"
+    return (
+        f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on"
+        if station
+        else f"instrument re-aligned from round {number} on"
+    )
 
 
 def _bumped(where: str) -> str:
@@ -211,7 +351,9 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
         "pitch_error": lambda where: f"periodic positioning error of {where}",
         "squareness": _squareness,
         "axis_location": lambda where: motion(where),
-        "angular_error_motion": lambda where: f"{split_name(where)[2]} tilts about {'xyz'[split_name(where)[0] - 3]} as it travels",
+        "angular_error_motion": lambda where: (
+            f"{split_name(where)[2]} tilts about {'xyz'[split_name(where)[0] - 3]} as it travels"
+        ),
         "straightness": lambda where: f"straightness of {split_name(where)[2]} in {'xyz'[split_name(where)[0]]}",
         "positioning": lambda where: f"positioning of {split_name(where)[2]}",
         "error_motion": _turns,
@@ -280,12 +422,16 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         ),
         "axis_location": (
             "Set-up: the place and tilt of {axis}'s axis in the control's kinematics, and how they were measured.",
-            f"Enter the new place in the control, or {EXTENDED[0].lower()}{EXTENDED[1:]}.",
+            f"Enter the new place in the control, or {EXTENDING}.",
             NOT_TWICE,
         ),
         "angular_error_motion": _ANEW,
         "straightness": _ANEW,
-        "positioning": (_ANEW[0], _ANEW[1], "Do not fill the control's pitch table as well: it would be corrected twice."),
+        "positioning": (
+            _ANEW[0],
+            _ANEW[1],
+            "Do not fill the control's pitch table as well: it would be corrected twice.",
+        ),
         "error_motion": _ANEW,
         "harmonic": (
             "Service: what turns with {axis}: bearing and encoder (once a turn), worm or gear teeth (many times a turn).",
@@ -299,12 +445,12 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         ),
         "thermal_growth": (
             "Shop and service: what warms at that sensor: coolant, drives, sun, draught.",
-            f"Keep the temperature steady, or {EXTENDED[0].lower()}{EXTENDED[1:]} and say the temperature (--temperature).",
+            f"Keep the temperature steady, or {EXTENDING} and say the temperature (--temperature).",
             "Do not shift a zero against it: the next temperature asks for another.",
         ),
         "thermal_drift": (
             "Shop: how long the machine ran before work and before it was measured. Service: spindle cooling.",
-            f"Warm the machine up before precise work, or {EXTENDED[0].lower()}{EXTENDED[1:]} and say the time (--time).",
+            f"Warm the machine up before precise work, or {EXTENDING} and say the time (--time).",
             "Do not set zero in the first hours: it will be wrong when the machine is warm.",
         ),
         "cross_axis": (
@@ -324,7 +470,7 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         ),
         "zero_offset": (
             "Set-up: reference mark and homing of {axis}; ask for a collision.",
-            f"Set the zero of {{axis}} in the control, or {EXTENDED[0].lower()}{EXTENDED[1:]}.",
+            f"Set the zero of {{axis}} in the control, or {EXTENDING}.",
             NOT_TWICE,
         ),
         "following_error": (
@@ -334,7 +480,7 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         ),
         "misplaced": (
             "Whoever made the calibration file.",
-            f"Correct the file and diagnose again. {EXTENDED}, where one was written.",
+            "Correct the file and diagnose again.",
             "Do not look for it in the machine: nothing mechanical is wrong here.",
         ),
         "frame_shift": (
