@@ -30,8 +30,8 @@ from threadpoolctl import threadpool_limits
 from tests.battery import FRESH, ROWS, Key, Truth, measured, noise_of, outside, some_effects
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.problem import Problem
 from twin.diagnosis.pool import SEEN
+from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.machine import Machine

@@ -23,7 +23,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained
 from twin.diagnosis.search import Selection, chosen, whole
-from twin.diagnosis.surrogates import EFFECT, depends_on
+from twin.diagnosis.surrogates import EFFECT, depends_on, whatever
 from twin.effects import Effect
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -34,6 +34,8 @@ SEEN_AT: Final = 0.05
 LARGE: Final = 1e-4
 SMALL: Final = 0.01
 """Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
+PART: Final = 0.2
+"""Of what an unnamed pattern explains: below it, a cause that goes with the same columns is taken for part of the pattern."""
 TOOL_MM: Final = 100.0
 FOLDS: Final = 8
 """Selections that are made again without some of the rounds, at most."""
@@ -64,11 +66,12 @@ def account(
         calibration: the model that was judged.
     """
     forms = sorted(best.forms, key=lambda form: form.candidate.effect == EFFECT)
+    small = _of_patterns(problem, pool, forms)
+    forms = [form for form in forms if form not in small]
     found = estimate(problem, forms, scatter.dof)
-    small: list[Form] = []
     while (least := _least(pool, forms, found)) is not None:
         forms = [form for form in forms if form is not least]
-        small += [least]
+        small.append(least)
         found = estimate(problem, forms, scatter.dof)
     named, unnamed = ([form for form in forms if (form.candidate.effect != EFFECT) is has] for has in (True, False))
     excess = max(problem.chi2 - problem.dof, found.explained, 1e-30)
@@ -133,7 +136,7 @@ def account(
         p_value=min(
             [
                 p_value,
-                *(cause.p_value for cause in causes),
+                *(cause.p_value for cause in causes if cause not in also),
                 *(pool.chance(pool.scores([], [_index(pool, f)])[0, 2]) for f in unnamed),
             ]
         ),
@@ -174,6 +177,37 @@ def _least(pool: Pool, forms: Sequence[Form], found: Estimate) -> Form | None:
     return worst[1] if worst is not None and worst[0] > np.log(pool.level) else None
 
 
+def _of_patterns(problem: Problem, pool: Pool, forms: Sequence[Form]) -> list[Form]:
+    """Causes that are a small part of what goes with an unnamed pattern's columns, and say nothing that those columns do not.
+
+    A pattern that nobody knows looks like this cause here and that cause there; each of them is significant, and none is there.
+    """
+    unnamed = [form for form in forms if form.candidate.effect == EFFECT]
+    gone: list[Form] = []
+    for pattern in unnamed:
+        raw = problem.signature(whatever(pattern.candidate, problem.network.machine, problem.network.data))
+        others = [form for form in forms if form is not pattern and form not in gone]
+        own = pool.scores(others, [pattern.index])[0, 0]
+        for form in [one for one in others if one.candidate.effect != EFFECT]:
+            rest = [one for one in others if one is not form]
+            if pool.scores([*rest, pattern], [form.index])[0, 0] < PART * own:
+                beside = np.concatenate([raw, *(problem.signature(one.cell.columns) for one in rest)], axis=1)
+                explained, dof = _beside(problem, problem.signature(form.cell.columns), beside)
+                if dof == 0 or explained < pool.cost(form, float(dof)):
+                    gone.append(form)
+    return gone
+
+
+def _beside(problem: Problem, columns: np.ndarray, others: np.ndarray) -> tuple[float, int]:
+    """What some columns explain that others do not, and along how many directions that are seen."""
+    inverse, _ = pseudo(problem.inner(others, others))
+    cross = problem.inner(others, columns)
+    gram = problem.inner(columns, columns) - cross.T @ inverse @ cross
+    slope = problem.along(columns) - cross.T @ (inverse @ problem.along(others))
+    left, root = pseudo(gram)
+    return float(slope @ left @ slope), root.shape[1]
+
+
 def _log_p(against: tuple[float, int, float]) -> float:
     """Of a cause that is not there, by its Wald statistic (F with the groups' degrees of freedom, Hotelling's T² with one cause)."""
     statistic, width, count = against
@@ -185,7 +219,7 @@ def _too_small(pool: Pool, forms: Sequence[Form], form: Form, excess: float) -> 
     """What was left out, for the notes."""
     share = 100.0 * float(pool.scores(forms, [form.index])[0, 0]) / excess
     if form.candidate.effect != EFFECT:
-        return f"{' '.join(form.key)} shows ({share:.2g} % of the excess), but not beyond what is left from place to place: not named"
+        return f"{' '.join(form.key)} shows ({share:.2g} % of the excess), but not beyond what else is left unexplained: not named"
     side, names = depends_on(form.candidate)
     return f"a small pattern is left, {share:.2g} % of the excess, that goes with {' and '.join(names)} on the {side} side: not named"
 

@@ -28,6 +28,8 @@ FEW: Final = 6
 STARTS: Final = 4
 SAME: Final = 0.01
 """Share of what a form explains that others may leave of it and still count as the same."""
+INSTEAD: Final = 2
+"""Causes with names that may do what one pattern without a name does."""
 NUMBERS: Final = ("squareness", "axis_location", "zero_offset")
 """Effects that are a constant of the machine."""
 GRIDDED: Final = frozenset({"period", "time_constant"})
@@ -127,8 +129,8 @@ def _with_names(pool: Pool, forms: list[Form], named: np.ndarray) -> list[Form]:
         trial = _grown(pool, others, allowed)
         whole = pool.explained_by(forms)
         same = pool.explained_by(trial) > whole - SAME * (whole - pool.explained_by(others))
-        # Many names may do what one pattern does by adding up: no account if it is a hundred times less likely.
-        if same and pool.worth(trial) > pool.worth(forms) - DOUBT:
+        # Many names may do what one pattern does by adding up: no account if they are many, or a hundred times less likely.
+        if same and len(trial) <= len(others) + INSTEAD and pool.worth(trial) > pool.worth(forms) - DOUBT:
             forms = trial
     return forms
 

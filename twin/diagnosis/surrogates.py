@@ -22,14 +22,12 @@ from twin.units import UM
 EFFECT: Final = "surrogate"
 ALONE: Final = 4
 PAIRED: Final = 2
+ANY: Final = 6
 
 
 def surrogates(machine: Machine, data: Measurements) -> list[Candidate]:
     """Every column and pair of columns, on each side of the machine, along each direction of the base or all three."""
-    state = state_of(data, machine)
-    if len(set(data.round)) > 2:
-        rounds = list(dict.fromkeys(data.round))
-        state = {**state, "round": np.array([float(rounds.index(name)) for name in data.round])}
+    state = _with_rounds(machine, data)
     names = [name for name, values in state.items() if np.ptp(values) > 0.0]
     single = {name: _functions(name, state[name], machine, ALONE) for name in names}
     low = {name: _functions(name, state[name], machine, PAIRED) for name in names}
@@ -44,6 +42,29 @@ def surrogates(machine: Machine, data: Measurements) -> list[Candidate]:
             products = np.stack([x * y for x in low[a].T for y in low[b].T], axis=1)
             found += _candidates((a, b), products, side, mask, machine)
     return found
+
+
+def whatever(candidate: Candidate, machine: Machine, data: Measurements) -> list[Column]:
+    """Any smooth function of an unnamed pattern's columns, on its side, in all directions: what a pattern is if one knows no better."""
+    side, *columns = candidate.where.split("|")
+    state = _with_rounds(machine, data)
+    mask = (data.carrier == side).astype(float)
+    named = {column_name(name, machine): name for name in state}
+    functions = np.ones((len(mask), 1))
+    for column in columns:
+        own = _functions(named[column], state[named[column]], machine, ANY)
+        own = np.concatenate([np.ones((len(mask), 1)), own], axis=1)
+        functions = (functions[:, :, None] * own[:, None, :]).reshape(len(mask), -1)
+    return [_shift(i, functions[:, k] * mask) for i in range(3) for k in range(functions.shape[1])]
+
+
+def _with_rounds(machine: Machine, data: Measurements) -> dict[str, np.ndarray]:
+    """What patterns may depend on."""
+    state = dict(state_of(data, machine))
+    if len(set(data.round)) > 2:
+        rounds = list(dict.fromkeys(data.round))
+        state["round"] = np.array([float(rounds.index(name)) for name in data.round])
+    return state
 
 
 def _candidates(
