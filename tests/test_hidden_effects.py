@@ -56,7 +56,8 @@ EVERY = [
     one("harmonic", "E_BB", order=2, cos=30.0, sin=10.0),
 ]
 INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
-SAMPLE = [hidden_one for hidden_one in EVERY if hidden_one.where not in ("E_X0C", "C")]
+# One of each kind by default; the others are slow.
+SAMPLE = list({hidden_one.effect: hidden_one for hidden_one in reversed(EVERY)}.values())
 
 
 @pytest.fixture(scope="module")

@@ -36,6 +36,8 @@ EVERY = [
     Hidden("table_load", "B", {"tilt": 60.0}),
 ]
 
+DEFAULT = ("reversal", "thermal_expansion", "cross_axis")
+
 
 def errors_um(machine: Machine, calibration: Calibration, truth: Hidden, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     """(n,) at the tool, of commands by a calibration, on the truth."""
@@ -66,7 +68,11 @@ def errors_um(machine: Machine, calibration: Calibration, truth: Hidden, monkeyp
     return np.linalg.norm(points[::2] - points[1::2], axis=1) * 1e3
 
 
-@pytest.mark.parametrize("truth", EVERY, ids=lambda h: f"{h.effect} {h.where}")
+@pytest.mark.parametrize(
+    "truth",
+    [h if h.effect in DEFAULT else pytest.param(h, marks=pytest.mark.slow) for h in EVERY],
+    ids=lambda h: f"{h.effect} {h.where}",
+)
 def test_compensating_with_what_was_found_is_better_on_the_truth(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, truth: Hidden, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,8 +35,15 @@ def look(
     return diagnose(data, machine, calibration), {int(data.lines[row]) for row in rows}
 
 
-@pytest.mark.parametrize("stated", [True, False], ids=["stated", "repeats"])
-@pytest.mark.parametrize("lost", [0, 5])
+@pytest.mark.parametrize(
+    ("lost", "stated"),
+    [
+        (5, True),
+        pytest.param(0, True, marks=pytest.mark.slow),
+        pytest.param(0, False, marks=pytest.mark.slow),
+        pytest.param(5, False, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("truth", [BUMP, SETTLED, None], ids=["bump", "warm-up", "nothing"])
 def test_rows_that_one_cause_moved_are_no_outliers_and_a_lost_beam_is(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: Hidden | None, lost: int, stated: bool

@@ -24,10 +24,12 @@ COVERAGE = 3.0
 """Standard uncertainties an answer may be off by: 1 in 370."""
 
 
-def the(found: Diagnosis, effect: str, where: str, order: int | None = None) -> Cause:
-    """The cause of that name; a harmonic of that order."""
+def the(found: Diagnosis, effect: str, where: str, orders: tuple[int, ...] | None = None) -> Cause:
+    """The strongest cause of that name; a harmonic of one of those orders."""
     for cause in found.causes:
-        if (cause.effect, cause.where) == (effect, where) and (order is None or number(cause, "order").value == order):
+        if (cause.effect, cause.where) == (effect, where) and (
+            orders is None or number(cause, "order").value in orders
+        ):
             return cause
     raise AssertionError(f"{effect} {where} not among {[(c.effect, c.where) for c in found.causes]}")
 
@@ -156,7 +158,8 @@ def test_a_robot_errs_periodically_in_its_first_three_joints(step: int, tmp_path
     every = np.isin(data.round, np.unique(data.round)[::step])
     found = diagnose(data.select(every), machine, calibration)
     for joint in ("J1", "J2", "J3"):
-        cause = the(found, "harmonic", f"E_C{joint}", order=17)
+        # J3 turns half-way at most: from a part of a turn one order more or less looks nearly the same.
+        cause = the(found, "harmonic", f"E_C{joint}", orders=(17,) if joint != "J3" else (16, 17, 18))
         # Published nowhere; by our least squares on all poses 0.2 to 0.28, and its own u is some 0.02.
         assert 0.15 < amplitude(cause) < 0.35
     assert found.gain is not None

@@ -21,7 +21,7 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
-from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained
+from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained, readable_unit
 from twin.diagnosis.search import Selection, chosen, whole
 from twin.diagnosis.surrogates import EFFECT, depends_on, whatever
 from twin.effects import Effect
@@ -303,7 +303,7 @@ def _unexplained(pool: Pool, unnamed: Sequence[Form], forms: Sequence[Form], exc
 def _evidence(form: Form, found: Estimate, k: int) -> str:
     sizes = [q for q in found.quantities[k] if q.name not in ("order", "period", "phase", "time_constant")]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
-    unit = size.unit.replace("urad", "µrad").replace("um", "µm")
+    unit = readable_unit(size.unit)
     where = form.candidate.where
     text = {
         "reversal": f"{where} stands {abs(size.value):.3g} {unit} apart depending on the side it came from",
