@@ -41,7 +41,7 @@ DEGREES: Final = 8
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors below it are not sought."""
 ORDERS: Final = 30
-TIME_CONSTANTS: Final = 12
+TIME_CONSTANTS: Final = 36
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
 

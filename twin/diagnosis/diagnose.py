@@ -18,7 +18,7 @@ from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import Selection, chosen, every, prices
+from twin.diagnosis.search import Selection, chosen, every, glimpse, prices
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.identification.screen import outliers
 from twin.instruments import Instrument
@@ -29,6 +29,8 @@ UNNAMED: Final = 3.0
 """Natural log of how much more an unnamed pattern must show than a named cause."""
 WITNESSES: Final = 3
 """Rows set aside below which no cause can be read off them."""
+CLEAR: Final = 3
+"""Causes, at most, that rows too far off are blamed on."""
 TAKEN_BACK: Final = (1.0, 0.9, 0.5)
 """Shares of the rows set aside, the least far off first, that are looked at again: all, or without what lost its beam as well."""
 Say = Callable[[str, float], None]
@@ -117,8 +119,8 @@ def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np
     part = whole.without(held) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    best = chosen(pool.on(part))
-    left = whole.residual - estimate(part, best.forms).signature.sum(axis=1)
+    forms = glimpse(pool.on(part), CLEAR)
+    left = whole.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, whole.following(left, ~held).reshape(-1, 3))[0]
 
 

@@ -89,6 +89,14 @@ def select(pool: Pool, starts: int = STARTS) -> Selection:
     return Selection(tuple(forms), pool.worth(forms))
 
 
+def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
+    """The first few causes that anyone would name: what is large, not what is right in the end."""
+    margin = pool.margins([])
+    if len(margin) == 0 or margin.max() <= 0.0:
+        return ()
+    return tuple(_grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
+
+
 def chosen(pool: Pool, starts: int = STARTS) -> Selection:
     """The best set in which what is so altogether or not at all is so altogether.
 
@@ -173,16 +181,17 @@ def _split(pool: Pool, forms: list[Form]) -> list[Form]:
     return trial
 
 
-def _grown(pool: Pool, forms: list[Form], allowed: np.ndarray | bool = True) -> list[Form]:
+def _grown(pool: Pool, forms: list[Form], allowed: np.ndarray | bool = True, most: int = MOST) -> list[Form]:
     """More and more forms, as long as each is worth it.
 
     Args:
         pool: the forms.
         forms: to begin with.
         allowed: (forms,) which may come in.
+        most: how many at most.
     """
     forms = _exchanged(pool, forms, allowed)
-    while len(forms) < MOST:
+    while len(forms) < most:
         now = pool.worth(forms)
         best = pool.forms[int(np.argmax(pool.margins(forms)))]
         if GRIDDED & best.cell.fixed.keys() and best.slot in {form.slot for form in forms}:
