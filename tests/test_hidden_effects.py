@@ -166,6 +166,8 @@ def test_nothing_hidden_is_consistent(look: Callable[..., Diagnosis], noise: str
         (EVERY[1], EVERY[2]),
         (one("reversal", "X", size=4.0), one("reversal", "B", size=25.0)),
         (EVERY[8], EVERY[20]),
+        # A period between two that are tried, so large that what it leaves there is more than the other effect.
+        (one("pitch_error", "X", amplitude=15.0, period=11.3, phase=0.4), one("reversal", "Y", size=6.0)),
     ],
     ids=lambda p: " and ".join(f"{h.effect} {h.where}" for h in p),
 )

@@ -11,19 +11,21 @@ from threadpoolctl import threadpool_limits
 
 from twin.calibration import Calibration
 from twin.diagnosis.account import account
-from twin.diagnosis.catalogue import Candidate, Catalogue
+from twin.diagnosis.catalogue import Candidate, Catalogue, Cell
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import Selection, chosen, every, glimpse, prices
+from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, prices
+from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.surrogates import EFFECT, surrogates
+from twin.effects import PitchError, ThermalDrift
 from twin.identification.screen import outliers
 from twin.instruments import Instrument
 from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.measurement import Measurements, state_of
 
 UNNAMED: Final = 3.0
 """Natural log of how much more an unnamed pattern must show than a named cause."""
@@ -33,6 +35,9 @@ CLEAR: Final = 3
 """Causes, at most, that rows too far off are blamed on."""
 TAKEN_BACK: Final = (1.0, 0.9, 0.5)
 """Shares of the rows set aside, the least far off first, that are looked at again: all, or without what lost its beam as well."""
+LARGE: Final = 100.0
+"""Chi² of a cause from which on what it leaves between two values that were tried could pass for another cause."""
+REFINED: Final = 2
 Say = Callable[[str, float], None]
 
 
@@ -144,5 +149,38 @@ class Searcher:
         self.pool = Pool(problem, every(everything, costs), dof)
 
     def run(self) -> tuple[Pool, Selection]:
-        """The best set of causes, named and unnamed, and the pool it was chosen from."""
-        return self.pool, chosen(self.pool)
+        """The best set of causes, named and unnamed, and the pool it was chosen from.
+
+        Between two periods or time constants that were tried, a large cause leaves more than another cause is: what is large is put
+        where the data have it, and the search made again.
+        """
+        best = chosen(self.pool)
+        for _ in range(REFINED):
+            if not self._refined(best):
+                break
+            best = chosen(self.pool)
+        return self.pool, best
+
+    def _refined(self, best: Selection) -> bool:
+        machine, data = self.problem.network.machine, self.problem.network.data
+        bent = [form for form in best.forms if GRIDDED & form.cell.fixed.keys()]
+        large = [
+            form
+            for form in bent
+            if self.pool.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
+        ]
+        if not large:
+            return False
+        state = state_of(data, machine)
+        found = estimate(self.problem, best.forms)
+        for form, effects in zip(best.forms, found.effects, strict=True):
+            if form in large and isinstance(effects[0], PitchError):
+                pitch = effects[0]
+                sine, cosine = (PitchError(pitch.axis, 1.0, pitch.period, phase) for phase in (0.0, np.pi / 2.0))
+                columns = of_unit(sine, machine, state), of_unit(cosine, machine, state)
+                self.pool.refine(form, Cell(columns, {"period": pitch.period}))
+            elif form in large and isinstance(effects[0], ThermalDrift):
+                constant = effects[0].time_constant
+                column = of_unit(effects[0].changed(1.0, constant), machine, state)
+                self.pool.refine(form, Cell((column,), {"time_constant": constant}))
+        return True

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, final
 
@@ -84,6 +84,7 @@ class Pool:
     ) -> None:
         self.dof = dof
         self.level = ALARMS
+        self._tried: dict[int, tuple[Form, np.ndarray]] = {}
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         at: dict[Column, int] = {}
         self.forms: list[Form] = []
@@ -155,6 +156,9 @@ class Pool:
         """Take the residual of a problem whose set-up and rows are the same."""
         self.problem = problem
         self.slope = self.signature.T @ problem.projected
+        for form, own in self._tried.values():
+            self._put(form, own)
+        self._tried = {}
         self._scans = {}
 
     def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
@@ -171,10 +175,34 @@ class Pool:
     def on(self, part: Problem) -> Pool:
         """The same forms on other rows of the same data: what is held out is zero in its basis and residual."""
         other = copy(self)
+        other._tried = {}
+        other.forms = list(self.forms)
         out = self._blocks(self.signature[_run(part.held)])
         other._raw = [raw - gone for raw, gone in zip(self._raw, out, strict=True)]
         other._project(part)
         return other
+
+    def refine(self, form: Form, cell: Cell) -> None:
+        """Let a form have its non-linear parameters where the data put them, beside those that were tried; until other data are judged.
+
+        Args:
+            form: of this pool.
+            cell: with as many columns.
+        """
+        self._tried.setdefault(form.index, (self.forms[form.index], np.array(self.signature[:, form.columns])))
+        self._put(replace(form, cell=cell), self.problem.signature(cell.columns))
+
+    def _put(self, form: Form, own: np.ndarray) -> None:
+        self.forms[form.index] = form
+        self.signature[:, form.columns] = own
+        self._within[:, form.columns] = within = self.problem.basis.T @ own
+        kind = next(k for k, rows in enumerate(self._rows) if form.index in rows)
+        at = int(np.searchsorted(self._rows[kind], form.index))
+        self._raw[kind][at] = own.T @ own
+        self._inner[kind][at] = own.T @ own - within.T @ within
+        self.slope[form.columns] = own.T @ self.problem.projected
+        self._cross, self._row = self._cross[:0], np.full_like(self._row, -1)
+        self._scans = {}
 
     def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
         """The columns of some forms, and how much of each (plausible sizes)."""
