@@ -33,7 +33,7 @@ from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
 from twin.diagnosis.search import Selection
-from twin.diagnosis.signatures import of_effect
+from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
 from twin.instruments import LaserTracker
@@ -54,8 +54,29 @@ Key = tuple[str, str]
 Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 
+UNHIDDEN = ("misplaced", "error_motion")
+"""Families that are not of the contract's table: what is wrong with the calibration itself has tests of its own."""
+
+
+class Told:
+    """What was hidden in one draw, and what was named."""
+
+    truth: tuple[Key, ...]
+    named: tuple[Key, ...]
+
+    @property
+    def right(self) -> bool:
+        """Every hidden effect is named."""
+        return set(self.truth) <= set(self.named)
+
+    @property
+    def too_many(self) -> bool:
+        """More causes than effects."""
+        return len(self.named) > len(self.truth)
+
+
 @dataclass(frozen=True)
-class Answer:
+class Answer(Told):
     """What was hidden in one draw, and what was said; ``alone`` if nothing could be mistaken for it even without scatter."""
 
     truth: tuple[Key, ...]
@@ -69,30 +90,21 @@ class Answer:
     seconds: float
 
     @property
-    def right(self) -> bool:
-        return set(self.truth) <= set(self.named)
-
-    @property
     def in_group(self) -> bool:
         """Every hidden effect is named, or equivalent to a cause that is: each cause stands for one."""
         left = [{name, *others} for name, others in zip(self.named, self.equivalent, strict=True)]
-        return _matched(list(self.truth), left)
-
-    @property
-    def too_many(self) -> bool:
-        return len(self.named) > len(self.truth)
+        return matched(list(self.truth), left)
 
     @property
     def unexplained(self) -> bool:
         return bool(self.unnamed)
 
 
-def _matched(truth: list[Key], groups: list[set[Key]]) -> bool:
+def matched(truth: list[Key], groups: list[set[Key]]) -> bool:
+    """Whether every hidden effect has a group of its own that it is in."""
     if not truth:
         return True
-    return any(
-        truth[0] in group and _matched(truth[1:], groups[:i] + groups[i + 1 :]) for i, group in enumerate(groups)
-    )
+    return any(truth[0] in group and matched(truth[1:], groups[:i] + groups[i + 1 :]) for i, group in enumerate(groups))
 
 
 def measured(
@@ -153,16 +165,14 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
             axis = machine.by_name[candidate.where]
             columns = [
-                c
-                for phase in (0.0, np.pi / 2.0)
-                for c in of_effect(PitchError(axis, 1.0, fixed["period"], phase), machine, state, [0])
+                of_unit(PitchError(axis, 1.0, fixed["period"], phase), machine, state) for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
             constants = [one.fixed["time_constant"] for one in candidate.cells]
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):
-                columns = of_effect(built, machine, state, [0])
+                columns = [of_unit(built, machine, state)]
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw, raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen
@@ -225,8 +235,7 @@ def answers(
             problem, searcher, root = measured(rng, machine, noise, poses, uncertain)
             families: dict[str, list[Candidate]] = {}
             for candidate in searcher.known.candidates:
-                # Of the contract's table: what is wrong with the calibration itself has tests of its own.
-                if candidate.effect in ("misplaced", "error_motion"):
+                if candidate.effect in UNHIDDEN:
                     continue
                 families.setdefault(candidate.effect, []).append(candidate)
             for _ in range(min(FRESH, draws - len(found))):

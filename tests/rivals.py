@@ -22,12 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import statsmodels.api as sm
-from scipy.optimize import linear_sum_assignment
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LassoLarsIC
 from threadpoolctl import threadpool_limits
 
-from tests.battery import FRESH, ROWS, Key, Truth, measured, noise_of, outside, some_effects
+from tests.battery import FRESH, ROWS, UNHIDDEN, Key, Told, Truth, matched, measured, noise_of, outside, some_effects
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.pool import SEEN
@@ -40,8 +39,6 @@ ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate is as good a name."""
 SHORTLIST = 10
 """Forms a step that are fitted by statsmodels, the best by inner products."""
-UNHIDDEN = ("misplaced", "error_motion")
-"""Families of which `tests.battery` hides nothing: what is wrong with the calibration itself."""
 APART = 1e-6
 """Share of a unit direction that must be left beside the others for it to be a regressor of its own."""
 STEPS = 500
@@ -49,7 +46,7 @@ STEPS = 500
 
 
 @dataclass(frozen=True)
-class Said:
+class Said(Told):
     """What one method said of one draw.
 
     Attributes:
@@ -67,21 +64,9 @@ class Said:
     seconds: float
 
     @property
-    def right(self) -> bool:
-        """Every hidden effect is named."""
-        return set(self.truth) <= set(self.named)
-
-    @property
     def in_group(self) -> bool:
         """Every hidden effect is named, or is like a cause that is: each cause stands for one."""
-        causes = list(zip(self.named, self.alike, strict=True))
-        stands = np.array([[key == name or key in like for name, like in causes] for key in self.truth], dtype=bool)
-        return not self.truth or int(stands[linear_sum_assignment(stands, maximize=True)].sum()) == len(self.truth)
-
-    @property
-    def too_many(self) -> bool:
-        """More causes than effects."""
-        return len(self.named) > len(self.truth)
+        return matched(list(self.truth), [{name, *like} for name, like in zip(self.named, self.alike, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)

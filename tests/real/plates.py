@@ -13,6 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from tests.real import write_both
+
 PLATE: Final = "D1597A_redrilled_meas_2011"
 U_MM: Final = 0.0037
 """Standard uncertainty of a coordinate. Nobody states the machine's; this is what the source's own fit leaves, 5.2 µm in the plane, a
@@ -45,10 +47,7 @@ frames: {tool: drill, work: table}
 
 def write_machine(folder: Path) -> Path:
     """URDF and machine file in ``folder``."""
-    (folder / "plate_drill.urdf").write_text(_URDF, encoding="utf-8")
-    path = folder / "plate_drill.yaml"
-    path.write_text(_MACHINE, encoding="utf-8")
-    return path
+    return write_both(folder, "plate_drill", _URDF, _MACHINE)
 
 
 def holes_mm(shared: Path) -> np.ndarray:

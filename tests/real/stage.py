@@ -19,6 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from tests.real import write_both
+
 REPORTS: Final = {"x": "b02_x_x_iso230_2_report.md", "y": "b02_y_report_target_y.md"}
 NUMBERS: Final = "b02_x_target_x.md_ISO230.dat"
 STEP_S: Final = 28.5
@@ -45,10 +47,7 @@ frames: {tool: slide, work: bed}
 
 def write_machine(folder: Path) -> Path:
     """URDF and machine file in ``folder``."""
-    (folder / "stage.urdf").write_text(_URDF, encoding="utf-8")
-    path = folder / "stage.yaml"
-    path.write_text(_MACHINE, encoding="utf-8")
-    return path
+    return write_both(folder, "stage", _URDF, _MACHINE)
 
 
 def readings(shared: Path, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -78,7 +78,7 @@ def account(
     causes = []
     for k, form in enumerate(named):
         others = [one for one in forms if one is not form]
-        explained, dof, log_p = pool.scores(others, [_index(pool, form)])[0]
+        explained, dof, log_p = pool.scores(others, [form.index])[0]
         margin = explained - pool.cost(form, dof)
         causes.append(
             Cause(
@@ -130,24 +130,25 @@ def account(
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         rms_um=_rms(before_um, read),
-        expected_rms_um=_expected(problem, weights),
+        expected_rms_um=_expected(problem),
         points=len(problem.network.data),
         dof=problem.dof,
         p_value=min(
             [
                 p_value,
                 *(cause.p_value for cause in causes if cause not in also),
-                *(pool.chance(pool.scores([], [_index(pool, f)])[0, 2]) for f in unnamed),
+                *(pool.chance(pool.scores([], [f.index])[0, 2]) for f in unnamed),
             ]
         ),
         causes=tuple(causes),
         unexplained=left,
         unidentifiable=_unidentifiable(pool, known),
         not_evaluated=known.not_evaluated,
-        gain=_gain(problem, pool, forms, found, before_um, after_um) if forms else None,
         next_measurement=_next(problem, pool, named, forms, causes),
         trends=_trends(pool),
         ranking=_ranking(pool),
+        # Last: it puts the pool back to what was tried.
+        gain=_gain(problem, pool, forms, found, before_um, after_um) if forms else None,
         tried=len(known.candidates),
         scatter=scatter.source,
         calibration=calibration,
@@ -224,17 +225,13 @@ def _too_small(pool: Pool, forms: Sequence[Form], form: Form, excess: float) -> 
     return f"a small pattern is left, {share:.2g} % of the excess, that goes with {' and '.join(names)} on the {side} side: not named"
 
 
-def _index(pool: Pool, form: Form) -> int:
-    return form.index
-
-
 def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -> tuple[tuple[str, str], ...]:
     """What could stand in this cause's place, the others kept, without the data objecting."""
     used = {one.key for one in others} | {form.key}
     tried = [i for i, one in enumerate(pool.forms) if one.key not in used and one.candidate.effect != EFFECT]
     scores = pool.scores(others, tried)
     best: dict[tuple[str, str], float] = {}
-    own = pool.scores(others, [_index(pool, form)])[0, 1]
+    own = pool.scores(others, [form.index])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
             worth = float(explained - pool.cost(pool.forms[i], dof))
@@ -287,7 +284,7 @@ def _unexplained(pool: Pool, unnamed: Sequence[Form], forms: Sequence[Form], exc
     share = 0.0
     for form in unnamed:
         others = [one for one in forms if one is not form]
-        explained = pool.scores(others, [_index(pool, form)])[0, 0]
+        explained = pool.scores(others, [form.index])[0, 0]
         share += float(explained) / excess
         side, names = depends_on(form.candidate)
         sides.add(side)
@@ -395,7 +392,7 @@ def _rms(values: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[read] ** 2)))
 
 
-def _expected(problem: Problem, weights: np.ndarray) -> float:
+def _expected(problem: Problem) -> float:
     variances = np.einsum("nii->ni", problem.network.covariance)[problem.network.read]
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
 
@@ -458,8 +455,10 @@ def _gain(
 def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, float]]:
     """Residuals of rounds that neither the selection nor the fit has seen, without and with the causes chosen then.
 
-    Poses where there is but one round; at most `FOLDS` selections, each without some of them.
+    Poses where there is but one round; at most `FOLDS` selections, each without some of them. What the search learnt from all rounds,
+    where a period lies or what cannot be, is forgotten first.
     """
+    pool.judge(problem)
     nothing = float("nan"), float("nan"), (float("nan"), float("nan"))
     data = problem.network.data
     names, group = np.unique(data.round.astype(str), return_inverse=True)

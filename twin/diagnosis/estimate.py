@@ -15,7 +15,7 @@ from twin.diagnosis.misfit import more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.signatures import of_effect
+from twin.diagnosis.signatures import of_effect, of_unit
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
 from twin.measurement import state_of
 
@@ -81,7 +81,7 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
             if moments is not None:
                 loose[k], curved[k] = moments, False
                 fixed[k] = {"time_constant": drift.time_constant}
-                unit = of_effect(drift.changed(1.0, drift.time_constant), machine, state, [0])
+                unit = [of_unit(drift.changed(1.0, drift.time_constant), machine, state)]
                 scales[k] = np.array([column.scale for column in unit])
                 columns[k], values[k] = problem.signature(unit) / scales[k], np.array([drift.amplitude])
     for _ in range(STEPS if any(curved) else 1):
@@ -183,10 +183,7 @@ def _creep(
     tried = [cell.fixed["time_constant"] for cell in form.candidate.cells]
     constants = np.geomspace(min(tried), max(tried), CONSTANTS)
     signature = np.stack(
-        [
-            of_effect(effect.changed(1.0, tau), machine, state, [0])[0].reading(problem.view).reshape(-1)
-            for tau in constants
-        ],
+        [of_unit(effect.changed(1.0, tau), machine, state).reading(problem.view).reshape(-1) for tau in constants],
         axis=1,
     )
     beside = np.concatenate([np.zeros((len(signature), 0)), *others], axis=1)

@@ -85,6 +85,7 @@ class Pool:
         self.dof = dof
         self.level = ALARMS
         self._tried: dict[int, tuple[Form, np.ndarray]] = {}
+        self._all_costs = np.zeros((0, 0))
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         at: dict[Column, int] = {}
         self.forms: list[Form] = []
@@ -128,11 +129,10 @@ class Pool:
         often = float(np.exp(np.quantile(least, OFTEN)))
         # The sum of the chances bounds the chance of any: the forms' being alike can only allow more.
         self.level = max(ALARMS, min(RARER * often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5))
-        self._costs = _costs(self.forms, self.level, self.dof)
-        self._scans = {}
+        self._all_costs = self._costs = _costs(self.forms, self.level, self.dof)
 
     def forbid(self, keys: Collection[tuple[str, str]]) -> None:
-        """Believe no form of some candidates, whatever it explains."""
+        """Believe no form of some candidates, whatever it explains, until other data are judged."""
         self._costs = np.array(self._costs)
         self._costs[[form.index for form in self.forms if form.key in keys]] = np.inf
 
@@ -153,12 +153,13 @@ class Pool:
         self.judge(problem)
 
     def judge(self, problem: Problem) -> None:
-        """Take the residual of a problem whose set-up and rows are the same."""
+        """Take the residual of a problem whose set-up and rows are the same; what was forbidden or refined for another is forgotten."""
         self.problem = problem
         self.slope = self.signature.T @ problem.projected
         for form, own in self._tried.values():
             self._put(form, own)
         self._tried = {}
+        self._costs = self._all_costs
         self._scans = {}
 
     def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:

@@ -6,7 +6,7 @@ instrument's effect acts on the reading itself. Both come out as (n, 3, columns)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -35,31 +35,28 @@ class Column:
     scale: float
 
 
-def of_effect(
-    effect: Effect, machine: Machine, state: Mapping[str, Any], which: Sequence[int] | None = None
-) -> list[Column]:
-    """Columns of a machine's effect, one a parameter (or some of them).
+def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> list[Column]:
+    """Columns of a machine's effect, one a parameter.
 
     Args:
         effect: with whatever values its non-linear parameters have.
         machine: the machine.
         state: positions and channels of all points.
-        which: indices of the parameters; all if None.
     """
-    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
-    at = 6 * index[effect.frame.axis, effect.frame.role]
-    shapes = effect.derivatives(state)
-    return [
-        of_components({at + i: v for i, v in shapes[k].items()})
-        for k in (range(len(shapes)) if which is None else which)
-    ]
+    at = _first_component(effect, machine)
+    return [of_components({at + i: v for i, v in shape.items()}) for shape in effect.derivatives(state)]
 
 
 def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
     """The column of a machine's effect that is proportional to its first parameter, which is one: cheaper than all its derivatives."""
-    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
-    at = 6 * index[effect.frame.axis, effect.frame.role]
+    at = _first_component(effect, machine)
     return of_components({at + i: values for i, values in effect.components(state).items()})
+
+
+def _first_component(effect: Effect, machine: Machine) -> int:
+    """Index of the first error component of the frame an effect acts in."""
+    frame = effect.frame
+    return 6 * next(i for i, one in enumerate(machine.frames) if (one.axis, one.role) == (frame.axis, frame.role))
 
 
 def of_components(parts: Mapping[int, np.ndarray]) -> Column:

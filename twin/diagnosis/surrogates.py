@@ -6,18 +6,15 @@ is left unexplained, with the columns it depends on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from twin.diagnosis.catalogue import Candidate, Cell
-from twin.diagnosis.signatures import LARGEST, Column
-from twin.identification.network import View
+from twin.diagnosis.signatures import Column, of_base
 from twin.machine import Machine
 from twin.measurement import CARRIERS, Measurements, state_of
-from twin.units import UM
 
 EFFECT: Final = "surrogate"
 ALONE: Final = 4
@@ -55,7 +52,7 @@ def whatever(candidate: Candidate, machine: Machine, data: Measurements) -> list
         own = _functions(named[column], state[named[column]], machine, ANY)
         own = np.concatenate([np.ones((len(mask), 1)), own], axis=1)
         functions = (functions[:, :, None] * own[:, None, :]).reshape(len(mask), -1)
-    return [_shift(i, functions[:, k] * mask) for i in range(3) for k in range(functions.shape[1])]
+    return [of_base(i, functions[:, k] * mask) for i in range(3) for k in range(functions.shape[1])]
 
 
 def _with_rounds(machine: Machine, data: Measurements) -> dict[str, np.ndarray]:
@@ -71,7 +68,7 @@ def _candidates(
     names: tuple[str, ...], functions: np.ndarray, side: str, mask: np.ndarray, machine: Machine
 ) -> list[Candidate]:
     where = f"{side}|{'|'.join(column_name(name, machine) for name in names)}"
-    directions = [tuple(_shift(i, functions[:, k] * mask) for k in range(functions.shape[1])) for i in range(3)]
+    directions = [tuple(of_base(i, functions[:, k] * mask) for k in range(functions.shape[1])) for i in range(3)]
     cells = [Cell(columns) for columns in directions]
     if len(names) > 1:
         # Of one column alone, most of it has a name: positioning, straightness, squareness.
@@ -91,15 +88,6 @@ def _functions(name: str, values: np.ndarray, machine: Machine, most: int) -> np
     return np.polynomial.legendre.legvander(u, min(most, distinct - 1))[:, 1:]
 
 
-def _shift(direction: int, values: np.ndarray) -> Column:
-    largest = float(np.abs(values).max(initial=0.0))
-
-    def reading(view: View) -> np.ndarray:
-        return view.by_base[:, :, direction] * (values[view.rows, None] * UM)
-
-    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
-
-
 def column_name(name: str, machine: Machine) -> str:
     """The table's name of a channel: ``X`` → ``X_mm``."""
     axis = machine.by_name.get(name)
@@ -110,6 +98,3 @@ def depends_on(candidate: Candidate) -> tuple[str, list[str]]:
     """Side and columns of a surrogate."""
     side, *columns = candidate.where.split("|")
     return side, columns
-
-
-__all__ = ["EFFECT", "Any", "Mapping", "column_name", "depends_on", "surrogates"]
