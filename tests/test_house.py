@@ -54,8 +54,8 @@ def test_no_module_beyond_600_lines() -> None:
 
 
 def test_only_the_command_line_prints() -> None:
-    printing = [p.name for p in package_files() if re.search(r"^\s*print\(", p.read_text(), re.M)]
-    assert printing == ["cli.py"]
+    printing = {p.parent.name for p in package_files() if re.search(r"^\s*print\(", p.read_text(), re.M)}
+    assert printing == {"cli"}
 
 
 def test_no_assert_and_no_catch_all_in_the_package() -> None:

@@ -1,0 +1,95 @@
+"""What all commands share: the application, its common options, exit statuses, and one line of progress."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from twin.calibration import Calibration
+from twin.channels import Conditions
+from twin.machine import Machine
+
+BAD_INPUT = 2
+NOT_ALL_MET = 3
+INTERRUPTED = 130
+
+
+app = typer.Typer(
+    help="A digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+)
+
+
+class Mode(StrEnum):
+    """Who does the kinematics."""
+
+    axis = "axis"
+    tcp = "tcp"
+
+
+MachineOption = Annotated[
+    str, typer.Option("--machine", "-m", help="Machine file, or the name of one that comes with twin.")
+]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", "-c", help="Calibration file; the machine file's own if not given.")
+]
+ToolOption = Annotated[float | None, typer.Option("--tool-length", help="mm from spindle nose to tool tip.")]
+OffsetOption = Annotated[
+    list[str] | None, typer.Option("--work-offset", help="Added to axis words: X=… Y=… Z=… B=… C=… (mm, degrees).")
+]
+OriginOption = Annotated[
+    str | None, typer.Option("--work-origin", help="x,y,z of the program's zero in the work frame (mm), in mode tcp.")
+]
+ModeOption = Annotated[Mode, typer.Option("--mode", help="axis: words are axis positions; tcp: tool-tip coordinates.")]
+TemperatureOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--temperature",
+        help="°C of an axis's scale or of a sensor, over the whole program: X=23.1 bed=21.",
+    ),
+]
+TimeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--time",
+        help="For a warm-up: seconds on the clock of the measured table's time_s, which starts with the cold machine; held over "
+        "the whole program, so take its middle. A machine warmed through: a large number.",
+    ),
+]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
+
+
+def tell_unused(at: Conditions, errors: Calibration) -> None:
+    """Name what was given and not needed."""
+    for name in at.unused(errors):
+        print(f"{name} was given and the calibration does not need it")
+
+
+def calibration_of(path: Path | None, machine: Machine) -> Calibration:
+    """The calibration of that file, or the machine file's own."""
+    return Calibration.default(machine) if path is None else Calibration.load(path, machine)
+
+
+@contextmanager
+def progress() -> Iterator[Any]:
+    """One line on stderr while it lasts; nothing where nobody watches."""
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description:>10}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)

@@ -1,0 +1,73 @@
+"""``twin diagnose``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.cli.app import (
+    NOT_ALL_MET,
+    CalibrationOption,
+    JsonOption,
+    MachineOption,
+    app,
+    calibration_of,
+    progress,
+)
+from twin.diagnosis import diagnose as run_diagnosis
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.machine import Machine
+from twin.measurement import load as load_measurements
+from twin.options import instrument_named
+
+
+@app.command()
+def diagnose(
+    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            "--instrument", help="Whose scatter to take; if not given: the table's uncertainties, else the repeats'."
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report as one HTML file.")] = None,
+    extended: Annotated[
+        Path | None, typer.Option("--extended", help="Write the calibration with what was found of the machine.")
+    ] = None,
+) -> None:
+    """Show what the model gets wrong about measured data, and name the cause.
+
+    twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --extended better.yaml
+    """
+    loaded = Machine.load(machine)
+    outputs = [path for path in (json_file, html_file, extended) if path is not None]
+    check_writable(outputs)
+    inputs = {path.resolve() for path in (measured, calibration) if path is not None}
+    if inputs & {path.resolve() for path in outputs}:
+        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
+    errors = calibration_of(calibration, loaded)
+    with progress() as say:
+        say("reading", 0.0)
+        data = load_measurements(measured, loaded)
+        reader = None if instrument is None else instrument_named(instrument)
+        found = run_diagnosis(data, loaded, errors, instrument=reader, say=say)
+    if extended is not None:
+        found.extended.save(extended)
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    if html_file is not None:
+        from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
+
+        write_whole(html_file, diagnosis_html(found))
+    print(found.to_text(), end="")
+    if outputs:
+        print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+    if found.data.set_aside:
+        raise typer.Exit(NOT_ALL_MET)

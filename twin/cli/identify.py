@@ -1,0 +1,93 @@
+"""``twin identify``."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.cli.app import (
+    NOT_ALL_MET,
+    JsonOption,
+    MachineOption,
+    app,
+    progress,
+)
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.identification import identify as run_identification
+from twin.instruments import INSTRUMENTS
+from twin.machine import Machine
+from twin.measurement import load as load_measurements
+from twin.options import instrument_named
+
+
+class Scatter(StrEnum):
+    """Whose scatter an uncertainty carries."""
+
+    stated = "stated"
+    repeats = "repeats"
+    between_poses = "between poses"
+    between_rounds = "between rounds"
+
+
+@app.command()
+def identify(
+    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
+    machine: MachineOption = "dmu50",
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            "--instrument",
+            help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
+        ),
+    ] = None,
+    spread: Annotated[
+        Scatter,
+        typer.Option(
+            "--uncertainty",
+            help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
+        ),
+    ] = Scatter.stated,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Identify error motions, squareness and axis locations from measured points, with their uncertainty.
+
+    twin identify measured.csv -o mine.yaml --json report.json
+    """
+    loaded = Machine.load(machine)
+    check_writable([path for path in (output, json_file) if path is not None])
+    if measured.resolve() in {path.resolve() for path in (output, json_file) if path is not None}:
+        raise InputError("the output is the measurement itself", expected="another file", file=output)
+    names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
+    for pattern in only or []:
+        if not fnmatch.filter(names, pattern):
+            raise InputError(
+                "--only names no error of this machine", expected=f"among {', '.join(names)}", value=pattern
+            )
+    with progress() as say:
+        say("reading", 0.0)
+        data = load_measurements(measured, loaded)
+        found = run_identification(
+            data,
+            loaded,
+            instrument=None if instrument is None else instrument_named(instrument),
+            wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
+            spread=spread.value,
+            say=say,
+        )
+    found.calibration.save(output)
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    print(found.to_text(), end="")
+    print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
+    if not found.complete:
+        raise typer.Exit(NOT_ALL_MET)
