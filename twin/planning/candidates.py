@@ -1,0 +1,128 @@
+"""Everything that could be measured: poses that are safe, reflectors that are seen there, from every place a station may stand."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.planning.clearance import Clearance
+from twin.planning.kit import Kit
+from twin.planning.sight import Sight
+from twin.simulate import Setting
+
+POSES: Final = 240
+TRIES: Final = 8
+"""Times as many are drawn at most before it is said that there is no room."""
+FEWEST: Final = 20
+ROUND: Final = 1.0
+"""mm and degrees: commands a person can read."""
+AT_AN_END: Final = 0.4
+"""Share of the poses that have an axis at an end of its range: curves are worst known there."""
+
+
+def safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, count: int = POSES) -> np.ndarray:
+    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+
+    Raises:
+        InputError: hardly any does.
+    """
+    clearance = Clearance(machine, kit)
+    found: list[np.ndarray] = []
+    low, high = kit.ranges.T
+    unlimited = np.array([axis.lower is None for axis in machine.axes])
+    for _ in range(TRIES):
+        cells = (np.argsort(rng.random((count, len(low))), axis=0) + rng.random((count, len(low)))) / count
+        drawn = low + cells * (high - low)
+        ended = np.flatnonzero(rng.random(count) < AT_AN_END)
+        axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
+        for row, i in zip(ended, axis, strict=False):
+            drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
+        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
+        found += [pose for pose in whole if clearance.free(pose)]
+        if len(found) >= count:
+            break
+    if len(found) < FEWEST:
+        raise InputError(
+            "hardly any pose keeps the tool side clear of the work side",
+            expected=f"at least {FEWEST} of {TRIES * count} poses: shorter holders, or narrower `ranges` in the kit",
+            value=len(found),
+        )
+    return np.unique(np.array(found[:count]), axis=0)
+
+
+def setting_of(kit: Kit) -> Setting:
+    """Stations and places as the kit has them."""
+    return Setting(kit.stations, {name: target.place_mm for name, target in kit.targets.items()})
+
+
+def candidates(machine: Machine, kit: Kit, positions: np.ndarray, rng: np.random.Generator) -> Measurements:
+    """Every reading that could be taken at some poses: a row each, as a plan; each axis comes from a side drawn for the pose.
+
+    Raises:
+        InputError: a reflector that no station ever sees.
+    """
+    seen = Sight(machine, kit).sees(positions)
+    sides = rng.choice([-1.0, 1.0], positions.shape)
+    rows: list[tuple[int, str, str]] = []
+    for name in kit.targets:
+        mine = [(int(i), station, name) for station in kit.stations for i in np.flatnonzero(seen[station, name])]
+        if not mine:
+            raise InputError(
+                f"target {name} is hidden from every station at every pose",
+                expected="another place for it, another station, or `stops_the_beam: nothing`",
+                value=f"{kit.targets[name].place_mm} mm on the {kit.targets[name].carrier} side",
+            )
+        rows += mine
+    pose = np.array([row[0] for row in rows])
+    return plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+
+
+def plan_table(
+    machine: Machine,
+    kit: Kit,
+    positions: np.ndarray,
+    target: list[str],
+    station: list[str],
+    approach: np.ndarray,
+    *,
+    source: str = "plan",
+) -> Measurements:
+    """A plan: what to measure, in this order, the kit's places and stations with it.
+
+    Args:
+        machine: the machine.
+        kit: what is measured with.
+        positions: (n, axes) mm and degrees.
+        target: n names.
+        station: n names.
+        approach: (n, axes) +1, −1, 0 any.
+        source: what it is called in messages.
+    """
+    n = len(target)
+
+    def nothing(*more: int) -> np.ndarray:
+        return locked(np.full((n, *more), np.nan))
+
+    return Measurements(
+        source=source,
+        lines=locked(np.arange(1, n + 1)),
+        positions=locked(np.array(positions, dtype=float).reshape(n, len(machine.axes))),
+        readback=nothing(len(machine.axes)),
+        target=locked(np.array(target, dtype=object)),
+        carrier=locked(np.array([kit.targets[name].carrier for name in target], dtype=object)),
+        station=locked(np.array(station, dtype=object)),
+        round=locked(np.full(n, "1", dtype=object)),
+        point_mm=nothing(3),
+        u_mm=nothing(3),
+        time_s=nothing(),
+        approach=locked(np.array(approach, dtype=float).reshape(n, len(machine.axes))),
+        place_mm=locked(np.array([kit.targets[name].place_mm for name in target]).reshape(n, 3)),
+        station_pose=locked(np.array([kit.stations[name].pose for name in station]).reshape(n, 6)),
+        temperature_degC=MappingProxyType({}),
+    )

@@ -1,0 +1,116 @@
+"""Whether the tool side keeps clear of the work side, reflectors included: a plan must not drive one into the other.
+
+What is drawn in the URDF is all that is known: holders, posts, clamps, cables and a workpiece are not. Shapes that touch in the
+middle of the ranges touch by construction (a slide on its way) and are not looked at.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final, final
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from twin.machine import Machine
+from twin.planning.kit import Kit, whole_ranges
+from twin.planning.sight import machine_shapes
+from twin.units import MM
+
+MARGIN_MM: Final = 25.0
+"""Kept between anything of the tool side and anything of the work side."""
+REFLECTOR_MM: Final = 40.0
+"""Radius of the ball that stands for a reflector in its nest: 1.5 inch and what holds it."""
+STEP_MM: Final = 20.0
+STEP_DEG: Final = 4.0
+"""Of a move that is looked at: less than the margin at any drawn place within 0.35 m of a rotary axis."""
+
+
+@final
+class Clearance:
+    """What may touch what on one machine.
+
+    Args:
+        machine: the machine.
+        kit: its reflectors count with the sides that carry them.
+    """
+
+    def __init__(self, machine: Machine, kit: Kit) -> None:
+        self.machine = machine
+        self.kit = kit
+
+    @property
+    def known(self) -> bool:
+        """Whether the URDF draws anything on either side: if not, only the reflectors keep clear of each other."""
+        return bool(self._drawn)
+
+    def free(self, position: np.ndarray) -> bool:
+        """Whether one pose (axes,), mm and degrees, keeps clear."""
+        model, data, own = self._pairs
+        q = self.machine.configuration(position * self.machine.scale)
+        return not pin.computeCollisions(self.machine.model, data, model, own, q, True)
+
+    def free_move(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether the straight move between two poses keeps clear, its ends included; all axes move together."""
+        way = np.abs(end - start)
+        size = np.array([STEP_MM if axis.linear else STEP_DEG for axis in self.machine.axes])
+        count = int(np.ceil((way / size).max(initial=0.0))) + 1
+        # From the middle outwards: where a move fails it mostly does so there.
+        parts = sorted(np.linspace(0.0, 1.0, count + 1), key=lambda part: abs(part - 0.5))
+        return all(self.free(start + part * (end - start)) for part in parts)
+
+    @cached_property
+    def _drawn(self) -> list[tuple[int, coal.CollisionGeometry, pin.SE3]]:
+        return [
+            (shape.joint, shape.geometry, shape.placement)
+            for shape in machine_shapes(self.machine)
+            if self._side(shape.joint) is not None
+        ]
+
+    @cached_property
+    def _pairs(self) -> tuple[pin.GeometryModel, pin.Data, pin.GeometryData]:
+        model = pin.GeometryModel()
+        sides: dict[str, list[int]] = {"tool": [], "work": []}
+        for number, (joint, shape, placement) in enumerate(self._drawn):
+            side = self._side(joint)
+            entry = pin.GeometryObject(f"shape {number}", joint, placement, shape)
+            sides[side or "tool"].append(model.addGeometryObject(entry))
+        reflectors = []
+        for name, target in self.kit.targets.items():
+            frame = self.machine.model.frames[
+                self.machine.tool_frame if target.carrier == "tool" else self.machine.work_frame
+            ]
+            place = frame.placement * pin.SE3(np.eye(3), np.array(target.place_mm) * MM)
+            ball = pin.GeometryObject(f"reflector {name}", frame.parentJoint, place, coal.Sphere(REFLECTOR_MM * MM))
+            reflectors.append(model.addGeometryObject(ball))
+            sides[target.carrier].append(reflectors[-1])
+        pairs = [(a, b) for a in sides["tool"] for b in sides["work"]]
+        data = self.machine.model.createData()
+        middle = self.machine.configuration(whole_ranges(self.machine).mean(axis=1) * self.machine.scale)
+        pin.forwardKinematics(self.machine.model, data, middle)
+        for a, b in pairs:
+            model.addCollisionPair(pin.CollisionPair(a, b))
+        own = pin.GeometryData(model)
+        pin.computeCollisions(self.machine.model, data, model, own, middle, False)
+        touching = [
+            pairs[k]
+            for k, result in enumerate(own.collisionResults)
+            if result.isCollision() and not {*pairs[k]} & {*reflectors}
+        ]
+        for a, b in touching:
+            model.removeCollisionPair(pin.CollisionPair(a, b))
+        own = pin.GeometryData(model)
+        for request in own.collisionRequests:
+            request.security_margin = MARGIN_MM * MM
+        return model, data, own
+
+    def _side(self, joint: int) -> str | None:
+        """Which carrier a joint moves; what stands still counts with neither: the ranges keep the machine clear of itself."""
+        model = self.machine.model
+        moving = {int(j) for j in self.machine.axis_joints}
+        if not moving & {int(j) for j in model.supports[joint]}:
+            return None
+        tool = joint in model.supports[model.frames[self.machine.tool_frame].parentJoint].tolist()
+        work = joint in model.supports[model.frames[self.machine.work_frame].parentJoint].tolist()
+        return None if tool == work else "tool" if tool else "work"

@@ -1,0 +1,192 @@
+"""The time there is, filled: where to stand, what to read from there, in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final, final
+
+import numpy as np
+
+from twin.errors import InputError
+from twin.instruments import Instrument
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.planning.design import Aim, Say, choose, covariance_of
+from twin.planning.kit import Kit
+from twin.planning.route import ALWAYS, Route, Session, route
+
+STATIONS: Final = 4
+"""Stations of one plan at most: each more is set up, placed by the data, and paid for."""
+FEWEST: Final = 30
+"""Readings below which nothing is planned: stations and reflectors alone take as many."""
+CLOSE: Final = 0.95
+"""Share of the time allowed that a plan fills, or it is chosen again."""
+ALMOST: Final = 1.1
+"""Times the time allowed from which readings are simply left out."""
+ROUNDS: Final = 3
+
+
+@final
+@dataclass(frozen=True)
+class Readings:
+    """Everything that could be read with one instrument, and what is aimed at.
+
+    Attributes:
+        instrument: what reads.
+        plan: a row each.
+        session: (n,) index of the session each belongs to.
+        sessions: the states of the machine that readings are taken in, in order.
+        prior: (f, f) precision of the unknowns' coordinates before any reading.
+        rows: (n, 3, f) derivatives of the whitened readings.
+        aim: what is to become small.
+    """
+
+    instrument: Instrument
+    plan: Measurements
+    session: np.ndarray
+    sessions: tuple[Session, ...]
+    prior: np.ndarray
+    rows: np.ndarray
+    aim: Aim
+
+
+@final
+@dataclass(frozen=True)
+class Stand:
+    """One instrument and the places it stands, and what an even spread of readings from there would give.
+
+    Attributes:
+        readings: of the instrument.
+        stations: names.
+        points: readings there is time for.
+        value: of the aim.
+    """
+
+    readings: Readings
+    stations: tuple[str, ...]
+    points: int
+    value: float
+
+
+@final
+class Filler:
+    """One plan being made.
+
+    Args:
+        machine: the machine.
+        kit: what there is to measure with.
+        minutes: that it may take.
+        seed: of every draw.
+        say: told how far it is.
+    """
+
+    def __init__(self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say) -> None:
+        self.machine = machine
+        self.kit = kit
+        self.seconds = 60.0 * minutes
+        self.seed = seed
+        self.say = say
+        self.rng = np.random.default_rng(seed)
+
+    def stands(self, readings: Readings) -> list[Stand]:
+        """What an even spread of readings from every set of places would give in the time there is.
+
+        Raises:
+            InputError: no time to measure anything.
+        """
+        found = []
+        plan = readings.plan
+        names = tuple(dict.fromkeys(plan.station))
+        order = self.rng.permutation(len(plan))
+        for count in range(1, min(STATIONS, len(names)) + 1):
+            for stations in combinations(names, count):
+                points = self._points(stations, readings, self.kit.seconds.point)
+                inside = order[np.isin(plan.station[order], stations)]
+                if points < FEWEST or set(plan.station[inside]) != set(stations):
+                    continue
+                covariance = covariance_of(readings.prior, readings.rows[np.resize(inside, points)])
+                found.append(Stand(readings, stations, points, readings.aim.value(covariance)))
+        if not found:
+            least = (self._set_up(names[:1], readings) + FEWEST * self.kit.seconds.point) / 60.0
+            raise InputError(
+                "no time to measure anything",
+                expected=f"{least:.0f} minutes or more",
+                value=f"{self.seconds / 60.0:g} minutes",
+            )
+        return found
+
+    def filled(self, best: Stand) -> Route:
+        """The plan that fills the time: what a reading of each target really takes shows on the way through an even spread.
+
+        Raises:
+            InputError: no time to measure anything.
+        """
+        readings = best.readings
+        inside = np.flatnonzero(np.isin(readings.plan.station, best.stations))
+        first = self.rng.permutation(len(inside))
+        own = readings.plan.select(inside)
+        session = readings.session[inside]
+        taken = np.resize(first, best.points)
+        spread = self._routed(own, session, taken, best)
+        for turn in range(ROUNDS):
+            each = (spread.seconds - self._set_up(best.stations, readings)) / len(spread.plan)
+            points = self._points(best.stations, readings, each)
+            if points < FEWEST:
+                raise InputError(
+                    "no time to measure anything",
+                    expected="more minutes, or a kit in which a reading takes less",
+                    value=f"{each:.0f} s a reading",
+                )
+            part = 0.15 + 0.8 * turn / ROUNDS
+
+            def say(stage: str, done: float, part: float = part) -> None:
+                self.say(stage, part + 0.8 * done / ROUNDS)
+
+            cost = self._cost(spread.plan, own, each)
+            taken = choose(readings.prior, readings.rows[inside], cost, readings.aim, points, first, say=say)
+            spread = self._routed(own, session, taken, best)
+            if CLOSE * self.seconds <= spread.seconds <= self.seconds:
+                return spread
+            if spread.seconds <= self.seconds * ALMOST:
+                break
+        while spread.seconds > self.seconds:
+            # Every station and target loses the same share.
+            kept = int(len(taken) * min(0.99, self.seconds / spread.seconds))
+            taken = taken[np.sort(np.random.default_rng(self.seed).permutation(len(taken))[:kept])]
+            spread = self._routed(own, session, taken, best)
+        return spread
+
+    def _set_up(self, stations: Sequence[str], readings: Readings) -> float:
+        """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
+        times = 1 if len(stations) == 1 else len(stations) * len(readings.sessions)
+        return times * self.kit.seconds.station
+
+    def _points(self, stations: Sequence[str], readings: Readings, each: float) -> int:
+        """How many readings there is time for, at so many seconds each."""
+        return int((self.seconds - self._set_up(stations, readings)) / each)
+
+    def _routed(self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand) -> Route:
+        return route(
+            self.machine,
+            self.kit,
+            table.select(rows),
+            best.stations,
+            np.random.default_rng(self.seed),
+            session=session[rows],
+            sessions=best.readings.sessions or ALWAYS,
+        )
+
+    def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:
+        """(n,) seconds that a reading of each candidate's target from its station took on the way, the way included."""
+        took = np.diff(taken.time_s, prepend=taken.time_s[0] - each)
+        cost = np.full(len(every), each)
+        for station in dict.fromkeys(taken.station):
+            for target in dict.fromkeys(taken.target):
+                of = (taken.station == station) & (taken.target == target)
+                if np.count_nonzero(of) >= 5:
+                    mine = (every.station == station) & (every.target == target)
+                    # A station's set-up stands before its first reading and is not that reading's.
+                    cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.kit.seconds.point)
+        return cost

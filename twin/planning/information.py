@@ -1,0 +1,210 @@
+"""What each reading of a plan would tell, before it is taken: derivatives by every unknown, in one set of coordinates.
+
+The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, locations, stations,
+targets. What is known beforehand is how large such things are: a curve's functions fall off as those of the calibration in hand do
+(`twin.identification.remainder`), constants, stations and targets are as far off as is plausible. Linear in the errors, about the
+machine as drawn: they are micrometres, and what a plan is worth does not hang on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+import pinocchio as pin
+
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.curves import BASES
+from twin.effects import split_name
+from twin.identification.network import PIECE, Network
+from twin.identification.remainder import FALL
+from twin.identification.setup import SetUp
+from twin.identification.solve import free_directions
+from twin.identification.unknowns import PLAUSIBLE, CurveSpace, Unknowns, axes_told, spaces_for
+from twin.instruments import Instrument
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.simulate import Setting, simulate
+from twin.units import MM
+
+MOST: Final = 13
+"""Functions of a curve, as of `identify`."""
+EXPECTED_UM: Final = 5.0
+"""RMS of a curve, µm or µrad, where no calibration says how large it is: that of a machine in order."""
+EXPECTED_FUNCTIONS: Final = 4
+ROUNDING: Final = 1e-6
+"""Share of a curve below which a function of it is what numbers were rounded to."""
+LEAST_UM: Final = 0.5
+"""A calibration that takes a curve as smaller than that is not believed: what it left out is not zero."""
+
+
+@final
+@dataclass(frozen=True)
+class Model:
+    """The unknowns of a planned measurement, and what is known of them before it.
+
+    Attributes:
+        machine: the machine.
+        unknowns: of the machine.
+        setting, setup: stations and targets as planned.
+        plausible: (p,) size of every unknown that stands for one in the coordinates used here.
+        free: (p, f) the directions the datum leaves, in these units: the coordinates are along them.
+        prior: (f, f) precision of the coordinates before any reading.
+    """
+
+    machine: Machine
+    unknowns: Unknowns
+    setting: Setting
+    setup: SetUp
+    plausible: np.ndarray
+    free: np.ndarray
+    prior: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        machine: Machine,
+        plan: Measurements,
+        setting: Setting,
+        instrument: Instrument,
+        expected: Calibration,
+        known: Collection[str] = (),
+    ) -> Model:
+        """The unknowns of a plan's axes, stations and targets.
+
+        Args:
+            machine: the machine.
+            plan: every reading in question; axes it does not move have no unknowns.
+            setting: where stations and targets are.
+            known: names of the stations and targets that an evaluation is told exactly.
+            instrument: whether it reads lengths only.
+            expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
+        """
+        power = next(basis for basis in BASES if not basis.periodic)
+        fourier = next(basis for basis in BASES if basis.periodic)
+        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == fourier.name}
+        bases = {axis.name: fourier if axis.lower is None or axis.name in turning else power for axis in machine.axes}
+        spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
+        told = _told(plan, known)
+        unknowns = Unknowns(machine, spaces, constants, axes_told(machine, told))
+        setup = _setup(told, setting, lengths_only=bool(np.isnan(instrument.read(np.ones((1, 3)))[0, 1])))
+        plausible = np.concatenate([np.full(len(unknowns), PLAUSIBLE), setup.plausible])
+        free = free_directions(unknowns.datum, len(unknowns), len(setup))
+        precision = np.ones(len(plausible))
+        for space in spaces:
+            columns = unknowns.of(space.name)
+            precision[columns] = PLAUSIBLE**2 / _sizes(space, expected) ** 2
+        return cls(machine, unknowns, setting, setup, plausible, free, free.T @ (precision[:, None] * free))
+
+    def rows(self, plan: Measurements, instrument: Instrument) -> np.ndarray:
+        """(n, 3, f) derivatives of the whitened readings of a plan by the coordinates; zero where nothing is read."""
+        readings, _ = simulate(
+            plan,
+            self.machine,
+            Calibration.zero(self.machine),
+            instrument,
+            np.random.default_rng(0),
+            setting=self.setting,
+            noise=False,
+        )
+        network = Network(self.machine, readings, instrument, self.unknowns)
+        stations, targets = list(dict.fromkeys(plan.station)), list(dict.fromkeys(plan.target))
+        own = self._of(stations, targets)
+        kept = self._columns(stations, targets)
+        found = np.empty((len(plan), 3, self.free.shape[1]))
+        for start in range(0, len(plan), PIECE):
+            piece = network.piece(np.zeros(len(self.unknowns)), own, np.arange(start, min(start + PIECE, len(plan))))
+            scaled = piece.jacobian * self.plausible[kept]
+            found[piece.rows] = scaled @ self.free[kept]
+        return found
+
+    def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
+        """(columns, …) the machine's unknowns, µm and µrad, of (f, …) coordinates."""
+        return np.asarray(self.plausible[: len(self.unknowns), None] * (self.free[: len(self.unknowns)] @ coordinates))
+
+    def at_tool(self, positions: np.ndarray, tool_length_mm: float, without: Collection[str] = ()) -> np.ndarray:
+        """(n, 3, f) derivatives of the tool point in the work frame, µm, by the coordinates; errors ``without`` count for nothing."""
+        kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=tool_length_mm)
+        by_error = kinematics.sensitivities(positions).error[:, :3]
+        shapes = self.unknowns.shapes(np.asarray(positions))
+        own = np.zeros((len(positions), 3, len(self.unknowns)))
+        for k, parts in enumerate(shapes):
+            if self.unknowns.columns[k].entity in without:
+                continue
+            for at, values in parts:
+                own[:, :, k] += by_error[:, :, at] * values[:, None] * 1e6
+        return np.asarray((own * self.plausible[: len(self.unknowns)]) @ self.free[: len(self.unknowns)])
+
+    @cached_property
+    def curves(self) -> dict[str, CurveSpace]:
+        """The spaces of the error motions by name."""
+        return {space.name: space for space in self.unknowns.curves}
+
+    def _of(self, stations: Sequence[str], targets: Sequence[str]) -> SetUp:
+        """The set-up of some stations and targets, in that order."""
+        whole = self.setup
+        s, t = [whole.stations.index(n) for n in stations], [whole.targets.index(n) for n in targets]
+        return SetUp(
+            tuple(stations),
+            whole.rotation[s],
+            whole.origin[s],
+            whole.dead[s],
+            tuple(targets),
+            whole.place[t],
+            whole.station_known[s],
+            whole.target_known[t],
+            whole.lengths_only,
+        )
+
+    def _columns(self, stations: Sequence[str], targets: Sequence[str]) -> np.ndarray:
+        """Where the unknowns of `_of` stand among all."""
+        names = self.setup.names
+        own = self._of(stations, targets).names
+        return np.array([*range(len(self.unknowns)), *(len(self.unknowns) + names.index(name) for name in own)])
+
+
+def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
+    """(count − first,) how large each orthonormal function of a curve may be, µm or µrad.
+
+    As an estimate will have it (`twin.identification.remainder`): nothing holds the functions the expected curve has; those beyond
+    fall by `FALL` a function, from the size that all of them together show.
+    """
+    count = space.count - space.first
+    fall = FALL ** np.arange(count)
+    curve = expected.curves.get(space.name)
+    if curve is None:
+        own = np.where(np.arange(count) < EXPECTED_FUNCTIONS, EXPECTED_UM / np.sqrt(EXPECTED_FUNCTIONS), 0.0)
+    else:
+        q, w = space.grid()
+        own = ((w * curve(q)) @ space.functions(q))[space.first :]
+    size = max(float(np.sum(own**2 / fall)) / max(count - 1, 1), LEAST_UM**2)
+    held = np.flatnonzero(np.abs(own) > ROUNDING * max(np.abs(own).max(initial=0.0), LEAST_UM))
+    open_ = np.arange(count) <= (held[-1] if len(held) else -1)
+    return np.asarray(np.where(open_, PLAUSIBLE, np.sqrt(size * fall)))
+
+
+def _told(plan: Measurements, known: Collection[str]) -> Measurements:
+    """The plan as an evaluation will have it: poses and places only where they are known."""
+    station = np.array([name in known for name in plan.station])[:, None]
+    target = np.array([name in known for name in plan.target])[:, None]
+    return replace(
+        plan,
+        station_pose=locked(np.where(station, plan.station_pose, np.nan)),
+        place_mm=locked(np.where(target, plan.place_mm, np.nan)),
+    )
+
+
+def _setup(plan: Measurements, setting: Setting, *, lengths_only: bool) -> SetUp:
+    """The truth about stations and targets, and which of it an evaluation is told."""
+    told = SetUp.told(plan, lengths_only=lengths_only)
+    return replace(
+        told,
+        rotation=np.array([pin.exp3(np.array(setting.stations[name].turn_rad)) for name in told.stations]),
+        origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
+        place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
+    )

@@ -1,0 +1,272 @@
+"""What there is to measure with: instruments, where they may stand, reflectors, and how long everything takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Final, Literal, final
+
+import numpy as np
+import pinocchio as pin
+from pydantic import BaseModel, ConfigDict, Field
+
+from twin.budget import volume
+from twin.errors import InputError
+from twin.files import Place, load_yaml
+from twin.instruments import INSTRUMENTS, Instrument
+from twin.machine import Machine
+from twin.simulate import Station
+from twin.units import DEG
+
+SCHEMA: Final = "twin.kit/1"
+ACCEPTANCE_DEG: Final = 30.0
+"""Of a spherically mounted corner cube, either side of its axis (Leica red ring reflector, data sheet)."""
+DISTANCE_MM: Final = 2000.0
+"""From the middle of the work to a station where nobody says where it may stand."""
+REACH_MM: Final = 150.0
+"""How far from the nose, or from the middle of the table, a reflector sits where nobody says where."""
+TRAVEL_MM_S: Final = 100.0
+TRAVEL_DEG_S: Final = 15.0
+
+
+class _Seconds(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    point: Annotated[float, Field(gt=0)] = 15.0
+    aim: Annotated[float, Field(ge=0)] = 0.0
+    target: Annotated[float, Field(ge=0)] = 30.0
+    station: Annotated[float, Field(ge=0)] = 900.0
+
+
+class _StationEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    origin_mm: tuple[float, float, float]
+    turn_deg: tuple[float, float, float] | None = None
+    known: bool = False
+
+
+class _TargetEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    carrier: Literal["tool", "work"]
+    place_mm: tuple[float, float, float]
+    known: bool = False
+    facing: tuple[float, float, float] | Literal["aimed"] = "aimed"
+    acceptance_deg: Annotated[float, Field(gt=0, le=180)] = ACCEPTANCE_DEG
+
+
+class _KitFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    schema_: Literal["twin.kit/1"] = Field(alias="schema")
+    source: str = ""
+    instruments: Annotated[tuple[str, ...], Field(min_length=1)] = ("tracker",)
+    stations: Annotated[dict[str, _StationEntry], Field(min_length=1)]
+    targets: Annotated[dict[str, _TargetEntry], Field(min_length=1)]
+    seconds: _Seconds = _Seconds()
+    speeds: dict[str, Annotated[float, Field(gt=0)]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    stops_the_beam: Literal["machine", "nothing"] = "machine"
+
+
+@final
+@dataclass(frozen=True)
+class Target:
+    """A reflector.
+
+    Attributes:
+        carrier: ``tool`` or ``work``.
+        place_mm: where it sits on its carrier, about: the plan need not be met to the millimetre.
+        known: whether an evaluation may take the place as exactly known.
+        facing: (3,) unit vector on its carrier along which it looks; None: it is turned towards the instrument by hand.
+        acceptance_rad: how far off its axis a beam may come.
+    """
+
+    carrier: Literal["tool", "work"]
+    place_mm: tuple[float, float, float]
+    known: bool
+    facing: tuple[float, float, float] | None
+    acceptance_rad: float
+
+
+@final
+@dataclass(frozen=True)
+class Seconds:
+    """How long things take.
+
+    Attributes:
+        point: to settle and read.
+        aim: to turn a reflector towards the instrument by hand, wherever it would look past it.
+        target: to go from one reflector to another.
+        station: to set the instrument up in another place.
+    """
+
+    point: float
+    aim: float
+    target: float
+    station: float
+
+
+@final
+@dataclass(frozen=True)
+class Kit:
+    """What a measurement can be made with.
+
+    Attributes:
+        source: where it is written, in words.
+        instruments: those to choose from.
+        stations: where one may stand, by name.
+        stations_known: names of those whose pose an evaluation may take as exactly known.
+        targets: by name.
+        seconds: how long things take.
+        speeds: (axes,) of travel, mm/s and degrees/s.
+        ranges: (axes, 2) that may be used, mm and degrees; a turn of an unlimited axis.
+        opaque: whether the machine's own shapes stop the beam.
+    """
+
+    source: str
+    instruments: tuple[Instrument, ...]
+    stations: Mapping[str, Station]
+    stations_known: frozenset[str]
+    targets: Mapping[str, Target]
+    seconds: Seconds
+    speeds: np.ndarray
+    ranges: np.ndarray
+    opaque: bool
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Names of the stations and targets that an evaluation is told exactly."""
+        return self.stations_known | {name for name, target in self.targets.items() if target.known}
+
+    @classmethod
+    def load(cls, path: Path, machine: Machine) -> Kit:
+        """From a file (``schema: twin.kit/1``).
+
+        Raises:
+            InputError: with file, line and value, on whatever does not fit the schema or the machine.
+        """
+        entries, lines = load_yaml(path, _KitFile, SCHEMA)
+
+        def fail(place: Place, what: str, expected: str, value: object) -> InputError:
+            return InputError(what, expected=expected, file=path, line=lines.get(place), value=value)
+
+        # What the schema cannot know.
+        by_name = {one.name: one for one in INSTRUMENTS}
+        for i, name in enumerate(entries.instruments):
+            if name not in by_name:
+                raise fail(("instruments", i), "no such instrument", f"one of {', '.join(by_name)}", name)
+        for key, named in (("speeds", entries.speeds), ("ranges", entries.ranges)):
+            for name in named:
+                if name not in machine.by_name:
+                    raise fail((key, name), "no such axis", f"one of {', '.join(machine.names)}", name)
+        ranges = whole_ranges(machine)
+        for name, (lower, upper) in entries.ranges.items():
+            i = machine.names.index(name)
+            if not ranges[i, 0] <= lower < upper <= ranges[i, 1]:
+                expected = f"lower, upper within {ranges[i, 0]:g} … {ranges[i, 1]:g}"
+                raise fail(("ranges", name), "a range the machine does not have", expected, [lower, upper])
+            ranges[i] = lower, upper
+        middle = _middle(machine)
+        stations = {}
+        for name, station in entries.stations.items():
+            stations[name] = (
+                looking_at(station.origin_mm, middle)
+                if station.turn_deg is None
+                else Station(station.origin_mm, _three(np.array(station.turn_deg) * DEG))
+            )
+        targets = {}
+        for name, entry in entries.targets.items():
+            facing = None if entry.facing == "aimed" else np.array(entry.facing, dtype=float)
+            if facing is not None and np.linalg.norm(facing) == 0.0:
+                raise fail(
+                    ("targets", name, "facing"), "no direction", "aimed, or x, y, z on its carrier", entry.facing
+                )
+            targets[name] = Target(
+                entry.carrier,
+                entry.place_mm,
+                entry.known,
+                None if facing is None else _three(facing / np.linalg.norm(facing)),
+                entry.acceptance_deg * DEG,
+            )
+        times = entries.seconds
+        return cls(
+            source=entries.source or str(path),
+            instruments=tuple(by_name[name] for name in entries.instruments),
+            stations=MappingProxyType(stations),
+            stations_known=frozenset(name for name, entry in entries.stations.items() if entry.known),
+            targets=MappingProxyType(targets),
+            seconds=Seconds(times.point, times.aim, times.target, times.station),
+            speeds=np.array([entries.speeds.get(axis.name, _speed(axis.linear)) for axis in machine.axes]),
+            ranges=ranges,
+            opaque=entries.stops_the_beam == "machine",
+        )
+
+    @classmethod
+    def default(cls, machine: Machine) -> Kit:
+        """Where nobody says what there is.
+
+        A laser tracker that may stand in front, on either side, and high up; three reflectors on the tool side, three on the work
+        side; where they sit on the real machine nobody knows, so nothing is said to stop a beam.
+        """
+        middle = _middle(machine)
+        corners = {
+            "front": (0.0, -1.0, 0.1),
+            "left": (-1.0, -0.35, 0.25),
+            "right": (1.0, -0.35, 0.25),
+            "high": (0.3, -0.8, 0.9),
+        }
+        stations = {}
+        for name, way in corners.items():
+            direction = np.array(way) / np.linalg.norm(way)
+            stations[name] = looking_at(_three(np.round(middle + DISTANCE_MM * direction, -1)), middle)
+        targets = {}
+        for k in range(3):
+            angle = np.radians(30.0 + 120.0 * k)
+            across = REACH_MM * np.array([np.cos(angle), np.sin(angle)])
+            for side, letter, height in (("tool", "T", 20.0 + 60.0 * k), ("work", "W", 30.0 + 60.0 * k)):
+                place = _three(np.round([*across, height]))
+                carrier: Literal["tool", "work"] = "tool" if side == "tool" else "work"
+                targets[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
+        times = _Seconds()
+        return cls(
+            source="twin's own guess: name what you have in a kit file",
+            instruments=(INSTRUMENTS[0],),
+            stations=MappingProxyType(stations),
+            stations_known=frozenset(),
+            targets=MappingProxyType(dict(sorted(targets.items()))),
+            seconds=Seconds(times.point, times.aim, times.target, times.station),
+            speeds=np.array([_speed(axis.linear) for axis in machine.axes]),
+            ranges=whole_ranges(machine),
+            opaque=False,
+        )
+
+
+def whole_ranges(machine: Machine) -> np.ndarray:
+    """(axes, 2) mm and degrees; a turn of an unlimited axis."""
+    return np.array([[0.0, 360.0] if a.lower is None or a.upper is None else [a.lower, a.upper] for a in machine.axes])
+
+
+def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
+    """A station upright at some place, its x towards a point."""
+    away = point_mm - np.array(origin_mm)
+    return Station(origin_mm, (0.0, 0.0, float(np.arctan2(away[1], away[0]))))
+
+
+def _middle(machine: Machine) -> np.ndarray:
+    """(3,) between the tool and the work over the volume, base frame, mm."""
+    poses = volume(machine, 50)
+    data = machine.model.createData()
+    found: list[Any] = []
+    for q in poses * machine.scale:
+        pin.framesForwardKinematics(machine.model, data, machine.configuration(q))
+        found += [data.oMf[machine.tool_frame].translation * 1e3, data.oMf[machine.work_frame].translation * 1e3]
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _speed(linear: bool) -> float:
+    return TRAVEL_MM_S if linear else TRAVEL_DEG_S
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

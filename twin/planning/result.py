@@ -1,0 +1,220 @@
+"""A plan as it is shown: what to do, how long it takes, what it will tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from twin.instruments import Instrument
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.planning.clearance import Clearance
+from twin.planning.fill import Stand
+from twin.planning.forecast import Forecast
+from twin.planning.kit import Kit
+from twin.planning.route import Route
+from twin.uncertainty import DEFINITION
+
+SCHEMA: Final = "twin.plan/1"
+ODDS: Final = 100
+"""As `twin diagnose` counts: below them two causes are equivalent."""
+SHOWN: Final = 5
+"""Alternatives that are printed."""
+
+
+@final
+@dataclass(frozen=True)
+class Alternative:
+    """Another way to stand, and what an even spread of readings from there would give in the same time.
+
+    Attributes:
+        instrument: its name.
+        stations: where it stands.
+        points: readings there is time for.
+        value: what was to become small.
+        unit: of ``value``.
+    """
+
+    instrument: str
+    stations: tuple[str, ...]
+    points: int
+    value: float
+    unit: str
+
+
+def alternatives(stands: Sequence[Stand]) -> tuple[Alternative, ...]:
+    """As they are shown, in the order given."""
+    return tuple(
+        Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
+        for one in stands
+    )
+
+
+@final
+@dataclass(frozen=True)
+class Separation:
+    """How well two causes are told apart.
+
+    Attributes:
+        names: of the two.
+        sizes: (value, unit) at which each, with the other one free to stand in for it, is told from it with odds of `ODDS`:1.
+        meant: what each was said to be, in the same unit; NaN where nothing was said.
+    """
+
+    names: tuple[str, str]
+    sizes: tuple[tuple[float, str], tuple[float, str]]
+    meant: tuple[float, float]
+
+    def lines(self) -> list[str]:
+        """For people."""
+        found = [f"told apart with odds of {ODDS}:1 or better, the other one free to stand in for it:"]
+        for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True):
+            shown = unit.replace("um", "µm").replace("urad", "µrad")
+            text = f"  {name}, if it is {size:.3g} {shown} or more"
+            if meant == meant:
+                share = abs(meant) / size
+                text += f"; {abs(meant):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
+            found.append(text)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "odds": ODDS,
+            "causes": [
+                {"name": name, "least_size": size, "unit": unit, "meant": None if meant != meant else meant}
+                for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True)
+            ],
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Plan:
+    """The next measurement.
+
+    Attributes:
+        machine, kit: what it is for and made with.
+        aim: what it makes small.
+        instrument: what reads.
+        stations: where it stands, in order.
+        route: the readings in order, with times.
+        forecast: what they will tell.
+        alternatives: other ways to stand, the best first; the plan's own among them.
+        seed: of the poses tried.
+        separation: how well it tells two causes apart, if that is what it is for.
+    """
+
+    machine: Machine
+    kit: Kit
+    aim: str
+    instrument: Instrument
+    stations: tuple[str, ...]
+    route: Route
+    forecast: Forecast
+    alternatives: tuple[Alternative, ...]
+    seed: int
+    separation: Separation | None = None
+
+    @property
+    def table(self) -> Measurements:
+        """The readings in the order they are to be taken: a measurement table without coordinates."""
+        return self.route.plan
+
+    @property
+    def minutes(self) -> float:
+        """How long it takes."""
+        return self.route.seconds / 60.0
+
+    def notices(self) -> list[str]:
+        """What whoever carries it out must know."""
+        found = [
+            "approach_… is the side each axis comes from: run over by more than any reversal and come back",
+        ]
+        if Clearance(self.machine, self.kit).known:
+            found.append(
+                "poses and straight moves keep what the URDF draws of the tool side, reflectors included, clear of the work side; it "
+                "knows no holders, clamps or workpiece: dry-run it"
+            )
+        else:
+            found.append(
+                "THE URDF DRAWS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
+            )
+        found += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
+        if self.route.blocked:
+            rows = ", ".join(str(row + 1) for row in self.route.blocked[:20])
+            more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
+            found.append(f"RETRACT before readings {rows}{more}: the straight move there comes too near to something")
+        return found
+
+    def comment(self) -> str:
+        """The lines the file carries."""
+        spent = self.route
+        lines = [
+            f"plan by twin: {self.machine.name}, {len(self.table)} readings with {self.instrument.name}, {self.minutes:.0f} minutes, "
+            f"aim: {self.aim}, seed {self.seed}",
+            f"kit: {self.kit.source}",
+            f"setting up {spent.stations_s / 60:.0f} min, changing targets {spent.targets_s / 60:.0f} min, turning reflectors "
+            f"{spent.aims_s / 60:.0f} min, travel {spent.travel_s / 60:.0f} min, readings {spent.points_s / 60:.0f} min",
+            *self.notices(),
+        ]
+        return "\n".join(lines)
+
+    def to_text(self) -> str:
+        """The account for people."""
+        told = self.forecast
+        lines = [
+            f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
+            f"{self.minutes:.0f} minutes",
+            *self.comment().splitlines()[1:3],
+            "",
+            *([] if self.separation is None else [*self.separation.lines(), ""]),
+            *told.to_text().splitlines(),
+            "",
+            "where to stand (readings spread evenly; the plan itself is better than that):",
+        ]
+        for one in self.alternatives[:SHOWN]:
+            chosen = "  <- taken" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""
+            lines.append(
+                f"  {one.instrument} at {', '.join(one.stations)}: {one.points} readings, {one.value:.3g} {one.unit}{chosen}"
+            )
+        lines += ["", *(f"note: {notice}" for notice in self.notices())]
+        return "\n".join(lines) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON (``schema: twin.plan/1``)."""
+        spent = self.route
+        return {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "kit": self.kit.source,
+            "aim": self.aim,
+            "instrument": self.instrument.name,
+            "stations": list(self.stations),
+            "points": len(self.table),
+            "minutes": self.minutes,
+            "seconds": {
+                "stations": spent.stations_s,
+                "targets": spent.targets_s,
+                "aims": spent.aims_s,
+                "travel": spent.travel_s,
+                "points": spent.points_s,
+            },
+            "separation": None if self.separation is None else self.separation.to_dict(),
+            "forecast": self.forecast.to_dict(),
+            "definition": DEFINITION,
+            "alternatives": [
+                {
+                    "instrument": one.instrument,
+                    "stations": list(one.stations),
+                    "points": one.points,
+                    "value": one.value,
+                    "unit": one.unit,
+                }
+                for one in self.alternatives
+            ],
+            "retract_before": [row + 1 for row in spent.blocked],
+            "notices": self.notices(),
+            "seed": self.seed,
+        }

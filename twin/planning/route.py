@@ -1,0 +1,240 @@
+"""In which order to measure, how long that takes, and whether the way from each point to the next keeps clear."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.planning.clearance import Clearance
+from twin.planning.kit import Kit
+from twin.planning.sight import Sight
+
+PASSES: Final = 2
+"""Times a station goes through its points: what comes back between the passes can be told from what does not."""
+TRIED: Final = 12
+"""Nearest points tried for one that a straight move reaches in the clear."""
+
+
+@final
+@dataclass(frozen=True)
+class Session:
+    """A state of the machine in which readings are taken.
+
+    Attributes:
+        words: how to bring it about.
+        start_s: on the clock of ``time_s``, at the earliest.
+        temperatures: °C of axes and sensors.
+    """
+
+    words: str
+    start_s: float = 0.0
+    temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+ALWAYS: Final = (Session("as it is"),)
+"""Where the state does not matter."""
+
+
+@final
+@dataclass(frozen=True)
+class Route:
+    """A plan in the order it is carried out.
+
+    Attributes:
+        plan: with rounds and ``time_s`` at which each reading is taken.
+        seconds: of the work, stations set up and moved included; not of waiting for a session.
+        stations_s, targets_s, aims_s, travel_s, points_s: what of it goes where.
+        blocked: rows whose straight move from the row before comes too near to something: retract first.
+        sessions: the row each begins with, and how to bring it about.
+    """
+
+    plan: Measurements
+    seconds: float
+    stations_s: float
+    targets_s: float
+    aims_s: float
+    travel_s: float
+    points_s: float
+    blocked: tuple[int, ...]
+    sessions: tuple[tuple[int, str], ...] = ()
+
+
+def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
+    """Seconds that a plan takes in the order it stands in, by a kit's times: another's plan, to compare with.
+
+    Its targets and stations are the kit's where they have its names; others cost no aiming.
+    """
+    clock = _Clock(machine, kit, plan, np.zeros((len(plan), 3)), Clearance(machine, kit))
+    here: str | None = None
+    for row in range(len(plan)):
+        if plan.station[row] != here:
+            here = str(plan.station[row])
+            clock.set_up()
+        clock.take(row, str(plan.round[row]), *(float(part[0]) for part in clock.way(np.array([row]))))
+    return sum(clock.spent.values())
+
+
+def route(
+    machine: Machine,
+    kit: Kit,
+    plan: Measurements,
+    stations: Sequence[str],
+    rng: np.random.Generator,
+    *,
+    session: np.ndarray | None = None,
+    sessions: Sequence[Session] = ALWAYS,
+) -> Route:
+    """Put a plan in order: session by session, station by station, in two passes, always on to the point that is reached soonest.
+
+    Args:
+        machine: the machine.
+        kit: times and reflectors.
+        plan: its rows in any order.
+        stations: the order of the stations.
+        rng: of which point goes into which pass.
+        session: (n,) index of the session of each row; all in the first if None.
+        sessions: in order.
+    """
+    clearance, sight = Clearance(machine, kit), Sight(machine, kit)
+    poses = sight.poses(plan.positions)
+    towards = np.zeros((len(plan), 3))
+    for station in stations:
+        for target in kit.targets:
+            rows = np.flatnonzero((plan.station == station) & (plan.target == target))
+            if len(rows):
+                of = {side: pose[rows] for side, pose in poses.items()}
+                towards[rows] = sight.towards(of, kit.targets[target], kit.stations[station].origin_mm)
+    clock = _Clock(machine, kit, plan, towards, clearance)
+    number = 0
+    begun: list[tuple[int, str]] = []
+    state = np.zeros(len(plan), dtype=int) if session is None else session
+    standing: str | None = None
+    for k, one in enumerate(sessions):
+        if not np.any(state == k):
+            continue
+        clock.wait(one.start_s)
+        if len(sessions) > 1:
+            begun.append((len(clock.order), one.words))
+        for station in stations:
+            rows = np.flatnonzero((plan.station == station) & (state == k))
+            if not len(rows):
+                continue
+            if station != standing:
+                clock.set_up()
+                standing = station
+            for part in np.array_split(rng.permutation(rows), PASSES):
+                if len(part):
+                    number += 1
+                    clock.through(part, str(number))
+    order = np.array(clock.order)
+    ordered = replace(
+        plan.select(order),
+        lines=locked(np.arange(1, len(order) + 1)),
+        round=locked(np.array(clock.rounds, dtype=object)),
+        time_s=locked(np.array(clock.times)),
+    )
+    return Route(
+        ordered,
+        sum(clock.spent.values()),
+        clock.spent["station"],
+        clock.spent["target"],
+        clock.spent["aim"],
+        clock.spent["travel"],
+        clock.spent["point"],
+        tuple(clock.blocked),
+        tuple(begun),
+    )
+
+
+class _Clock:
+    """A machine on its way through a plan."""
+
+    def __init__(
+        self, machine: Machine, kit: Kit, plan: Measurements, towards: np.ndarray, clearance: Clearance
+    ) -> None:
+        self.kit = kit
+        self.plan = plan
+        self.towards = towards
+        self.clearance = clearance
+        self.now = 0.0
+        self.spent = dict.fromkeys(("station", "target", "aim", "travel", "point"), 0.0)
+        self.order: list[int] = []
+        self.rounds: list[str] = []
+        self.times: list[float] = []
+        self.blocked: list[int] = []
+        self.facing: dict[str, np.ndarray] = {}
+
+    def wait(self, until: float) -> None:
+        """For the machine to be in the state of a session: no work."""
+        self.now = max(self.now, until)
+
+    def set_up(self) -> None:
+        """The instrument goes to its next place; reflectors have to look there."""
+        self._spend("station", self.kit.seconds.station)
+        self.facing = {}
+
+    def through(self, rows: np.ndarray, name: str) -> None:
+        """All of some rows, the one reached soonest next."""
+        left = list(rows)
+        while left:
+            candidates = np.array(left)
+            travel, target, aim = self.way(candidates)
+            nearest = np.argsort(travel + target + aim, kind="stable")
+            taken = int(nearest[0])
+            if self.order:
+                here = self.plan.positions[self.order[-1]]
+                clear = (
+                    int(k)
+                    for k in nearest[:TRIED]
+                    if self.clearance.free_move(here, self.plan.positions[candidates[k]])
+                )
+                found = next(clear, None)
+                if found is None:
+                    self.blocked.append(len(self.order))
+                else:
+                    taken = found
+            row = left.pop(taken)
+            self.take(int(row), name, float(travel[taken]), float(target[taken]), float(aim[taken]))
+
+    def take(self, row: int, name: str, travel: float, target: float, aim: float) -> None:
+        """One reading, with the seconds it takes to come to it."""
+        for what, seconds in (("travel", travel), ("target", target), ("aim", aim), ("point", self.kit.seconds.point)):
+            self._spend(what, seconds)
+        if aim or self.plan.target[row] not in self.facing:
+            self.facing[self.plan.target[row]] = self.towards[row]
+        self.order.append(row)
+        self.rounds.append(name)
+        self.times.append(self.now)
+
+    def way(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Seconds to travel, to change the target and to turn a reflector, from where things are to each of some rows."""
+        targets = self.plan.target[rows]
+        if self.order:
+            away = np.abs(self.plan.positions[rows] - self.plan.positions[self.order[-1]])
+            travel = (away / self.kit.speeds).max(axis=1)
+            changed = np.where(targets == self.plan.target[self.order[-1]], 0.0, self.kit.seconds.target)
+        else:
+            travel, changed = np.zeros(len(rows)), np.zeros(len(rows))
+        aim = np.zeros(len(rows))
+        for name in dict.fromkeys(targets):
+            target = self.kit.targets.get(name)
+            if target is None or target.facing is not None:
+                continue
+            mine = targets == name
+            if name not in self.facing:
+                aim[mine] = self.kit.seconds.aim
+            else:
+                along = self.towards[rows[mine]] @ self.facing[name]
+                aim[mine] = np.where(along >= np.cos(target.acceptance_rad), 0.0, self.kit.seconds.aim)
+        return travel, changed, aim
+
+    def _spend(self, what: str, seconds: float) -> None:
+        self.now += seconds
+        self.spent[what] += seconds
