@@ -10,7 +10,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
 from twin.iso16907 import acts_as, iso_class
-from twin.kinematics import Kinematics
+from twin.kinematics import Kinematics, Poses, rms_and_max
 from twin.machine import Machine
 
 POSES: Final = 2000
@@ -31,6 +31,8 @@ class BudgetRow:
         peak: largest absolute value over its domain; NaN for a class.
         peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and where it is not known.
         tool_rms_um, tool_max_um: what it alone does to the tool point over the volume.
+        tilt_rms_urad, tilt_max_urad: how it alone makes the tool axis lean, about x and about y of the tool frame
+            (`twin.kinematics.Poses.tilt_urad`); the largest by amount.
         illustrative: whether it is drawn, not measured.
     """
 
@@ -41,6 +43,8 @@ class BudgetRow:
     peak_u: float
     tool_rms_um: float
     tool_max_um: float
+    tilt_rms_urad: tuple[float, float]
+    tilt_max_urad: tuple[float, float]
     illustrative: bool
 
 
@@ -76,17 +80,17 @@ def error_budget(
         conditions: temperatures and time.
     """
     q = volume(machine)
-    meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q).point_mm
+    meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     within = ~calibration.outside(q).any(axis=1)
-    q, meant = q[within], meant[within]
+    q, meant = q[within], Poses(meant.point_mm[within], meant.rotation[within])
     sides = drawn_sides(q)
     acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
 
-    def at_tool(limited: Calibration) -> tuple[float, float]:
+    def at_tool(limited: Calibration) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
         real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
-        reached = real.forward(q, sides).point_mm
-        distance = np.linalg.norm(reached - meant, axis=1) * 1e3
-        return float(np.sqrt(np.mean(distance**2))), float(distance.max())
+        reached = real.forward(q, sides)
+        distance = np.linalg.norm(reached.point_mm - meant.point_mm, axis=1) * 1e3
+        return float(np.sqrt(np.mean(distance**2))), float(distance.max()), *rms_and_max(reached.tilt_urad(meant))
 
     rows = []
     uncertainty = peak_uncertainty(calibration)
@@ -96,18 +100,17 @@ def error_budget(
         *_entries(calibration),
         *((name, peak, unit, False) for name, peak, _, unit in others),
     ):
-        rms, largest = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
+        alone = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
         rows.append(
-            BudgetRow(name, iso_class(acts[name], machine), unit, peak, uncertainty[name], rms, largest, illustrative)
+            BudgetRow(name, iso_class(acts[name], machine), unit, peak, uncertainty[name], *alone, illustrative)
         )
     classes = []
     for found in dict.fromkeys(row.iso_class for row in rows):
         of_class = calibration.where(lambda name, found=found: iso_class(acts[name], machine) == found)  # type: ignore[misc]
-        rms, largest = at_tool(of_class)
         drawn = any(row.illustrative for row in rows if row.iso_class == found)
-        classes.append(BudgetRow(found, found, "", np.nan, np.nan, rms, largest, drawn))
-    rms, largest = at_tool(calibration)
-    classes.append(BudgetRow("all", "all", "", np.nan, np.nan, rms, largest, any(row.illustrative for row in rows)))
+        classes.append(BudgetRow(found, found, "", np.nan, np.nan, *at_tool(of_class), drawn))
+    drawn = any(row.illustrative for row in rows)
+    classes.append(BudgetRow("all", "all", "", np.nan, np.nan, *at_tool(calibration), drawn))
     return tuple(rows), tuple(classes)
 
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
 from twin.covariance import Covariance, not_a_covariance
-from twin.curves import BASES, basis_named
+from twin.curves import BASES, Basis, basis_named, conversion
 from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError
 from twin.extension import effect_named, entry_of
@@ -102,10 +102,27 @@ class Curve:
                 expected=f"a position from {lo:g} to {hi:g}",
                 value=float(np.asarray(positions)[outside].flat[0]),
             )
-        basis = basis_named(self.basis)
-        if basis is None:
-            raise InputError("no such basis", expected=_bases(), value=self.basis)
-        return np.asarray(basis.value(positions, self.domain, self.coefficients))
+        return np.asarray(_basis(self.basis).value(positions, self.domain, self.coefficients))
+
+    def in_powers(self) -> Curve | None:
+        """The same curve in powers of u; None if it is no polynomial."""
+        count = len(self.coefficients)
+        power = next(basis for basis in BASES if not basis.periodic)
+        return None if conversion(_basis(self.basis), power, count, count) is None else self.written(power.name, count)
+
+    def written(self, basis: str, count: int) -> Curve:
+        """The same curve, with its covariance, as ``count`` coefficients of another basis.
+
+        Raises:
+            InputError: no such basis; one that cannot make this curve.
+        """
+        matrix = _conversion(self.name, _basis(self.basis), _basis(basis), len(self.coefficients), count)
+        return replace(
+            self,
+            basis=basis,
+            coefficients=tuple(float(v) for v in matrix @ self.coefficients),
+            covariance=None if self.covariance is None else locked(matrix @ self.covariance @ matrix.T),
+        )
 
 
 @final
@@ -214,11 +231,12 @@ class Calibration:
         """The model these numbers are: one effect an entry, in the order of the file."""
         found: list[Effect] = []
         for curve in self.curves.values():
-            basis = basis_named(curve.basis)
-            if basis is None:
-                raise InputError("no such basis", expected=_bases(), value=curve.basis)
             axis = self.machine.by_name[split_name(curve.name)[2]]
-            found.append(ErrorMotion(curve.name, basis, curve.domain, curve.coefficients, wrapped=axis.lower is None))
+            found.append(
+                ErrorMotion(
+                    curve.name, _basis(curve.basis), curve.domain, curve.coefficients, wrapped=axis.lower is None
+                )
+            )
         for name, angle in self.squareness.items():
             found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
@@ -264,8 +282,11 @@ class Calibration:
         """
         curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
         extra = list(self.extra)
+        own, found = self.covariance, covariance
+        motions: dict[str, list[ErrorMotion]] = {}
         for effect in effects:
             if isinstance(effect, ErrorMotion):
+                motions.setdefault(effect.name, []).append(effect)
                 curves[effect.name] = _added(curves.get(effect.name), effect)
             elif isinstance(effect, Squareness):
                 squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
@@ -273,6 +294,11 @@ class Calibration:
                 location[effect.name] = location.get(effect.name, 0.0) + effect.offset
             else:
                 extra.append(effect)
+        for name in [name for name in motions if name in self.curves]:
+            basis, count = _basis(curves[name].basis), len(curves[name].coefficients)
+            widest = max(motions[name], key=lambda motion: len(motion.coefficients))
+            own = own.rewritten(name, _conversion(name, basis, basis, len(self.curves[name].coefficients), count))
+            found = found.rewritten(name, _conversion(name, widest.basis, basis, len(widest.coefficients), count))
         whole = replace(
             self,
             source=f"{self.source}; {source}",
@@ -283,7 +309,7 @@ class Calibration:
             joint=None,
             path=None,
         )
-        return replace(whole, joint=self.covariance.plus(covariance))
+        return replace(whole, joint=own.plus(found))
 
     @property
     def empty(self) -> bool:
@@ -330,21 +356,38 @@ class Calibration:
 
 
 def _added(curve: Curve | None, motion: ErrorMotion) -> Curve:
-    """A curve with another of the same basis and domain added."""
+    """A curve with another over the same domain added, in the basis of the first."""
     unit = "um" if split_name(motion.name)[0] < 3 else "urad"
     if curve is None:
         return Curve(motion.name, unit, motion.domain, motion.basis.name, motion.coefficients)
-    if curve.basis != motion.basis.name or curve.domain != motion.domain:
+    if curve.domain != motion.domain:
         raise InputError(
-            f"{motion.name} cannot be added to a curve of another basis or domain",
-            expected=f"{curve.basis} over {curve.domain}",
-            value=f"{motion.basis.name} over {motion.domain}",
+            f"{motion.name} cannot be added to a curve of another domain",
+            expected=f"{curve.domain}",
+            value=f"{motion.domain}",
         )
-    count = max(len(curve.coefficients), len(motion.coefficients))
-    total = np.zeros(count)
-    total[: len(curve.coefficients)] += curve.coefficients
-    total[: len(motion.coefficients)] += motion.coefficients
+    basis, count = _basis(curve.basis), max(len(curve.coefficients), len(motion.coefficients))
+    own = _conversion(curve.name, basis, basis, len(curve.coefficients), count) @ curve.coefficients
+    total = own + _conversion(curve.name, motion.basis, basis, len(motion.coefficients), count) @ motion.coefficients
     return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
+
+
+def _conversion(name: str, source: Basis, target: Basis, count: int, into: int) -> np.ndarray:
+    matrix = conversion(source, target, count, into)
+    if matrix is None or into < count:
+        raise InputError(
+            f"{name} cannot be written in another basis",
+            expected=f"{source.name}, {count} coefficients or more",
+            value=f"{target.name}, {into}",
+        )
+    return matrix
+
+
+def _basis(name: str) -> Basis:
+    basis = basis_named(name)
+    if basis is None:
+        raise InputError("no such basis", expected=_bases(), value=name)
+    return basis
 
 
 @final

@@ -68,6 +68,26 @@ class Covariance:
             matrix[np.ix_(rows, rows)] += one.matrix
         return Covariance(names, locked(matrix))
 
+    def rewritten(self, name: str, matrix: np.ndarray) -> Covariance:
+        """With the parameters ``name[0]`` … ``name[k−1]`` made into ``name[0]`` … ``name[m−1]``: (m, k) matrix times the former.
+
+        Those of them that are not among these names are taken as exact; none of them, or a matrix that changes nothing, leaves all.
+        """
+        into, count = matrix.shape
+        own = {f"{name}[{k}]": k for k in range(count)}
+        have = [n for n in self.names if n in own]
+        if not have or np.array_equal(matrix, np.eye(into, count)):
+            return self
+        rest = [column for column, n in enumerate(self.names) if n not in own]
+        through = np.zeros((len(rest) + into, len(self.names)))
+        through[range(len(rest)), rest] = 1.0
+        for column, n in enumerate(self.names):
+            if n in own:
+                through[len(rest) :, column] = matrix[:, own[n]]
+        names = (*(self.names[column] for column in rest), *(f"{name}[{k}]" for k in range(into)))
+        found = through @ self.matrix @ through.T
+        return Covariance(names, locked((found + found.T) / 2.0))
+
     def to_text(self) -> str:
         """Lower triangle, one row a line, every digit."""
         return "".join(" ".join(repr(float(v)) for v in row[: i + 1]) + "\n" for i, row in enumerate(self.matrix))

@@ -26,3 +26,13 @@ def exp(x: Any) -> Any:
 def floor(x: Any) -> Any:
     """Largest whole number not above x."""
     return ca.floor(x) if isinstance(x, ca.SX) else np.floor(x)
+
+
+def sqrt(x: Any) -> Any:
+    """Square root."""
+    return ca.sqrt(x) if isinstance(x, ca.SX) else np.sqrt(x)
+
+
+def arctan2(y: Any, x: Any) -> Any:
+    """Angle of the point (x, y), in (−π, π]."""
+    return ca.atan2(y, x) if isinstance(x, ca.SX) or isinstance(y, ca.SX) else np.arctan2(y, x)

@@ -28,6 +28,7 @@ class Execution:
         meant_mm: (n, 3) intended tool points in the work frame.
         sides: (n, axes) the side every axis comes from, as of `twin.approach`.
         reached_mm: (n, 3) tool points the machine reaches.
+        tilt_urad: (n, 2) how the tool axis leans there against where it was meant to point (`Poses.tilt_urad`).
         cutting: (n,) False on rapids.
         ends: (n,) whether the point is the end of a block.
         lines: (n,) program line of each point.
@@ -38,6 +39,7 @@ class Execution:
     meant_mm: np.ndarray
     sides: np.ndarray
     reached_mm: np.ndarray
+    tilt_urad: np.ndarray
     cutting: np.ndarray
     ends: np.ndarray
     lines: np.ndarray
@@ -74,11 +76,13 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
     sides = LostMotion(real.calibration).sides(path, np.array(of), positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
+    meant, reached = space.nominal.forward(positions), real.forward(positions, sides)
     return Execution(
         positions=positions,
-        meant_mm=space.nominal.forward(positions).point_mm,
+        meant_mm=meant.point_mm,
         sides=sides,
-        reached_mm=real.forward(positions, sides).point_mm,
+        reached_mm=reached.point_mm,
+        tilt_urad=reached.tilt_urad(meant),
         cutting=np.array(cutting)[keep],
         ends=np.array(ends)[keep],
         lines=np.array(lines)[keep],

@@ -19,8 +19,9 @@ from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
 from twin.errors import InputError
 from twin.machine import Machine
-from twin.symbolic import chain_function, error_vector
-from twin.units import DEG, MM
+from twin.spatial import fused_angles, tilt
+from twin.symbolic import chain_function, error_vector, frame_pose
+from twin.units import DEG, MM, URAD
 
 
 @final
@@ -40,6 +41,26 @@ class Poses:
     def axis(self) -> np.ndarray:
         """(n, 3) tool axis (i, j, k), from tip to spindle."""
         return self.rotation[:, :, 2]
+
+    def tilt_urad(self, meant: Poses) -> np.ndarray:
+        """How the tool axis leans against where it was meant to point: fused-like angles, order-free (`twin.spatial.tilt`).
+
+        About x and y of the tool frame as meant: the work frame's where the two are parallel, as on most machines at rotary zero. Not
+        about the work frame's throughout: a tool that lies across its z has no such angles, and close to that they say little.
+        Two numbers, not three: a turn of the tool about its own axis moves nothing.
+
+        Args:
+            meant: as many poses.
+
+        Returns:
+            (n, 2) µrad about x and about y.
+
+        Raises:
+            InputError: another number of poses, an axis a right angle or more off.
+        """
+        if len(meant) != len(self):
+            raise InputError("poses that do not belong together", expected=f"{len(self)} of them", value=len(meant))
+        return locked(tilt(np.einsum("nij,ni->nj", meant.rotation, self.axis)) / URAD)
 
     def __len__(self) -> int:
         return len(self.point_mm)
@@ -177,6 +198,33 @@ class Kinematics:
         rotation, point = self.reached(q * self.machine.scale, approach)
         return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
+    def work_turn_urad(self, positions: Any, approach: Any = None) -> np.ndarray:
+        """How the work frame (the table) is turned from where it was meant to be: fused-like angles (`twin.spatial.fused_angles`).
+
+        About x, y and z of the base frame: how the table leans about x and y, and how it is turned in its plane; three numbers, a table
+        has a direction within its surface.
+
+        Args:
+            positions: as of `forward`.
+            approach: as of `directed`.
+
+        Returns:
+            (n, 3) µrad about x, y and z.
+
+        Raises:
+            InputError: as `forward`; a table turned over.
+        """
+        q = self.check(positions)
+        at = self.symbols()
+        none = ca.SX.zeros(6 * len(self.machine.frames))
+        turned = [
+            frame_pose(self.machine, self.machine.work_frame, at[0], e).rotation for e in (self.errors(*at), none)
+        ]
+        (turn,) = BatchFunction(ca.Function("turn", at, [turned[0] @ turned[1].T]))(
+            *self.rows(q * self.machine.scale, approach)
+        )
+        return locked(fused_angles(turn.reshape(-1, 3, 3).transpose(0, 2, 1)) / URAD)
+
     def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
         """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
 
@@ -229,6 +277,14 @@ class Kinematics:
 def angle_between_rad(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(n,) angle between unit vectors (n, 3), exact for small angles too."""
     return np.asarray(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
+
+
+def rms_and_max(tilt_urad: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Of (n, 2) tilts about x and about y: root mean square, and largest amount; zero of none."""
+    if not len(tilt_urad):
+        return (0.0, 0.0), (0.0, 0.0)
+    (a, b), (c, d) = np.sqrt(np.mean(tilt_urad**2, axis=0)), np.abs(tilt_urad).max(axis=0)
+    return (float(a), float(b)), (float(c), float(d))
 
 
 def turned(axis: np.ndarray, vectors: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Final, final
 
 import numpy as np
-import pinocchio as pin
 
 from twin.arrays import locked
 from twin.calibration import Calibration
@@ -17,6 +16,7 @@ from twin.instruments import STANDARD_AIR, Air, Instrument, length_scale
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
+from twin.spatial import rotation_exp
 from twin.units import DEG, MM, UM
 
 SECONDS_PER_HOUR: Final = 3600.0
@@ -49,7 +49,7 @@ class Station:
 
     def to_station_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """(n, 3) points of the base frame in the station's frame."""
-        return (points_mm - np.array(self.origin_mm)) @ pin.exp3(np.array(self.turn_rad))
+        return (points_mm - np.array(self.origin_mm)) @ rotation_exp(self.turn_rad)
 
 
 @final

@@ -14,9 +14,7 @@ import pinocchio as pin
 
 from twin.effects import Effect, assemble
 from twin.machine import Machine
-
-SERIES_TERMS = 9
-"""Terms of the sine and cosine series of a small rotation: exact to double precision up to 1 rad; errors are < 0.2."""
+from twin.spatial import rotation_exp
 
 
 class Pose(NamedTuple):
@@ -103,22 +101,6 @@ def error_vector(
     positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)} | dict(channels or {})
     rows = assemble(effects, machine.frames, positions)
     return ca.vertcat(*[component for row in rows for component in row])
-
-
-def rotation_exp(vector: Any) -> Any:
-    """Exp of a rotation vector (3,) by series in its squared length: smooth through zero, no branch."""
-    square = ca.dot(vector, vector)
-    sine, cosine = _series(square, 1), _series(square, 2)  # sin t / t, (1 - cos t) / t²
-    cross = ca.skew(vector)
-    return ca.SX.eye(3) + sine * cross + cosine * (cross @ cross)
-
-
-def _series(square: Any, first: int) -> Any:
-    """Σ (−s)^k / (2k + first)! by Horner: the coefficients of Rodrigues' formula."""
-    total: Any = 1.0
-    for k in range(SERIES_TERMS - 1, 0, -1):
-        total = 1.0 - square * total / ((2 * k + first) * (2 * k + first - 1))
-    return total / first
 
 
 def _joint_pose(joint: pin.JointModel, value: Any) -> Pose:

@@ -38,6 +38,7 @@ from twin.calibration import Calibration, Curve
 from twin.errors import InputError
 from twin.machine import DIRECTIONS, Machine
 from twin.measurement import Measurements
+from twin.spatial import rotation_exp
 from twin.three_point import REFLECTORS, three_point
 from twin.units import DEG, MM, UM, URAD
 
@@ -310,7 +311,7 @@ def _rotary(run: _Run, machine: Machine, frame: _Frame) -> np.ndarray:
     """(rounds, m, 6) error motions of a rotary axis, along its error frame, which does not turn."""
     points = frame.of(run.points)
     angle = (run.position - run.position[0]) * DEG * machine.by_name[run.axis].direction[2]
-    turns = np.array([pin.exp3(np.array([0.0, 0.0, a])) for a in angle])
+    turns = rotation_exp(angle[:, None] * [0.0, 0.0, 1.0])
     nominal = np.einsum("mij,rkj->rmki", turns, points[:, 0])
     return np.array([three_point(d, arms, "rotary") for d, arms in zip(points - nominal, nominal, strict=True)])
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.channels import TIME
 from twin.compensation.correction import Corrections
-from twin.kinematics import Poses, angle_between_rad
+from twin.kinematics import Poses, angle_between_rad, rms_and_max
 from twin.uncertainty import DEFINITION
 
 SCHEMA = "twin.compensation/1"
@@ -26,6 +26,8 @@ class Deviation:
     Attributes:
         rms_um, max_um: distance at the functional point.
         rms_urad, max_urad: angle of the tool axis.
+        tilt_rms_urad, tilt_max_urad: how it leans about x and about y of the tool frame, largest by amount
+            (`twin.kinematics.Poses.tilt_urad`).
         worst_line: program line of the largest distance.
         points: how many poses.
     """
@@ -36,6 +38,8 @@ class Deviation:
     max_urad: float
     worst_line: int
     points: int
+    tilt_rms_urad: tuple[float, float] = (0.0, 0.0)
+    tilt_max_urad: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, reached: Poses, meant: Poses, lines: np.ndarray) -> Deviation:
@@ -44,6 +48,7 @@ class Deviation:
         angle = angle_between_rad(reached.axis, meant.axis) * 1e6
         if not distance.size:
             return cls(0.0, 0.0, 0.0, 0.0, 0, 0)
+        tilt_rms, tilt_max = rms_and_max(reached.tilt_urad(meant))
         return cls(
             rms_um=float(np.sqrt(np.mean(distance**2))),
             max_um=float(distance.max()),
@@ -51,6 +56,8 @@ class Deviation:
             max_urad=float(angle.max()),
             worst_line=int(lines[np.argmax(distance)]),
             points=len(distance),
+            tilt_rms_urad=tilt_rms,
+            tilt_max_urad=tilt_max,
         )
 
 
@@ -193,6 +200,7 @@ class Report:
             f"(line {self.before.worst_line})   {self.before.rms_urad:8.1f} {self.before.max_urad:8.1f} µrad",
             f"    after, as predicted  {_um(self.after.rms_um)} {_um(self.after.max_um)} "
             f"(line {self.after.worst_line})   {self.after.rms_urad:8.1f} {self.after.max_urad:8.1f} µrad",
+            f"    the tool axis's tilt about x / y of the tool, RMS: before {_tilt(self.before)}, after {_tilt(self.after)} µrad",
             f"    rounding leaves up to {self.rounding_um:.3f} µm at a block's end, the solver {self.solver_um:.1e} µm",
             *self._uncertainty_text(),
             "",
@@ -242,6 +250,11 @@ class Report:
             return []
         out = ["", f"  {DEFINITION}; not in it: rounding, repeatability, temperature"]
         return out + [line for one in known for line in one.to_text(SHOWN)]
+
+
+def _tilt(deviation: Deviation) -> str:
+    about_x, about_y = deviation.tilt_rms_urad
+    return f"{about_x:.1f} / {about_y:.1f}"
 
 
 def _um(value: float) -> str:

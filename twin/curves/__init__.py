@@ -1,5 +1,18 @@
 """Bases for error curves and tool paths."""
 
-from twin.curves.basis import BASES, Basis, Fourier, Power, basis_named
+from twin.curves.basis import BASES, Basis, Bernstein, Fourier, Power, basis_named
+from twin.curves.conversion import conversion, of_legendre
+from twin.curves.fg_bernstein import Bidiagonal, FGBernstein
 
-__all__ = ["BASES", "Basis", "Fourier", "Power", "basis_named"]
+__all__ = [
+    "BASES",
+    "Basis",
+    "Bernstein",
+    "Bidiagonal",
+    "FGBernstein",
+    "Fourier",
+    "Power",
+    "basis_named",
+    "conversion",
+    "of_legendre",
+]

@@ -332,6 +332,8 @@ def _evidence(form: Form, found: Estimate, k: int) -> str:
 def _flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
     """What was done wrong in making the calibration's own curve, if that is plain."""
     space, curve = form.candidate.space, calibration.curves.get(form.candidate.where)
+    if curve is not None:
+        curve = curve.in_powers()
     if space is None or curve is None or curve.basis != space.basis.name or curve.domain != space.domain:
         return ""
     # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.

@@ -241,8 +241,8 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
             curve = calibration.curves.get(name)
-            if curve is not None and curve.basis != power.name:
-                curve = None
+            if curve is not None:
+                curve = curve.in_powers()
             if curve is not None:
                 domain, degrees = curve.domain, max(DEGREES, len(curve.coefficients) - 1)
             elif axis.linear and axis.lower is not None and axis.upper is not None:

@@ -74,7 +74,8 @@ def _swapped_names(a: ErrorMotion, b: ErrorMotion, state: Mapping[str, Any], ind
         share = float(values[0])
         return _less(a, b, share), _less(b, a, share)
 
-    same = a.basis == b.basis and a.domain == b.domain
+    alike = a.basis.nested or len(a.coefficients) == len(b.coefficients)
+    same = a.basis == b.basis and a.domain == b.domain and alike
     return _one(f"{a.name} and {b.name} exchanged", of_components(parts), build if same else None)
 
 

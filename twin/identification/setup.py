@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-import pinocchio as pin
 
 from twin.measurement import Measurements
+from twin.spatial import rotation_exp
 from twin.units import DEG, MM
 
 PLACE_PLAUSIBLE: Final = 0.2
@@ -57,7 +57,7 @@ class SetUp:
             pose = data.station_pose[np.flatnonzero(data.station == name)[0]]
             if np.all(np.isfinite(pose)):
                 station_known[i] = True
-                origin[i], rotation[i] = pose[:3] * MM, pin.exp3(pose[3:] * DEG)
+                origin[i], rotation[i] = pose[:3] * MM, rotation_exp(pose[3:] * DEG)
         for i, name in enumerate(targets):
             where = data.place_mm[np.flatnonzero(data.target == name)[0]]
             if np.all(np.isfinite(where)):
@@ -115,7 +115,7 @@ class SetUp:
         rotation, origin, dead, place = (np.array(a) for a in (self.rotation, self.origin, self.dead, self.place))
         for i, (turn, shift, path) in enumerate(stations):
             if turn.stop > turn.start:
-                rotation[i] = rotation[i] @ pin.exp3(step[turn])
+                rotation[i] = rotation[i] @ rotation_exp(step[turn])
             if shift.stop > shift.start:
                 origin[i] += step[shift]
             if path.stop > path.start:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import pinocchio as pin
 
 from twin.arrays import locked
 from twin.errors import InputError
@@ -20,6 +19,7 @@ from twin.identification.setup import SetUp
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
+from twin.spatial import rotation_exp
 from twin.units import MM
 
 FLOOR: Final = 1e-4
@@ -158,7 +158,7 @@ def _by_points(
         turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
         turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
         for i, part in zip(free.tolist(), turned, strict=True):
-            rotation[i] = rotation[i] @ pin.exp3(part)
+            rotation[i] = rotation[i] @ rotation_exp(part)
         misfit = np.linalg.norm(right - matrix[:, :, keep] @ solved, axis=1)
         weight = np.where(whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
         if np.abs(turned).max(initial=0.0) < STILL:

@@ -22,7 +22,7 @@ import numpy as np
 from twin.arrays import locked
 from twin.calibration import Calibration, Curve
 from twin.covariance import Covariance
-from twin.curves import Basis
+from twin.curves import Basis, of_legendre
 from twin.effects import AxisLocation, Squareness, split_name
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
@@ -56,16 +56,32 @@ class CurveSpace:
 
     @cached_property
     def transform(self) -> np.ndarray:
-        """(count, count) coefficients of the basis for each orthonormal function, a column each; upper triangular."""
+        """(count, count) coefficients of the basis for each orthonormal function, a column each."""
+        return self.written(self.count)
+
+    def written(self, count: int) -> np.ndarray:
+        """(count, count) coefficients of the basis for each of the first ``count`` orthonormal functions, a column each.
+
+        Upper triangular, and the corner of `transform`, where the basis is nested; a curve of Bernstein polynomials has other ones for
+        every degree. Orthonormal polynomials are Legendre's, P_k √(2k + 1).
+        """
+        legendre = of_legendre(self.basis, count)
+        if legendre is not None:
+            return np.asarray(legendre * _norms(count))
         x, w = _rule()
         lo, hi = self.domain
-        values = self._raw((lo + hi) / 2.0 + x * (hi - lo) / 2.0)
+        values = self._raw((lo + hi) / 2.0 + x * (hi - lo) / 2.0, count)
         _, triangle = np.linalg.qr(values * np.sqrt(w / 2.0)[:, None])
-        return np.linalg.inv(triangle * np.sign(np.diag(triangle))[:, None])
+        return np.asarray(np.linalg.inv(triangle * np.sign(np.diag(triangle))[:, None]))
 
     def functions(self, q: np.ndarray) -> np.ndarray:
         """(n, count) orthonormal functions at positions, mm or degrees."""
-        return self._raw(q) @ self.transform
+        if of_legendre(self.basis, self.count) is None:
+            return self._raw(q, self.count) @ self.transform
+        lo, hi = self.domain
+        return np.asarray(np.polynomial.legendre.legvander((2.0 * q - (lo + hi)) / (hi - lo), self.count - 1)) * _norms(
+            self.count
+        )
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and weights of a mean over the domain."""
@@ -79,8 +95,8 @@ class CurveSpace:
             return [(k,) for k in range(self.first, self.count)]
         return [tuple(k for k in (n, n + 1) if k < self.count) for n in range(max(self.first, 1), self.count, 2)]
 
-    def _raw(self, q: np.ndarray) -> np.ndarray:
-        return np.stack(self.basis.functions(q, self.domain, self.count), axis=1)
+    def _raw(self, q: np.ndarray, count: int) -> np.ndarray:
+        return np.stack(self.basis.functions(q, self.domain, count), axis=1)
 
 
 @final
@@ -222,11 +238,11 @@ class Unknowns:
             if not orders:
                 continue
             count = orders[-1] + 1
-            block = np.zeros((count, len(self)))
+            block, written = np.zeros((count, len(self))), space.written(count)
             for k in orders:
-                block[:, self.index[Column(space.name, k)]] = space.transform[:count, k]
+                block[:, self.index[Column(space.name, k)]] = written[:, k]
             if space.name in self.offsets:
-                block[0, self.index[Column(offset_name(space.name), 0)]] = 1.0
+                block[:, self.index[Column(offset_name(space.name), 0)]] = written[:, 0]
             unit = "um" if split_name(space.name)[0] < 3 else "urad"
             own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
@@ -298,6 +314,11 @@ def spaces_for(
             if split_name(name)[2] == axis.name and wanted(name)
         ]
     return curves, constants
+
+
+def _norms(count: int) -> np.ndarray:
+    """(count,) what makes the mean square of each Legendre polynomial one."""
+    return np.asarray(np.sqrt(2.0 * np.arange(count) + 1.0))
 
 
 @cache

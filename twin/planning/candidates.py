@@ -12,6 +12,7 @@ from twin.errors import InputError
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning.clearance import Clearance
+from twin.planning.information import MOST
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
 from twin.simulate import Setting
@@ -20,14 +21,27 @@ POSES: Final = 240
 TRIES: Final = 8
 """Times as many are drawn at most before it is said that there is no room."""
 FEWEST: Final = 20
+PAID: Final = 2.0
+"""Numbers read for every function of a curve: half of them for stations, reflectors, and to object."""
+LEVELS: Final = 5
+"""At least: three functions, and two positions more to object."""
 ROUND: Final = 1.0
 """mm and degrees: commands a person can read."""
 AT_AN_END: Final = 0.4
 """Share of the poses that have an axis at an end of its range: curves are worst known there."""
 
 
-def safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, count: int = POSES) -> np.ndarray:
+def safe_poses(
+    machine: Machine, kit: Kit, rng: np.random.Generator, count: int = POSES, levels: int | None = None
+) -> np.ndarray:
     """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+
+    Args:
+        machine: the machine.
+        kit: ranges and reflectors.
+        rng: of the draws.
+        count: how many.
+        levels: positions of each axis at most, evenly over its range; any whole number if None.
 
     Raises:
         InputError: hardly any does.
@@ -43,6 +57,11 @@ def safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, count: int 
         axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
         for row, i in zip(ended, axis, strict=False):
             drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
+        if levels is not None:
+            # A turn has no end: its last level is the first again.
+            step = (high - low) / np.where(unlimited, levels, levels - 1)
+            drawn = low + np.round((drawn - low) / step) * step
+            drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
         whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
         found += [pose for pose in whole if clearance.free(pose)]
         if len(found) >= count:
@@ -54,6 +73,21 @@ def safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, count: int 
             value=len(found),
         )
     return np.unique(np.array(found[:count]), axis=0)
+
+
+def levels_for(machine: Machine, readings: int, numbers: int) -> int | None:
+    """Positions of each axis that a plan can afford: a curve gets as many functions as it has positions, and all have to be paid for.
+
+    Args:
+        machine: the machine.
+        readings: how many there will be.
+        numbers: read at each.
+
+    Returns:
+        Levels, or None where there is no need to keep to any.
+    """
+    functions = readings * numbers / (PAID * len(machine.motion_names))
+    return None if functions >= MOST else max(LEVELS, int(functions) + 2)
 
 
 def setting_of(kit: Kit) -> Setting:

@@ -19,8 +19,8 @@ from twin.planning.route import ALWAYS, Route, Session, route
 
 STATIONS: Final = 4
 """Stations of one plan at most: each more is set up, placed by the data, and paid for."""
-FEWEST: Final = 30
-"""Readings below which nothing is planned: stations and reflectors alone take as many."""
+FEWEST: Final = 12
+"""Readings below which nothing is planned: a station and two reflectors alone take four."""
 CLOSE: Final = 0.95
 """Share of the time allowed that a plan fills, or it is chosen again."""
 ALMOST: Final = 1.1
@@ -89,6 +89,11 @@ class Filler:
         self.seed = seed
         self.say = say
         self.rng = np.random.default_rng(seed)
+
+    @property
+    def expected_points(self) -> int:
+        """How many readings there will be, about: the way takes as long as the readings."""
+        return max(FEWEST, int((self.seconds - self.kit.seconds.station) / (2.0 * self.kit.seconds.point)))
 
     def stands(self, readings: Readings) -> list[Stand]:
         """What an even spread of readings from every set of places would give in the time there is.

@@ -11,9 +11,8 @@ import numpy as np
 
 from twin.budget import volume
 from twin.calibration import Calibration
-from twin.determinability import Determinability, Observability, Unknown, determinability, observability
+from twin.determinability import UNSEEN, Determinability, Observability, Unknown, determinability, observability
 from twin.effects import split_name
-from twin.identification.solve import UNSEEN
 from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -138,7 +137,7 @@ class Forecast:
         for name, u in self.errors.items():
             unit = "µm" if _unit(name) == "um" else "µrad"
             by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2f} {unit}")
-        lines += [f"  {', '.join(found)}" for found in by_axis.values()]
+        lines += [f"  {', '.join(found)}" for found in by_axis.values()] or ["  none is determined"]
         lines += [
             "",
             "observability of the machine's unknowns, each in its plausible size (Sun and Hollerbach 2008; larger is better):",
@@ -230,6 +229,8 @@ def told_by(model: Model, rows: np.ndarray) -> Determinability:
 def _observability(told: Determinability, names: Collection[str]) -> Observability:
     """Of the machine's own unknowns that are determined, in plausible units, everything else projected out."""
     mine = np.array([one.name.split(" ")[0] in names for one in told.unknowns])
+    if not mine.any():
+        return observability(np.zeros(1), told.measurements)
     covariance = told.spectrum.covariance(silent=False) / np.outer(told.spectrum.scale, told.spectrum.scale)
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
     # What the datum fixes has no variance and is no unknown.

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Final, final
 
 import numpy as np
-import pinocchio as pin
 
 from twin.arrays import locked
 from twin.calibration import Calibration
@@ -30,6 +29,7 @@ from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.simulate import Setting, simulate
+from twin.spatial import rotation_exp
 from twin.units import MM
 
 MOST: Final = 13
@@ -90,9 +90,9 @@ class Model:
         turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == fourier.name}
         bases = {axis.name: fourier if axis.lower is None or axis.name in turning else power for axis in machine.axes}
         spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
-        told = _told(plan, known)
+        told = as_told(plan, known)
         unknowns = Unknowns(machine, spaces, constants, axes_told(machine, told))
-        setup = _setup(told, setting, lengths_only=bool(np.isnan(instrument.read(np.ones((1, 3)))[0, 1])))
+        setup = setup_of(told, setting, instrument)
         plausible = np.concatenate([np.full(len(unknowns), PLAUSIBLE), setup.plausible])
         free = free_directions(unknowns.datum, len(unknowns), len(setup))
         precision = np.ones(len(plausible))
@@ -188,7 +188,7 @@ def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
     return np.asarray(np.where(open_, PLAUSIBLE, np.sqrt(size * fall)))
 
 
-def _told(plan: Measurements, known: Collection[str]) -> Measurements:
+def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
     """The plan as an evaluation will have it: poses and places only where they are known."""
     station = np.array([name in known for name in plan.station])[:, None]
     target = np.array([name in known for name in plan.target])[:, None]
@@ -199,12 +199,12 @@ def _told(plan: Measurements, known: Collection[str]) -> Measurements:
     )
 
 
-def _setup(plan: Measurements, setting: Setting, *, lengths_only: bool) -> SetUp:
-    """The truth about stations and targets, and which of it an evaluation is told."""
-    told = SetUp.told(plan, lengths_only=lengths_only)
+def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
+    """Where stations and targets are, and which of it the plan tells an evaluation."""
+    told = SetUp.told(plan, lengths_only=bool(np.isnan(instrument.read(np.ones((1, 3)))[0, 1])))
     return replace(
         told,
-        rotation=np.array([pin.exp3(np.array(setting.stations[name].turn_rad)) for name in told.stations]),
+        rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in told.stations])),
         origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
         place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
     )

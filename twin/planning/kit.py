@@ -25,8 +25,6 @@ ACCEPTANCE_DEG: Final = 30.0
 """Of a spherically mounted corner cube, either side of its axis (Leica red ring reflector, data sheet)."""
 DISTANCE_MM: Final = 2000.0
 """From the middle of the work to a station where nobody says where it may stand."""
-REACH_MM: Final = 150.0
-"""How far from the nose, or from the middle of the table, a reflector sits where nobody says where."""
 TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
 
@@ -34,7 +32,7 @@ TRAVEL_DEG_S: Final = 15.0
 class _Seconds(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     point: Annotated[float, Field(gt=0)] = 15.0
-    aim: Annotated[float, Field(ge=0)] = 0.0
+    aim: Annotated[float, Field(ge=0)] = 20.0
     target: Annotated[float, Field(ge=0)] = 30.0
     station: Annotated[float, Field(ge=0)] = 900.0
 
@@ -205,8 +203,7 @@ class Kit:
     def default(cls, machine: Machine) -> Kit:
         """Where nobody says what there is.
 
-        A laser tracker that may stand in front, on either side, and high up; three reflectors on the tool side, three on the work
-        side; where they sit on the real machine nobody knows, so nothing is said to stop a beam.
+        A laser tracker that may stand in front, on either side, and high up; three reflectors below the nose, three above the table.
         """
         middle = _middle(machine)
         corners = {
@@ -222,10 +219,13 @@ class Kit:
         targets = {}
         for k in range(3):
             angle = np.radians(30.0 + 120.0 * k)
-            across = REACH_MM * np.array([np.cos(angle), np.sin(angle)])
-            for side, letter, height in (("tool", "T", 20.0 + 60.0 * k), ("work", "W", 30.0 + 60.0 * k)):
-                place = _three(np.round([*across, height]))
+            across = np.array([np.cos(angle), np.sin(angle)])
+            for side, letter, radius, height in (
+                ("tool", "T", 110.0, -40.0 - 35.0 * k),
+                ("work", "W", 170.0, 30.0 + 30.0 * k),
+            ):
                 carrier: Literal["tool", "work"] = "tool" if side == "tool" else "work"
+                place = _three(np.round([*(radius * across), height]))
                 targets[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         times = _Seconds()
         return cls(
@@ -237,7 +237,7 @@ class Kit:
             seconds=Seconds(times.point, times.aim, times.target, times.station),
             speeds=np.array([_speed(axis.linear) for axis in machine.axes]),
             ranges=whole_ranges(machine),
-            opaque=False,
+            opaque=True,
         )
 
 
@@ -249,7 +249,7 @@ def whole_ranges(machine: Machine) -> np.ndarray:
 def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
     """A station upright at some place, its x towards a point."""
     away = point_mm - np.array(origin_mm)
-    return Station(origin_mm, (0.0, 0.0, float(np.arctan2(away[1], away[0]))))
+    return Station(origin_mm, (0.0, 0.0, float(np.radians(np.round(np.degrees(np.arctan2(away[1], away[0])))))))
 
 
 def _middle(machine: Machine) -> np.ndarray:

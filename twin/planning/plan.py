@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
 from twin.measurement import Measurements
-from twin.planning.candidates import candidates, safe_poses, setting_of
+from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
 from twin.planning.design import Aim, AtTool, Everything, Say, Weakest
 from twin.planning.fill import Filler, Readings
 from twin.planning.forecast import POSES, SEED, Forecast, forecast, hidden_by, length_of, told_by
@@ -66,7 +66,10 @@ def plan(
         length = length_of(machine, tool_length_mm)
         filler = Filler(machine, own, minutes, seed, tell)
         tell("looking", 0.0)
-        every = candidates(machine, own, safe_poses(machine, own, filler.rng), filler.rng)
+        # A curve gets as many functions as its axis has positions: a short plan keeps to few.
+        numbers = min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in own.instruments)
+        levels = levels_for(machine, filler.expected_points, numbers)
+        every = candidates(machine, own, safe_poses(machine, own, filler.rng, levels=levels), filler.rng)
         stands = []
         for instrument in own.instruments:
             model = Model.of(machine, every, setting_of(own), instrument, sizes, own.known)

@@ -68,7 +68,9 @@ class Separation:
 
     def lines(self) -> list[str]:
         """For people."""
-        found = [f"told apart with odds of {ODDS}:1 or better, the other one free to stand in for it:"]
+        found = [
+            f"told apart with odds of {ODDS}:1 or better in 19 of 20 measurements, the other one free to stand in for it:"
+        ]
         for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True):
             shown = unit.replace("um", "µm").replace("urad", "µrad")
             text = f"  {name}, if it is {size:.3g} {shown} or more"
@@ -100,7 +102,7 @@ class Plan:
         instrument: what reads.
         stations: where it stands, in order.
         route: the readings in order, with times.
-        forecast: what they will tell.
+        forecast: what they will tell of every error; None where they are only to tell two causes apart.
         alternatives: other ways to stand, the best first; the plan's own among them.
         seed: of the poses tried.
         separation: how well it tells two causes apart, if that is what it is for.
@@ -112,7 +114,7 @@ class Plan:
     instrument: Instrument
     stations: tuple[str, ...]
     route: Route
-    forecast: Forecast
+    forecast: Forecast | None
     alternatives: tuple[Alternative, ...]
     seed: int
     separation: Separation | None = None
@@ -126,6 +128,11 @@ class Plan:
     def minutes(self) -> float:
         """How long it takes."""
         return self.route.seconds / 60.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point can be reached from the one before by a straight move."""
+        return not self.route.blocked
 
     def notices(self) -> list[str]:
         """What whoever carries it out must know."""
@@ -163,15 +170,13 @@ class Plan:
 
     def to_text(self) -> str:
         """The account for people."""
-        told = self.forecast
         lines = [
             f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
             f"{self.minutes:.0f} minutes",
             *self.comment().splitlines()[1:3],
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
-            *told.to_text().splitlines(),
-            "",
+            *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
             "where to stand (readings spread evenly; the plan itself is better than that):",
         ]
         for one in self.alternatives[:SHOWN]:
@@ -202,7 +207,7 @@ class Plan:
                 "points": spent.points_s,
             },
             "separation": None if self.separation is None else self.separation.to_dict(),
-            "forecast": self.forecast.to_dict(),
+            "forecast": None if self.forecast is None else self.forecast.to_dict(),
             "definition": DEFINITION,
             "alternatives": [
                 {

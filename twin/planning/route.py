@@ -138,7 +138,7 @@ def route(
         plan.select(order),
         lines=locked(np.arange(1, len(order) + 1)),
         round=locked(np.array(clock.rounds, dtype=object)),
-        time_s=locked(np.array(clock.times)),
+        time_s=locked(np.round(clock.times, 1)),
     )
     return Route(
         ordered,

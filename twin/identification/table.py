@@ -1,0 +1,93 @@
+"""How the table stands: the average lines of the rotary axes that carry it, as one orientation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.effects import split_name
+from twin.spatial import fused_angles
+from twin.symbolic import error_vector, frame_pose
+from twin.units import URAD
+
+
+@final
+@dataclass(frozen=True)
+class TableTilt:
+    """The work frame against where it is drawn, by the average lines (``E_A0B`` … ``E_B0C``) alone.
+
+    Attributes:
+        at: rotary axes that carry the table, and where they stand (degrees): at zero, or as near as they come.
+        fused_urad: (3,) fused-like angles about x, y, z of the base frame: how the surface leans about x and about y, and how the
+            table is turned in it (`twin.spatial.fused_angles`); µrad.
+        u_urad: (3,) their standard uncertainties, µrad; NaN where an average line has none.
+        covariance: (3, 3) µrad².
+        missing: average lines that have no value and count as drawn.
+    """
+
+    at: tuple[tuple[str, float], ...]
+    fused_urad: np.ndarray
+    u_urad: np.ndarray
+    covariance: np.ndarray
+    missing: tuple[str, ...]
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> TableTilt | None:
+        """Of a calibration; None where no rotary axis carries the table, or none of their average lines has a value."""
+        machine = calibration.machine
+        carrying = [axis for axis in machine.axes if not axis.linear and axis.side == "work"]
+        names = [
+            name
+            for name in machine.location_names
+            if split_name(name)[0] >= 3 and split_name(name)[2] in {axis.name for axis in carrying}
+        ]
+        found = [name for name in names if name in calibration.location]
+        if not found:
+            return None
+        at = {axis.name: float(np.clip(0.0, *_range(axis.lower, axis.upper))) for axis in carrying}
+        q = ca.SX([at.get(axis.name, 0.0) * axis.scale for axis in machine.axes])
+        lines = calibration.where(lambda name: name in found)
+        e = ca.SX.sym("e", 6 * len(machine.frames))
+        turned, drawn = (
+            frame_pose(machine, machine.work_frame, q, error).rotation for error in (e, ca.SX(e.shape[0], 1))
+        )
+        angles = fused_angles(turned @ drawn.T)
+        rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
+        value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
+        slots = [6 * _location(calibration, name) + split_name(name)[0] for name in found]
+        jacobian = np.asarray(rate)[:, slots]
+        known = set(found) <= set(calibration.covariance.names)
+        matrix = calibration.covariance.of(found).matrix if known else np.full((len(found), len(found)), np.nan)
+        covariance = jacobian @ matrix @ jacobian.T
+        return cls(
+            tuple(at.items()),
+            locked(np.asarray(value).ravel() / URAD),
+            locked(np.sqrt(np.diag(covariance))),
+            locked(covariance),
+            tuple(name for name in names if name not in found),
+        )
+
+    def to_text(self, coverage: float) -> str:
+        """One line, with ± ``coverage`` standard uncertainties where they are known."""
+        x, y, z = (
+            f"{value:.2f}" + (f" ± {coverage * u:.2f}" if np.isfinite(u) else "")
+            for value, u in zip(self.fused_urad, self.u_urad, strict=True)
+        )
+        place = " ".join(f"{name} {value:g}" for name, value in self.at)
+        text = f"table at {place}: leans by {x} µrad about x and {y} about y, turned by {z} about z (fused-like angles)"
+        return f"{text}, but for {', '.join(self.missing)}" if self.missing else text
+
+
+def _range(lower: float | None, upper: float | None) -> tuple[float, float]:
+    return -np.inf if lower is None else lower, np.inf if upper is None else upper
+
+
+def _location(calibration: Calibration, name: str) -> int:
+    axis = split_name(name)[2]
+    frames = calibration.machine.frames
+    return next(i for i, frame in enumerate(frames) if frame.axis == axis and frame.role == "location")

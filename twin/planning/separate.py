@@ -1,0 +1,346 @@
+"""Two causes that data could not tell apart: the measurement that can.
+
+With both in one model, each free to stand in for the other, set-up and the calibration's own doubt free too, a cause of size s is
+told from the other where s² over the variance of its estimate is λ: then the expected log-likelihood ratio between the two is λ/2 in
+its favour (T-optimality of Atkinson and Fedorov 1975; for two models linear in their sizes it is the D_s-optimality of the model that
+holds both). What is made small is the sum of both variances, each in the size that is meant.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from twin.arrays import locked
+from twin.calibration import Calibration
+from twin.diagnosis.catalogue import Candidate, Cell, catalogue
+from twin.diagnosis.problem import Problem
+from twin.errors import InputError
+from twin.identification.network import Network
+from twin.identification.screen import fitting
+from twin.identification.unknowns import Unknowns
+from twin.instruments import Instrument, LaserTracker
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.planning.candidates import candidates, safe_poses, setting_of
+from twin.planning.design import Aim, Say, covariance_of
+from twin.planning.fill import Filler, Readings
+from twin.planning.information import as_told, setup_of
+from twin.planning.kit import Kit
+from twin.planning.result import ODDS, Plan, Separation, alternatives
+from twin.planning.route import ALWAYS, Session
+from twin.simulate import simulate
+
+POWER: Final = 1.645
+"""Quantile of 95 %: the chance that the odds come out that good."""
+LAMBDA: Final = (POWER + float(np.sqrt(POWER**2 + 2.0 * np.log(ODDS)))) ** 2
+"""s²/Var of a cause so told from the other: the log-likelihood ratio is normal about λ/2 with variance λ."""
+WARM_K: Final = 5.0
+"""K: how much warmer a sensor is in a session than in the others."""
+LATER_S: Final = 4.0 * 3600.0
+"""After a cold start, when a drift has mostly gone through."""
+
+
+@final
+@dataclass(frozen=True)
+class Named:
+    """A cause as somebody names it.
+
+    Attributes:
+        effect, where: contract §5.
+        numbers: its parameters, those given.
+    """
+
+    effect: str
+    where: str
+    numbers: Mapping[str, float]
+
+    @classmethod
+    def parse(cls, text: str) -> Named:
+        """``cross_axis E_AX by Z``, ``reversal:Y``, ``pitch_error X amplitude=2 period=10``.
+
+        Raises:
+            InputError: it is not one.
+        """
+        words = shlex.split(text.replace(":", " ", 1))
+        numbers: dict[str, float] = {}
+        while words and "=" in words[-1]:
+            name, _, value = words.pop().partition("=")
+            try:
+                numbers[name] = float(value)
+            except ValueError:
+                raise InputError("no number", expected=f"{name}=<number>", value=text) from None
+        if not words:
+            raise InputError("no effect", expected="an effect and where: reversal Y", value=text)
+        return cls(words[0], " ".join(words[1:]) or "—", MappingProxyType(numbers))
+
+    @property
+    def text(self) -> str:
+        """Effect and where."""
+        return f"{self.effect} {self.where}"
+
+
+@final
+class _Both(Aim):
+    """The sum of two causes' variances, each over the square of the size that is meant."""
+
+    name = "separate"
+    unit = "of the sizes meant"
+
+    def __init__(self, first: slice, second: slice, total: int, sizes: tuple[float, float]) -> None:
+        self._matrix = np.zeros((total, total))
+        for part, size in ((first, sizes[0]), (second, sizes[1])):
+            at = np.arange(part.start, part.stop)
+            self._matrix[at, at] = 1.0 / size**2
+
+    def weight(self, covariance: np.ndarray) -> np.ndarray:
+        """See `Aim.weight`."""
+        return self._matrix
+
+    def value(self, covariance: np.ndarray) -> float:
+        """See `Aim.value`."""
+        return float(np.sqrt(np.sum(self._matrix * covariance)))
+
+
+def separate(
+    machine: Machine,
+    first: str,
+    second: str,
+    kit: Kit | None = None,
+    *,
+    minutes: float = 60.0,
+    calibration: Calibration | None = None,
+    after: Measurements | None = None,
+    seed: int = 0,
+    say: Say | None = None,
+) -> Plan:
+    """The measurement that tells one cause from another.
+
+    Args:
+        machine: the machine.
+        first: a cause, as ``cross_axis E_AX by Z``; its numbers where they are known (``pitch_error X amplitude=2 period=10``).
+        second: what it could be mistaken for.
+        kit: what there is to measure with; `Kit.default` if None.
+        minutes: that it may take, setting up included.
+        calibration: whose own doubt counts; the machine file's if None.
+        after: what has been measured already; the new readings are taken beside it, with stations and targets set up anew.
+        seed: of the poses tried.
+        say: told what is being done and how far it is.
+
+    Raises:
+        InputError: a cause that is none of this machine's, or whose place and time no plan can choose; two that are one; no time.
+    """
+    with threadpool_limits(limits=2, user_api="blas"):
+        causes = (Named.parse(first), Named.parse(second))
+        own = Kit.default(machine) if kit is None else kit
+        tell: Say = say or (lambda stage, part: None)
+        known = Calibration.default(machine) if calibration is None else calibration
+        filler = Filler(machine, own, minutes, seed, tell)
+        tell("looking", 0.0)
+        sessions = _sessions(causes)
+        plain = candidates(machine, own, safe_poses(machine, own, filler.rng), filler.rng)
+        every, session = _in_sessions(plain, sessions)
+        cells = tuple(_cell(one, machine, every, known) for one in causes)
+        found: list[Readings] = []
+        for instrument in own.instruments:
+            found.append(_readings(machine, own, instrument, every, session, sessions, known, causes, cells, after))
+        stands = sorted((one for readings in found for one in filler.stands(readings)), key=lambda one: one.value)
+        best = stands[0]
+        tell("choosing", 0.15)
+        way = filler.filled(best)
+        again = tuple(_cell(one, machine, way.plan, known) for one in causes)
+        last = _readings(
+            machine,
+            own,
+            best.readings.instrument,
+            way.plan,
+            np.zeros(len(way.plan), dtype=int),
+            ALWAYS,
+            known,
+            causes,
+            again,
+            after,
+        )
+        return Plan(
+            machine,
+            own,
+            f"separate {causes[0].text} from {causes[1].text}",
+            best.readings.instrument,
+            best.stations,
+            way,
+            None,
+            alternatives(stands),
+            seed,
+            _separation(causes, again, covariance_of(last.prior, last.rows)),
+        )
+
+
+def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
+    """The states in which two causes differ: cold and later, one sensor warm at a time; only those that one of them feels."""
+    sensors = []
+    for one in causes:
+        if one.effect == "thermal_expansion":
+            sensors.append(one.where)
+        if one.effect == "thermal_growth":
+            sensors.append(one.where.partition(" by ")[2])
+    drifts = any(one.effect == "thermal_drift" for one in causes)
+    if not sensors and not drifts:
+        return ALWAYS
+    names = tuple(dict.fromkeys(sensors))
+    level = dict.fromkeys(names, 20.0)
+    what = " and ".join(names)
+    found = [Session("machine cold" + (f", {what} at 20 °C" if names else ""), 0.0, MappingProxyType(level))]
+    at = 0.0
+    for name in names:
+        at += LATER_S
+        words = f"{name} {WARM_K:g} K warmer" + (", everything else as before" if len(names) > 1 else "")
+        found.append(Session(words, at, MappingProxyType({**level, name: 20.0 + WARM_K})))
+    if drifts:
+        at += LATER_S
+        words = f"{LATER_S / 3600.0:g} hours later, machine running" + (f", {what} back at 20 °C" if names else "")
+        found.append(Session(words, at, MappingProxyType(level)))
+    return tuple(found)
+
+
+def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> tuple[Measurements, np.ndarray]:
+    """Every reading in every session, and (n,) which session."""
+    n = len(plain)
+    session = np.repeat(np.arange(len(sessions)), n)
+    every = plain.select(np.tile(np.arange(n), len(sessions)))
+    names = dict.fromkeys(name for one in sessions for name in one.temperatures)
+    temperatures = {name: locked(np.array([one.temperatures[name] for one in sessions])[session]) for name in names}
+    starts = np.array([one.start_s for one in sessions])
+    return replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures)), session
+
+
+def _cell(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> tuple[Candidate, Cell]:
+    """The form of a cause that is meant: with the non-linear parameters given, else the plainest.
+
+    Raises:
+        InputError: no such cause, or none that a plan can look for.
+    """
+    tried = catalogue(machine, plan, calibration)
+    found = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)
+    if found is None or found.origin == "instrument":
+        places = [c.where for c in tried.candidates if c.effect == one.effect and c.origin == "machine"]
+        effects = dict.fromkeys(c.effect for c in tried.candidates if c.origin == "machine")
+        if found is not None or not (places or one.effect in effects):
+            expected = f"an effect of the machine: {', '.join(effects)}"
+        else:
+            expected = f"{one.effect} at one of {', '.join(places)}"
+        raise InputError("no cause that a plan can look for", expected=expected, value=one.text)
+    names = {name for cell in found.cells for name in cell.fixed}
+    linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
+    strange = [name for name in one.numbers if name not in names | linear]
+    if strange:
+        raise InputError(
+            f"{one.text} has no such parameter", expected=", ".join(sorted(names | linear)), value=strange[0]
+        )
+
+    def off(cell: Cell) -> float:
+        wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
+        return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
+
+    plainest = min(len(cell.columns) for cell in found.cells)
+    return found, min(found.cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
+
+
+def _readings(
+    machine: Machine,
+    kit: Kit,
+    instrument: Instrument,
+    every: Measurements,
+    session: np.ndarray,
+    sessions: tuple[Session, ...],
+    calibration: Calibration,
+    causes: tuple[Named, ...],
+    cells: tuple[tuple[Candidate, Cell], ...],
+    after: Measurements | None,
+) -> Readings:
+    """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
+    problem = _problem(machine, kit, instrument, every, calibration)
+    columns = [problem.signature(cell.columns) for _, cell in cells]
+    setup, doubt = problem.nuisance.shape[1] - len(problem.prior), len(problem.prior)
+    whole = np.concatenate([problem.nuisance, *columns], axis=1)
+    total = whole.shape[1]
+    prior = np.eye(total)
+    if after is not None:
+        prior[setup:, setup:] += _told_already(machine, instrument, after, calibration, causes, doubt)
+    ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
+    parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    sizes = tuple(
+        _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
+        for one, cell in zip(causes, cells, strict=True)
+    )
+    # Where nothing is said of a size, both count alike: in the size that is plausible.
+    safe = (sizes[0], sizes[1]) if all(size == size and size > 0.0 for size in sizes) else (1.0, 1.0)
+    aim = _Both(parts[0], parts[1], total, safe)
+    return Readings(instrument, every, session, sessions, prior, whole.reshape(len(every), 3, total), aim)
+
+
+def _problem(
+    machine: Machine, kit: Kit, instrument: Instrument, every: Measurements, calibration: Calibration
+) -> Problem:
+    setting = setting_of(kit)
+    measured, _ = simulate(
+        every, machine, Calibration.zero(machine), instrument, np.random.default_rng(0), setting=setting, noise=False
+    )
+    told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
+    setup = setup_of(told, setting, instrument)
+    return Problem(Network(machine, told, instrument, Unknowns(machine, [], [])), setup, calibration)
+
+
+def _told_already(
+    machine: Machine,
+    instrument: Instrument,
+    after: Measurements,
+    calibration: Calibration,
+    causes: tuple[Named, ...],
+    doubt: int,
+) -> np.ndarray:
+    """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
+    reader = instrument if isinstance(instrument, LaserTracker) else LaserTracker()
+    lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
+    kept, setup = fitting(machine, after, lengths_only=lengths_only)
+    problem = Problem(
+        Network(machine, kept, instrument if lengths_only else reader, Unknowns(machine, [], [])), setup, calibration
+    )
+    columns = [problem.signature(_cell(one, machine, kept, calibration)[1].columns) for one in causes]
+    own = problem.nuisance[:, : problem.nuisance.shape[1] - doubt]
+    rest = np.concatenate([problem.nuisance[:, problem.nuisance.shape[1] - doubt :], *columns], axis=1)
+    basis, _ = np.linalg.qr(own)
+    left = rest - basis @ (basis.T @ rest)
+    return np.asarray(left.T @ left)
+
+
+def _meant(one: Named, cell: tuple[Candidate, Cell]) -> float:
+    """How large a cause was said to be; NaN if nothing was said."""
+    linear = [value for name, value in one.numbers.items() if name not in cell[1].fixed and name != "phase"]
+    return float(np.sqrt(np.sum(np.square(linear)))) if linear else float("nan")
+
+
+def _separation(
+    causes: tuple[Named, ...], cells: tuple[tuple[Candidate, Cell], ...], covariance: np.ndarray
+) -> Separation:
+    sizes: list[tuple[float, str]] = []
+    end = len(covariance)
+    starts: list[int] = []
+    for _, cell in reversed(cells):
+        starts.insert(0, end - len(cell.columns))
+        end -= len(cell.columns)
+    for start, (candidate, cell) in zip(starts, cells, strict=True):
+        count = len(cell.columns)
+        scale = np.array([column.scale for column in cell.columns])
+        own = covariance[start : start + count, start : start + count] * np.outer(scale, scale)
+        # Of several numbers the one known worst.
+        worst = float(np.sqrt(LAMBDA * np.linalg.eigvalsh(own)[-1]))
+        sizes.append((worst, candidate.names[0][1]))
+    meant = tuple(_meant(one, cell) for one, cell in zip(causes, cells, strict=True))
+    return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (meant[0], meant[1]))
