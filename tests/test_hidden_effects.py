@@ -255,8 +255,15 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
 
 def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:
     """A zero of a linear axis moves all its targets alike, and C's load is nothing where the table's weight is on its axis."""
-    found = look([]).unidentifiable
-    assert {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")} <= set(found)
+    found = look([])
+    hidden = {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")}
+    assert hidden <= set(found.unidentifiable) == set(found.looks_like)
+    assert found.looks_like["gravity_compliance", "C"] == "nothing that was moved shows it"
+    for k in range(3):
+        said = found.looks_like["zero_offset", "XYZ"[k]]
+        assert f" {'xyz'[k]} " in said and ("station" in said or "target" in said)
+    told = found.to_dict()["unidentifiable"]
+    assert {(one["effect"], one["where"]): one["because"] for one in told} == dict(found.looks_like)
 
 
 def test_the_battery_in_small() -> None:

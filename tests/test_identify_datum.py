@@ -80,6 +80,8 @@ def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
         PLACES.update(places)
     reasons = {one.name: one.reason for one in found.unidentified}
     assert "it takes three targets apart from one line" in reasons["E_AX"]
+    # Both targets lie on one line along x through the frame of X: its roll alone moves neither, and moves with nothing else.
+    assert reasons["E_AX"].startswith("no reading shows E_AX order 1 +1000 urad alone")
     assert "E_AX" not in found.calibration.curves
     worst = differences(found.calibration, truth, errors)
     assert max(worst[name] for name in ("E_XX", "E_YX", "E_ZX", "E_BX", "E_CX")) <= EXACT
@@ -107,6 +109,9 @@ def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict
     reasons = {one.name: one.reason for one in unknown.unidentified}
     assert set(reasons) == {"E_X0B", "E_Y0B", "E_Y0C"}
     assert all("give the targets' places" in reason for reason in reasons.values())
+    # The cradle's frame shifted along its own axis is stations and tool targets shifted the other way, one for one.
+    shown = reasons["E_X0B"].removeprefix("no reading shows E_X0B +1000 um with ").partition(": ")[0].split(", ")
+    assert sorted(shown) == [f"{name} x +1 mm" for name in ("station 1", "target K", "target P", "target Q")]
     assert known.unidentified == ()
     for name, value in more["location"].items():
         assert known.calibration.location[name] == pytest.approx(value, abs=EXACT), name

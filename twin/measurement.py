@@ -21,6 +21,7 @@ from twin.arrays import locked
 from twin.errors import InputError
 from twin.files import read_text, write_whole
 from twin.machine import Axis, Machine
+from twin.tables import Cells, not_understood, read_table
 
 CARRIERS: Final = ("tool", "work")
 POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
@@ -147,7 +148,8 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
             number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
             pose given in part.
     """
-    header, rows, made = _table(path)
+    header, rows, said = read_table(path)
+    made = [f"the file says: {text}" for text in said if text.startswith(SIMULATED)]
     axes = machine.axes
     columns = {name: i for i, name in enumerate(header)}
     needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
@@ -161,7 +163,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
                 file=path,
                 line=rows[0][0] - 1 if rows else 1,
             )
-    reader = _Cells(path, columns, rows)
+    reader = Cells(path, columns, rows)
     n = len(rows)
     temperatures = {
         name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
@@ -170,7 +172,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
     known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
     strange = [name for name in header if name not in known]
-    notices = (*made, *(_strange(name, sorted(known)) for name in strange))
+    notices = (*made, *(not_understood(name, sorted(known)) for name in strange))
     table = Measurements(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
@@ -309,81 +311,6 @@ def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     return found
 
 
-def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
-    """Header, rows with their lines, and what a comment says of data that no machine gave."""
-    whole = [(number, text) for number, text in enumerate(read_text(path).splitlines(), start=1) if text.strip()]
-    lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
-    comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
-    made = [f"the file says: {text}" for text in comments if text.startswith(SIMULATED)]
-    if not lines:
-        raise InputError("no header row", expected="a CSV table with a header", file=path)
-    cells = list(csv.reader([text for _, text in lines]))
-    header = [name.strip() for name in cells[0]]
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(
-                "a column given twice", expected="each column once", file=path, line=lines[0][0], value=name
-            )
-    rows = []
-    for (number, _), row in zip(lines[1:], cells[1:], strict=True):
-        if len(row) != len(header):
-            raise InputError(
-                f"{len(row)} cells",
-                expected=f"{len(header)}, as in the header",
-                file=path,
-                line=number,
-                value=",".join(row),
-            )
-        rows.append((number, [cell.strip() for cell in row]))
-    return header, rows, made
-
-
-@final
-@dataclass(frozen=True)
-class _Cells:
-    path: Path
-    columns: Mapping[str, int]
-    rows: Sequence[tuple[int, list[str]]]
-
-    def numbers(self, name: str) -> np.ndarray:
-        """A column of numbers; NaN where the cell is empty or the column absent."""
-        column = self.columns.get(name)
-        if column is None:
-            return locked(np.full(len(self.rows), np.nan))
-        values = np.full(len(self.rows), np.nan)
-        for i, (line, row) in enumerate(self.rows):
-            cell = row[column]
-            if cell:
-                try:
-                    values[i] = float(cell)
-                except ValueError:
-                    raise InputError(
-                        f"{name} is no number",
-                        expected="a number with a decimal point, or nothing",
-                        file=self.path,
-                        line=line,
-                        value=cell,
-                    ) from None
-                if np.isnan(values[i]):
-                    values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
-        return locked(values)
-
-    def words(self, name: str, default: str) -> np.ndarray:
-        column = self.columns.get(name)
-        cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
-        return locked(np.array(cells, dtype=object))
-
-    def signs(self, name: str) -> np.ndarray:
-        values = np.nan_to_num(self.numbers(name), nan=0.0)
-        wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
-        if np.any(wrong):
-            i = int(np.flatnonzero(wrong)[0])
-            raise InputError(
-                f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
-            )
-        return locked(values)
-
-
 def _check_names(table: Measurements, path: Path) -> None:
     for line, target, carrier in zip(table.lines, table.target, table.carrier, strict=True):
         if carrier not in CARRIERS:
@@ -506,11 +433,6 @@ def _missing_rounds(table: Measurements) -> list[str]:
         if absent and len(dict.fromkeys(table.round)) > 1:
             notices.append(f"round {name} has no target {', '.join(absent)}")
     return notices
-
-
-def _strange(name: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, known, 1)
-    return f"column {name} is not understood and not used" + (f" (is it {close[0]}?)" if close else "")
 
 
 def _column(axis: Axis) -> str:

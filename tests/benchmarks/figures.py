@@ -179,7 +179,7 @@ def identification(machine: Machine, calibration: Calibration) -> None:
     found = identify(data, machine)
     seconds = time.perf_counter() - start
     print(
-        f"identify, {len(data):,} points, {len(found.solution.scale)} unknowns: {seconds:.1f} s "
+        f"identify, {len(data):,} points, {len(found.solution.spectrum.scale)} unknowns: {seconds:.1f} s "
         f"(reduced chi² {found.misfit.reduced:.3f})"
     )
 

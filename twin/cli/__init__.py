@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 
-from twin.cli import info, compensate, scene, simulate, identify, diagnose  # isort: skip  # in this order in the help
+from twin.cli import info, compensate, path, scene, simulate, identify, axis_run, diagnose, plan  # isort: skip  # in this order in the help
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.errors import InputError, OutputError
 from twin.options import gathered
 
-__all__ = ["app", "compensate", "diagnose", "identify", "info", "main", "scene", "simulate"]
+__all__ = ["app", "axis_run", "compensate", "diagnose", "identify", "info", "main", "path", "plan", "scene", "simulate"]
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -21,13 +21,14 @@ from twin.diagnosis import diagnose as run_diagnosis
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.machine import Machine
+from twin.measurement import joined
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named
 
 
 @app.command()
 def diagnose(
-    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    measured: Annotated[list[Path], typer.Argument(help="The measurement table, or several of one machine.")],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     instrument: Annotated[
@@ -49,13 +50,13 @@ def diagnose(
     loaded = Machine.load(machine)
     outputs = [path for path in (json_file, html_file, extended) if path is not None]
     check_writable(outputs)
-    inputs = {path.resolve() for path in (measured, calibration) if path is not None}
+    inputs = {path.resolve() for path in (*measured, calibration) if path is not None}
     if inputs & {path.resolve() for path in outputs}:
         raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     errors = calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
-        data = load_measurements(measured, loaded)
+        data = joined([load_measurements(path, loaded) for path in measured])
         reader = None if instrument is None else instrument_named(instrument)
         found = run_diagnosis(data, loaded, errors, instrument=reader, say=say)
     if extended is not None:

@@ -22,6 +22,7 @@ from twin.files import check_writable, write_whole
 from twin.identification import identify as run_identification
 from twin.instruments import INSTRUMENTS
 from twin.machine import Machine
+from twin.measurement import joined
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named
 
@@ -37,7 +38,7 @@ class Scatter(StrEnum):
 
 @app.command()
 def identify(
-    measured: Annotated[Path, typer.Argument(help="The measurement table.")],
+    measured: Annotated[list[Path], typer.Argument(help="The measurement table, or several of one machine.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
     machine: MachineOption = "dmu50",
     instrument: Annotated[
@@ -65,7 +66,7 @@ def identify(
     """
     loaded = Machine.load(machine)
     check_writable([path for path in (output, json_file) if path is not None])
-    if measured.resolve() in {path.resolve() for path in (output, json_file) if path is not None}:
+    if {path.resolve() for path in measured} & {path.resolve() for path in (output, json_file) if path is not None}:
         raise InputError("the output is the measurement itself", expected="another file", file=output)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
     for pattern in only or []:
@@ -75,7 +76,7 @@ def identify(
             )
     with progress() as say:
         say("reading", 0.0)
-        data = load_measurements(measured, loaded)
+        data = joined([load_measurements(path, loaded) for path in measured])
         found = run_identification(
             data,
             loaded,

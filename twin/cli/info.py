@@ -120,7 +120,8 @@ def _uncertainty_lines(kinematics: Kinematics) -> list[str]:
 def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Table:
     known = any(np.isfinite(row.peak_u) for row in rows)
     headers = ["error", "class", "peak", *(["peak u (k = 1)"] if known else [])] if peak else ["class"]
-    table = Table(*headers, "tool RMS", "tool max", title=title, title_justify="left")
+    tilt = [] if peak else ["tool axis tilt RMS, about x / y"]
+    table = Table(*headers, "tool RMS", "tool max", *tilt, title=title, title_justify="left")
     for row in rows:
         unit = "µm" if row.unit == "um" else "µrad"
         start = (
@@ -130,5 +131,6 @@ def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Tab
         )
         if peak and known:
             start.append(f"{row.peak_u:.2f} {unit}" if np.isfinite(row.peak_u) else "unknown")
-        table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm")
+        leans = [] if peak else ["{:.1f} / {:.1f} µrad".format(*row.tilt_rms_urad)]
+        table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm", *leans)
     return table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import stats
 from twin.arrays import locked
 from twin.budget import volume
 from twin.calibration import Calibration
+from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
@@ -127,6 +129,7 @@ def account(
     rest = problem.residual - found.signature.sum(axis=1)
     after_um = _unwhitened(problem, problem.project(rest))
     read = problem.network.read
+    hidden = _unidentifiable(problem, pool, known)
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
         rms_um=_rms(before_um, read),
@@ -142,7 +145,8 @@ def account(
         ),
         causes=tuple(causes),
         unexplained=left,
-        unidentifiable=_unidentifiable(pool, known),
+        unidentifiable=tuple(hidden),
+        looks_like=MappingProxyType(hidden),
         not_evaluated=known.not_evaluated,
         next_measurement=_next(problem, pool, named, forms, causes),
         trends=_trends(pool),
@@ -399,12 +403,14 @@ def _expected(problem: Problem) -> float:
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
 
 
-def _unidentifiable(pool: Pool, known: Catalogue) -> tuple[tuple[str, str], ...]:
+def _unidentifiable(problem: Problem, pool: Pool, known: Catalogue) -> dict[tuple[str, str], str]:
     everything = list(range(len(pool.forms)))
     seen: dict[tuple[str, str], bool] = {}
     for form, score in zip(pool.forms, pool.scores([], everything), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
-    return tuple(candidate.key for candidate in known.candidates if not seen.get(candidate.key, True))
+    hidden = [candidate.key for candidate in known.candidates if not seen.get(candidate.key, True)]
+    why = looks_like(problem, [form for form in pool.forms if form.key in set(hidden)], pool.signature)
+    return {key: why[key] for key in hidden}
 
 
 def _trends(pool: Pool) -> tuple[Trend, ...]:

@@ -152,6 +152,7 @@ class Diagnosis:
         causes: strongest first.
         unexplained: structure that is left, or None.
         unidentifiable: (effect, where) that these data could not show, however large.
+        looks_like: what looks the same as each of them, in words.
         not_evaluated: (effect, where, column that is missing).
         gain: None where nothing was found.
         next_measurement: points worth measuring next, with what they would tell.
@@ -175,6 +176,7 @@ class Diagnosis:
     causes: tuple[Cause, ...]
     unexplained: Unexplained | None
     unidentifiable: tuple[tuple[str, str], ...]
+    looks_like: Mapping[tuple[str, str], str]
     not_evaluated: tuple[tuple[str, str, str], ...]
     gain: Gain | None
     next_measurement: tuple[Mapping[str, Any], ...]
@@ -212,7 +214,10 @@ class Diagnosis:
                 "carrier": self.unexplained.carrier,
                 "evidence": self.unexplained.evidence,
             },
-            "unidentifiable": [{"effect": effect, "where": where} for effect, where in self.unidentifiable],
+            "unidentifiable": [
+                {"effect": effect, "where": where, "because": self.looks_like.get((effect, where), "")}
+                for effect, where in self.unidentifiable
+            ],
             "not_evaluated": [{"effect": e, "where": w, "missing": column} for e, w, column in self.not_evaluated],
             "gain": None
             if gain is None

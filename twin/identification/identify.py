@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.arrays import locked
 from twin.curves import BASES, Basis
+from twin.determinability import UNSEEN, Determinability
 from twin.effects import split_name
 from twin.errors import InputError
 from twin.identification.network import Network
@@ -20,7 +21,7 @@ from twin.identification.remainder import remainder_precision
 from twin.identification.result import Identification, Unidentified
 from twin.identification.screen import explained, fitting, instrument_of, outliers, robust_weights
 from twin.identification.setup import SetUp
-from twin.identification.solve import UNSEEN, Solution, solve
+from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
 from twin.identification.unknowns import Column, CurveSpace, Unknowns, axes_told, offset_name, spaces_for
 from twin.instruments import Instrument
@@ -107,7 +108,9 @@ def _identify(
         whole = whole if seen is every else network(seen)
         solution, weight = _robust(whole, setup, drawn.triangle[:, kept])
         choice = choose(whole, solution, weight, Folds.of(data), together)
-        return _Attempt(choice, whole.unknowns, solution, weight, lost, together)
+        return _Attempt(
+            choice, whole.unknowns, solution, weight, lost, together, _why(every, drawn, whole, [*lost, *together])
+        )
 
     say("choosing the curves", 0.1)
     families = _families(machine, data, wanted)
@@ -136,6 +139,7 @@ class _Attempt:
     weight: np.ndarray
     lost: list[str]
     together: list[str]
+    why: dict[str, str]
 
 
 def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool]) -> list[dict[str, Basis]]:
@@ -181,7 +185,7 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
 
 def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
     """The curves whose constant these data determine; the others' belongs to stations and locations."""
-    unseen = solution.unseen
+    unseen = solution.spectrum.unseen
     return [name for name in unknowns.offsets if unseen[unknowns.index[Column(offset_name(name), 0)]] <= UNSEEN]
 
 
@@ -193,8 +197,9 @@ def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], 
     A curve of which only higher orders are unseen is cut there.
     """
     count = len(unknowns)
-    unseen = solution.unseen[:count] > UNSEEN
-    shared = solution.silent[:count] @ solution.silent[:count].T
+    unseen = solution.spectrum.unseen[:count] > UNSEEN
+    silent = solution.spectrum.silent[:count]
+    shared = silent @ silent.T
     touched = np.diag(shared) > TOUCHED
     entity = np.array([column.entity for column in unknowns.columns])
     lost = [name for name in unknowns.entities if _unseen_whole(unknowns, name, unseen)]
@@ -288,7 +293,7 @@ def _result(
     elif spread == "between rounds":
         whole = between_rounds(network, solution, weight)
     else:
-        whole = solution.covariance()
+        whole = solution.spectrum.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
     kept = [
@@ -302,7 +307,7 @@ def _result(
     u = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
     return Identification(
         calibration=calibration,
-        unidentified=_unidentified(machine, data, best.lost, best.together, wanted, solution),
+        unidentified=_unidentified(machine, data, best, wanted, solution.setup),
         setup=solution.setup,
         setup_u=dict(zip(names, (float(v) for v in u), strict=True)),
         misfit=misfit(whitened, network.read, data, solution.determined, used),
@@ -323,10 +328,9 @@ def _result(
 def _unidentified(
     machine: Machine,
     data: Measurements,
-    lost: list[str],
-    together: list[str],
+    best: _Attempt,
     wanted: Callable[[str], bool],
-    solution: Solution,
+    setup: SetUp,
 ) -> tuple[Unidentified, ...]:
     """What was asked for and is not reported, and why."""
     found = []
@@ -338,30 +342,43 @@ def _unidentified(
             continue
         if not moved:
             found.append(Unidentified(name, f"{axis} was not moved"))
-        elif name in together:
-            reason = f"these data see only what {', '.join(together)} do together: a third target apart from one line tells them"
-            found.append(Unidentified(name, reason))
-        elif name in lost:
-            found.append(Unidentified(name, _cause(name, machine, solution.setup)))
+        elif name in best.together or name in best.lost:
+            found.append(
+                Unidentified(name, f"{best.why[name]}: {_remedy(name, machine, setup, name in best.together)}")
+            )
     return tuple(found)
 
 
-def _cause(name: str, machine: Machine, setup: SetUp) -> str:
+def _why(unknowns: Unknowns, drawn: Solution, network: Network, lost: list[str]) -> dict[str, str]:
+    """What moves together with an error, a curve's lowest order, and changes no reading: for each that is lost."""
+    told = drawn.told(unknowns, int(np.count_nonzero(network.read)))
+    return {name: _direction(told, unknowns.of(name)[0]) for name in lost}
+
+
+def _direction(told: Determinability, column: int) -> str:
+    found = told.moving(told.names[column])
+    if found is None:
+        return "these data say less of it than is plausible beforehand"
+    return f"no reading shows {found}"
+
+
+def _remedy(name: str, machine: Machine, setup: SetUp, together: bool) -> str:
     _, average, axis = split_name(name)
+    if together:
+        return "a third target apart from one line tells them"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
-        return "a shift of stations and targets together looks the same: give the targets' places, or a reference on the machine"
+        return "give the targets' places, or a reference on the machine"
     if average:
         return "the other axes' motions, which would be its reference, are not among these data"
-    return "these targets move alike with and without it: it takes three targets apart from one line, or other poses of the other axes"
+    return "it takes three targets apart from one line, or other poses of the other axes"
 
 
 def _notices(solution: Solution, unknowns: Unknowns) -> list[str]:
     """What the set-up leaves open that shows in the errors."""
-    silent = solution.silent * solution.scale[:, None]
-    if silent.shape[1] == 0:
+    if solution.spectrum.silent.shape[1] == 0:
         return []
-    carried = np.sqrt(np.sum(silent[: len(unknowns)] ** 2, axis=1))
-    seen = solution.covariance(silent=False)
+    carried = solution.spectrum.reach[: len(unknowns)]
+    seen = solution.spectrum.covariance(silent=False)
     own = np.sqrt(np.diag(seen)[: len(unknowns)])
     names = dict.fromkeys(
         column.entity for column, open_, u in zip(unknowns.columns, carried, own, strict=True) if open_ > u

@@ -241,11 +241,11 @@ def _ends(poses: np.ndarray) -> np.ndarray:
 
 def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
-    size = len(solution.scale) + 1
+    size = len(solution.spectrum.scale) + 1
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
     cell_of = folds.round_of * (folds.poses + 1) + pose
     cells = folds.rounds * (folds.poses + 1)
-    scale = np.append(solution.scale, 1.0)
+    scale = np.append(solution.spectrum.scale, 1.0)
 
     def summed(share: Sequence[np.ndarray]) -> np.ndarray:
         normal = np.zeros((cells, size, size))

@@ -33,7 +33,7 @@ def remainder_precision(unknowns: Unknowns, solution: Solution, choice: Choice) 
     """
     machine = len(unknowns)
     free = free_directions(unknowns.datum, machine, len(solution.setup))
-    triangle = solution.triangle[:, :-1] * solution.scale
+    triangle = solution.triangle[:, :-1] * solution.spectrum.scale
     normal = free.T @ (triangle.T @ triangle) @ free
     here = np.concatenate([solution.theta / PLAUSIBLE, np.zeros(len(solution.setup))])
     pull = free.T @ (triangle.T @ (solution.triangle[:, -1] + triangle @ here))

@@ -13,15 +13,14 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.determinability import WEAKEST, Determinability, Spectrum, Unknown, decompose
+from twin.effects import split_name
 from twin.identification.network import Network
 from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
-from twin.identification.unknowns import PLAUSIBLE
+from twin.identification.unknowns import PLAUSIBLE, Column, Unknowns
+from twin.units import MM, URAD
 
-WEAKEST: Final = 1.0
-"""Singular values below it, in plausible units, are directions the data do not see."""
-UNSEEN: Final = 0.25
-"""An unknown whose variance stays above this share of its plausible one has not been determined."""
 FIRM: Final = 1e9
 """Weight of a condition of the datum where it stands as one more reading."""
 STEPS: Final = 25
@@ -39,10 +38,8 @@ class Solution:
         theta: (columns,) µm and µrad.
         setup: stations and targets.
         triangle: (p + 1, p + 1) factor of [J | r] at the estimate.
-        directions: (p, d) unknown directions (machine's and set-up's, plausible units) that the data determine.
-        strength: (d,) their singular values.
-        silent: (p, s) directions they do not, the datum's conditions respected.
-        scale: (p,) plausible sizes.
+        spectrum: directions (machine's and set-up's, plausible units) that the data determine, their singular values, and those
+            directions that they do not; the datum's conditions respected.
         determined: how many numbers the readings settle: the trace of their share in the estimate.
         converged: whether the last step was still.
         steps: how many were taken.
@@ -51,10 +48,7 @@ class Solution:
     theta: np.ndarray
     setup: SetUp
     triangle: np.ndarray
-    directions: np.ndarray
-    strength: np.ndarray
-    silent: np.ndarray
-    scale: np.ndarray
+    spectrum: Spectrum
     determined: float
     converged: bool
     steps: int
@@ -64,28 +58,52 @@ class Solution:
         """Sum of squared whitened residuals."""
         return float(np.sum(self.triangle[:, -1] ** 2))
 
-    def covariance(self, *, silent: bool = True) -> np.ndarray:
-        """(p, p) of all unknowns, their own units; with the plausible size of what the data do not see, or without."""
-        root = self.directions / self.strength
-        if silent:
-            root = np.concatenate([root, self.silent], axis=1)
-        root = root * self.scale[:, None]
-        return np.asarray(root @ root.T)
-
     def rank_of(self, columns: Sequence[int], datum: np.ndarray) -> int:
         """How many directions the data see of the set-up and some of the machine's columns, the datum's conditions kept."""
         machine = datum.shape[1]
-        kept = [*columns, *range(machine, len(self.scale))]
-        conditions = np.zeros((len(datum), len(self.scale)))
+        scale = self.spectrum.scale
+        kept = [*columns, *range(machine, len(scale))]
+        conditions = np.zeros((len(datum), len(scale)))
         conditions[:, :machine] = datum
-        whole = np.concatenate([self.triangle[:, :-1] * self.scale, FIRM * conditions])[:, kept]
+        whole = np.concatenate([self.triangle[:, :-1] * scale, FIRM * conditions])[:, kept]
         return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > WEAKEST))
 
-    @property
-    def unseen(self) -> np.ndarray:
-        """(p,) share of each unknown's plausible variance that is left: near one where the data say nothing of it."""
-        seen = np.sum(self.directions**2 / (self.strength**2 + 1.0), axis=1)
-        return np.asarray(seen + np.sum(self.silent**2, axis=1))
+    def told(self, unknowns: Unknowns, readings: int) -> Determinability:
+        """What the readings determine, with names, in the units users see.
+
+        Args:
+            unknowns: the machine's.
+            readings: how many they are.
+        """
+        return Determinability(named(unknowns, self.setup), self.spectrum, WEAKEST, readings)
+
+
+def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
+    """Every unknown number of a machine and its set-up, as it is to be read in a sentence.
+
+    Args:
+        unknowns: the machine's: µm and µrad.
+        setup: stations and targets: metres and radians inside, mm and µrad outside.
+    """
+    found = [
+        Unknown(_name(column, unknowns), "um" if split_name(column.entity)[0] < 3 else "urad", PLAUSIBLE)
+        for column in unknowns.columns
+    ]
+    return (*found, *named_setup(setup))
+
+
+def named_setup(setup: SetUp) -> tuple[Unknown, ...]:
+    """The set-up's part of `named`."""
+    found = []
+    for name, size in zip(setup.names, setup.plausible, strict=True):
+        unit, factor = ("urad", URAD) if " turn " in name else ("mm", MM)
+        found.append(Unknown(name, unit, float(size) / factor, factor))
+    return tuple(found)
+
+
+def _name(column: Column, unknowns: Unknowns) -> str:
+    curve = any(one.name == column.entity for one in unknowns.curves)
+    return f"{column.entity} order {column.index}" if curve else column.entity
 
 
 def solve(
@@ -120,13 +138,10 @@ def solve(
     while True:
         found = factor(network, theta, setup, weight) if triangle is None else triangle
         triangle = None
-        data = found[:, :-1] * scale @ free
-        u, values, v = np.linalg.svd(np.concatenate([data, root * scale @ free]), full_matrices=True)
-        strong = int(np.count_nonzero(values > WEAKEST))
-        directions = free @ v[:strong].T
+        left, spectrum = decompose(np.concatenate([found[:, :-1], root]) * scale, scale, free=free)
         if taken < steps:
-            along = u[:, :strong].T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
-            step = (directions @ (along / values[:strong])) * scale
+            along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
+            step = (spectrum.directions @ (along / spectrum.strength)) * scale
             theta, setup = theta + step[:machine], setup.moved(step[machine:])
             taken += 1
             converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step / scale).max(initial=0.0) < 1e-14)
@@ -135,9 +150,8 @@ def solve(
             # The last step is too small to change the derivatives: only what is left of the readings moves.
             found = np.array(found)
             found[:, -1] -= found[:, :-1] @ step
-        silent = free @ v[strong:].T
-        determined = float(np.sum((data @ (v[:strong].T / values[:strong])) ** 2))
-        return Solution(theta, setup, found, directions, values[:strong], silent, scale, determined, converged, taken)
+        determined = float(np.sum((found[:, :-1] * scale @ (spectrum.directions / spectrum.strength)) ** 2))
+        return Solution(theta, setup, found, spectrum, determined, converged, taken)
 
 
 def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:

@@ -158,10 +158,10 @@ def between_rounds(network: Network, solution: Solution, weight: np.ndarray) -> 
         InputError: fewer rounds than numbers determined.
     """
     names, group = np.unique(network.data.round.astype(str), return_inverse=True)
-    if len(names) <= len(solution.strength):
+    if len(names) <= len(solution.spectrum.strength):
         raise InputError(
             "too few rounds to know their scatter from",
-            expected=f"more than the {len(solution.strength)} numbers determined",
+            expected=f"more than the {len(solution.spectrum.strength)} numbers determined",
             file=network.data.source,
             value=len(names),
         )
@@ -173,12 +173,13 @@ def _sandwich(network: Network, solution: Solution, weight: np.ndarray, group: n
 
     It holds whatever the scatter between groups is, as long as the groups are many and drawn as those to come.
     """
-    scores = np.zeros((group.max() + 1, len(solution.scale)))
+    scores = np.zeros((group.max() + 1, len(solution.spectrum.scale)))
     for piece in network.pieces(solution.theta, solution.setup):
         own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
         np.add.at(scores, group[piece.rows], own)
-    bread = solution.scale[:, None] * (solution.directions / solution.strength**2) @ solution.directions.T
-    flat = (scores * solution.scale) @ bread.T
+    seen = solution.spectrum
+    bread = seen.scale[:, None] * (seen.directions / seen.strength**2) @ seen.directions.T
+    flat = (scores * seen.scale) @ bread.T
     count = len(scores)
-    silent = solution.silent * solution.scale[:, None]
+    silent = seen.silent * seen.scale[:, None]
     return np.asarray(flat.T @ flat * (count / max(count - 1, 1)) + silent @ silent.T)

@@ -2,6 +2,8 @@
 
 from twin.instruments.base import Instrument
 from twin.instruments.interferometer import TrackingInterferometer
+from twin.instruments.multi_axis import MultiAxis, nine_beams, six_beams
+from twin.instruments.multi_axis_solve import Displacement, SelfCalibration, measure, self_calibrate
 from twin.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
 from twin.instruments.tracker import LaserTracker
 
@@ -12,9 +14,16 @@ __all__ = [
     "INSTRUMENTS",
     "STANDARD_AIR",
     "Air",
+    "Displacement",
     "Instrument",
     "LaserTracker",
+    "MultiAxis",
+    "SelfCalibration",
     "TrackingInterferometer",
     "length_scale",
+    "measure",
+    "nine_beams",
     "refractive_index",
+    "self_calibrate",
+    "six_beams",
 ]

@@ -21,8 +21,8 @@ POSES: Final = 240
 TRIES: Final = 8
 """Times as many are drawn at most before it is said that there is no room."""
 FEWEST: Final = 20
-PAID: Final = 2.0
-"""Numbers read for every function of a curve: half of them for stations, reflectors, and to object."""
+PAID: Final = 3.0
+"""Numbers read for every function of a curve: two thirds of them for stations, reflectors, and to object."""
 LEVELS: Final = 5
 """At least: three functions, and two positions more to object."""
 ROUND: Final = 1.0

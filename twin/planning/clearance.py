@@ -1,4 +1,4 @@
-"""Whether the tool side keeps clear of the work side, reflectors included: a plan must not drive one into the other.
+"""Whether the tool side keeps clear of the work side, and every reflector of all that does not move with it.
 
 What is drawn in the URDF is all that is known: holders, posts, clamps, cables and a workpiece are not. Shapes that touch in the
 middle of the ranges touch by construction (a slide on its way) and are not looked at.
@@ -40,10 +40,10 @@ class Clearance:
         self.machine = machine
         self.kit = kit
 
-    @property
+    @cached_property
     def known(self) -> bool:
         """Whether the URDF draws anything on either side: if not, only the reflectors keep clear of each other."""
-        return bool(self._drawn)
+        return any(self._side(shape.joint) is not None for shape in machine_shapes(self.machine))
 
     def free(self, position: np.ndarray) -> bool:
         """Whether one pose (axes,), mm and degrees, keeps clear."""
@@ -61,42 +61,44 @@ class Clearance:
         return all(self.free(start + part * (end - start)) for part in parts)
 
     @cached_property
-    def _drawn(self) -> list[tuple[int, coal.CollisionGeometry, pin.SE3]]:
-        return [
-            (shape.joint, shape.geometry, shape.placement)
-            for shape in machine_shapes(self.machine)
-            if self._side(shape.joint) is not None
-        ]
-
-    @cached_property
     def _pairs(self) -> tuple[pin.GeometryModel, pin.Data, pin.GeometryData]:
         model = pin.GeometryModel()
         sides: dict[str, list[int]] = {"tool": [], "work": []}
-        for number, (joint, shape, placement) in enumerate(self._drawn):
-            side = self._side(joint)
-            entry = pin.GeometryObject(f"shape {number}", joint, placement, shape)
-            sides[side or "tool"].append(model.addGeometryObject(entry))
-        reflectors = []
+        drawn: list[tuple[int, int]] = []
+        for number, shape in enumerate(machine_shapes(self.machine)):
+            entry = pin.GeometryObject(f"shape {number}", shape.joint, shape.placement, shape.geometry)
+            index = model.addGeometryObject(entry)
+            drawn.append((index, shape.joint))
+            side = self._side(shape.joint)
+            if side is not None:
+                sides[side].append(index)
+        reflectors: set[int] = set()
+        pairs = {(a, b) for a in sides["tool"] for b in sides["work"]}
         for name, target in self.kit.targets.items():
             frame = self.machine.model.frames[
                 self.machine.tool_frame if target.carrier == "tool" else self.machine.work_frame
             ]
             place = frame.placement * pin.SE3(np.eye(3), np.array(target.place_mm) * MM)
             ball = pin.GeometryObject(f"reflector {name}", frame.parentJoint, place, coal.Sphere(REFLECTOR_MM * MM))
-            reflectors.append(model.addGeometryObject(ball))
-            sides[target.carrier].append(reflectors[-1])
-        pairs = [(a, b) for a in sides["tool"] for b in sides["work"]]
+            index = model.addGeometryObject(ball)
+            # The ranges keep the machine clear of itself, not of what is put on it: it keeps clear of all that moves otherwise.
+            pairs |= {(index, other) for other, joint in drawn if joint != frame.parentJoint}
+            pairs |= {
+                (index, other) for other in reflectors if model.geometryObjects[other].parentJoint != frame.parentJoint
+            }
+            reflectors.add(index)
         data = self.machine.model.createData()
         middle = self.machine.configuration(whole_ranges(self.machine).mean(axis=1) * self.machine.scale)
         pin.forwardKinematics(self.machine.model, data, middle)
-        for a, b in pairs:
+        ordered = sorted(pairs)
+        for a, b in ordered:
             model.addCollisionPair(pin.CollisionPair(a, b))
         own = pin.GeometryData(model)
         pin.computeCollisions(self.machine.model, data, model, own, middle, False)
         touching = [
-            pairs[k]
+            ordered[k]
             for k, result in enumerate(own.collisionResults)
-            if result.isCollision() and not {*pairs[k]} & {*reflectors}
+            if result.isCollision() and not {*ordered[k]} & reflectors
         ]
         for a, b in touching:
             model.removeCollisionPair(pin.CollisionPair(a, b))

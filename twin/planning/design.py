@@ -1,4 +1,4 @@
-"""Which readings to take: one after the other, always the one that tells most for its time, then the poorest exchanged.
+"""Which readings to take: an even spread, its poorest exchanged for what tells most for its time.
 
 With C the covariance of all unknowns so far and R the whitened derivatives of a reading, what is aimed at falls by tr(S⁻¹ R C M C Rᵀ),
 S = 1 + R C Rᵀ, where M weighs the unknowns: the tool point's variance over the volume (L- or I-optimality), the determinant (D: M is
@@ -8,7 +8,6 @@ the inverse of the machine's own covariance), the worst direction (E: M is its p
 
 from __future__ import annotations
 
-import heapq
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, final
@@ -16,13 +15,12 @@ from typing import Final, final
 import numpy as np
 
 Say = Callable[[str, float], None]
-SEED_SHARE: Final = 0.1
-"""Share of a plan that is spread evenly before the choice begins: without it nothing places stations and targets."""
-AFRESH: Final = 100
+AFRESH: Final = 50
 """Choices after which the covariance is found anew from all of them: updates add up their rounding."""
-AT_ONCE: Final = 8
-EXCHANGED: Final = 0.15
-PASSES: Final = 1
+DRAWN: Final = 128
+"""Candidates each choice is made among."""
+EXCHANGED: Final = (0.9, 0.3, 0.3)
+"""Shares of a plan exchanged one after the other."""
 
 
 class Aim(ABC):
@@ -138,7 +136,10 @@ def choose(
     count: int,
     first: np.ndarray,
     *,
+    least: int,
     most: int = 4,
+    exchanged: tuple[float, ...] = EXCHANGED,
+    among: int = DRAWN,
     say: Say | None = None,
 ) -> np.ndarray:
     """Indices of the readings of a plan, in the order of choice, a few more than once.
@@ -149,17 +150,25 @@ def choose(
         cost: (n,) seconds of each.
         aim: what to make small.
         count: how many readings.
-        first: candidates that a plan begins with, spread evenly (`SEED_SHARE` of it).
+        first: every candidate, in an order that any beginning of is spread evenly: the plan that is bettered.
+        least: readings that the choice begins with at least.
         most: times one candidate may be taken.
+        exchanged: shares of the plan exchanged, one after the other.
+        among: how many candidates each choice is made among.
         say: told how far it is.
     """
-    chosen = list(first[: max(1, round(SEED_SHARE * count))])
-    rounds = 1 + PASSES
-    for number in range(rounds):
-        if number:
-            chosen = _kept(prior, rows, aim, chosen, max(1, round(EXCHANGED * count)))
-        _grow(prior, rows, cost, aim, chosen, count, most, say, number / rounds, 1.0 / rounds)
-    return np.array(chosen)
+    spread = np.concatenate([first] * (1 + (count - 1) // max(len(first), 1)))[:count]
+    best, value = list(spread), aim.value(covariance_of(prior, rows[spread]))
+    for number, share in enumerate(exchanged):
+        # Something has to place stations and targets: a reading of a target that nothing places tells nothing, so that a choice cannot
+        # begin with none. It begins with part of an even spread, then exchanges; what does not pay is not done.
+        fewer = max(1, round(share * count))
+        chosen = _kept(prior, rows, aim, best, fewer) if number else best[: max(count - fewer, min(least, count))]
+        _grow(prior, rows, cost, aim, chosen, count, most, among, say, number / len(exchanged), 1.0 / len(exchanged))
+        reached = aim.value(covariance_of(prior, rows[chosen]))
+        if reached < value:
+            best, value = chosen, reached
+    return np.array(best)
 
 
 def _grow(
@@ -170,43 +179,30 @@ def _grow(
     chosen: list[int],
     count: int,
     most: int,
+    among: int,
     say: Say | None,
     done: float,
     share: float,
 ) -> None:
-    """Add readings, the best for its time each time; what was worth little is not looked at again until the others are worth less."""
+    """Add readings, each time the best for its time of some drawn at random (stochastic greedy; Mirzasoleiman et al. 2015)."""
     begun = len(chosen)
     taken = np.bincount(chosen, minlength=len(rows))
+    rng = np.random.default_rng(begun)
+    covariance, weight = np.zeros((0, 0)), np.zeros((0, 0))
     while len(chosen) < count:
-        covariance = covariance_of(prior, rows[chosen])
-        weight = aim.weight(covariance)
-        heap = [(-float(g), int(i)) for i, g in enumerate(gains(rows, covariance, weight) / cost) if taken[i] < most]
-        if not heap:
+        if (len(chosen) - begun) % AFRESH == 0:
+            covariance = covariance_of(prior, rows[chosen])
+            weight = aim.weight(covariance)
+            if say is not None:
+                say("choosing", done + share * (len(chosen) - begun) / max(count - begun, 1))
+        left = np.flatnonzero(taken < most)
+        if not len(left):
             return
-        heapq.heapify(heap)
-        for _ in range(min(AFRESH, count - len(chosen))):
-            best, gain = None, 0.0
-            while heap:
-                # Some at a time: what is looked at anew mostly is no longer the best.
-                some = [heapq.heappop(heap)[1] for _ in range(min(AT_ONCE, len(heap)))]
-                found = gains(rows[some], covariance, weight) / cost[some]
-                top = int(np.argmax(found))
-                for k, i in enumerate(some):
-                    if k != top:
-                        heapq.heappush(heap, (-float(found[k]), i))
-                if not heap or found[top] >= -heap[0][0] * (1.0 - 1e-12):
-                    best, gain = some[top], float(found[top])
-                    break
-                heapq.heappush(heap, (-float(found[top]), some[top]))
-            if best is None:
-                return
-            chosen.append(best)
-            taken[best] += 1
-            if taken[best] < most:
-                heapq.heappush(heap, (-gain, best))
-            covariance = _after(covariance, rows[best])
-        if say is not None:
-            say("choosing", done + share * (len(chosen) - begun) / max(count - begun, 1))
+        drawn = rng.choice(left, min(among, len(left)), replace=False)
+        best = int(drawn[np.argmax(gains(rows[drawn], covariance, weight) / cost[drawn])])
+        chosen.append(best)
+        taken[best] += 1
+        covariance = _after(covariance, rows[best])
 
 
 def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final, final
 
@@ -26,6 +26,12 @@ CLOSE: Final = 0.95
 ALMOST: Final = 1.1
 """Times the time allowed from which readings are simply left out."""
 ROUNDS: Final = 3
+PLACING: Final = 4
+"""Readings of every target from every station that a choice begins with: enough to place both."""
+GLIMPSED: Final = 48
+OF_A_KIND: Final = 3
+GLIMPSE: Final = (0.9,)
+"""Share of a plan that is exchanged to see what a place is worth."""
 
 
 @final
@@ -80,9 +86,13 @@ class Filler:
         minutes: that it may take.
         seed: of every draw.
         say: told how far it is.
+        first_round: number of the first round.
     """
 
-    def __init__(self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say) -> None:
+    def __init__(
+        self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say, *, first_round: int = 1
+    ) -> None:
+        self.first_round = first_round
         self.machine = machine
         self.kit = kit
         self.seconds = 60.0 * minutes
@@ -106,11 +116,16 @@ class Filler:
         names = tuple(dict.fromkeys(plan.station))
         order = self.rng.permutation(len(plan))
         for count in range(1, min(STATIONS, len(names)) + 1):
+            each: float | None = None
             for stations in combinations(names, count):
-                points = self._points(stations, readings, self.kit.seconds.point)
                 inside = order[np.isin(plan.station[order], stations)]
-                if points < FEWEST or set(plan.station[inside]) != set(stations):
+                if set(plan.station[inside]) != set(stations):
                     continue
+                if each is None:
+                    each = self._each(readings, stations, inside)
+                points = self._points(stations, readings, each)
+                if points < FEWEST:
+                    break
                 covariance = covariance_of(readings.prior, readings.rows[np.resize(inside, points)])
                 found.append(Stand(readings, stations, points, readings.aim.value(covariance)))
         if not found:
@@ -121,6 +136,32 @@ class Filler:
                 value=f"{self.seconds / 60.0:g} minutes",
             )
         return found
+
+    def best(self, stands: list[Stand]) -> list[Stand]:
+        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first."""
+        kinds: dict[tuple[str, int], list[Stand]] = {}
+        for one in sorted(stands, key=lambda stand: stand.value):
+            kinds.setdefault((one.readings.instrument.name, len(one.stations)), []).append(one)
+        tried = [one for kind in kinds.values() for one in kind[:OF_A_KIND]]
+        found = []
+        for number, one in enumerate(tried):
+            self.say("choosing", 0.1 + 0.3 * number / len(tried))
+            inside = np.flatnonzero(np.isin(one.readings.plan.station, one.stations))
+            rows, cost = one.readings.rows[inside], np.full(len(inside), self.kit.seconds.point)
+            first = np.random.default_rng(self.seed).permutation(len(inside))
+            chosen = choose(
+                one.readings.prior,
+                rows,
+                cost,
+                one.readings.aim,
+                one.points,
+                first,
+                least=self._least(one),
+                exchanged=GLIMPSE,
+                among=GLIMPSED,
+            )
+            found.append(replace(one, value=one.readings.aim.value(covariance_of(one.readings.prior, rows[chosen]))))
+        return sorted(found, key=lambda stand: stand.value)
 
     def filled(self, best: Stand) -> Route:
         """The plan that fills the time: what a reading of each target really takes shows on the way through an even spread.
@@ -134,7 +175,7 @@ class Filler:
         own = readings.plan.select(inside)
         session = readings.session[inside]
         taken = np.resize(first, best.points)
-        spread = self._routed(own, session, taken, best)
+        spread = self._routed(own, session, taken, best, clear=False)
         for turn in range(ROUNDS):
             each = (spread.seconds - self._set_up(best.stations, readings)) / len(spread.plan)
             points = self._points(best.stations, readings, each)
@@ -144,13 +185,22 @@ class Filler:
                     expected="more minutes, or a kit in which a reading takes less",
                     value=f"{each:.0f} s a reading",
                 )
-            part = 0.15 + 0.8 * turn / ROUNDS
+            part = 0.4 + 0.55 * turn / ROUNDS
 
             def say(stage: str, done: float, part: float = part) -> None:
-                self.say(stage, part + 0.8 * done / ROUNDS)
+                self.say(stage, part + 0.55 * done / ROUNDS)
 
             cost = self._cost(spread.plan, own, each)
-            taken = choose(readings.prior, readings.rows[inside], cost, readings.aim, points, first, say=say)
+            taken = choose(
+                readings.prior,
+                readings.rows[inside],
+                cost,
+                readings.aim,
+                points,
+                first,
+                least=self._least(best),
+                say=say,
+            )
             spread = self._routed(own, session, taken, best)
             if CLOSE * self.seconds <= spread.seconds <= self.seconds:
                 return spread
@@ -163,6 +213,21 @@ class Filler:
             spread = self._routed(own, session, taken, best)
         return spread
 
+    def _each(self, readings: Readings, stations: tuple[str, ...], inside: np.ndarray) -> float:
+        """Seconds that a reading takes with the way to it, from so many stations: as dense as they will be, the way is as short."""
+        each = self.kit.seconds.point
+        for _ in range(2):
+            points = self._points(stations, readings, each)
+            if points < FEWEST:
+                break
+            stand = Stand(readings, stations, points, 0.0)
+            way = self._routed(readings.plan, readings.session, np.resize(inside, points), stand, clear=False)
+            each = (way.seconds - self._set_up(stations, readings)) / len(way.plan)
+        return each
+
+    def _least(self, stand: Stand) -> int:
+        return PLACING * len(stand.stations) * len(set(stand.readings.plan.target))
+
     def _set_up(self, stations: Sequence[str], readings: Readings) -> float:
         """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
         times = 1 if len(stations) == 1 else len(stations) * len(readings.sessions)
@@ -172,7 +237,9 @@ class Filler:
         """How many readings there is time for, at so many seconds each."""
         return int((self.seconds - self._set_up(stations, readings)) / each)
 
-    def _routed(self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand) -> Route:
+    def _routed(
+        self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand, *, clear: bool = True
+    ) -> Route:
         return route(
             self.machine,
             self.kit,
@@ -181,6 +248,8 @@ class Filler:
             np.random.default_rng(self.seed),
             session=session[rows],
             sessions=best.readings.sessions or ALWAYS,
+            first_round=self.first_round,
+            clear=clear,
         )
 
     def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:

@@ -23,6 +23,9 @@ from twin.simulate import Setting
 from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.units import MM, UM
 
+NAMED: Final = 5
+"""Unknowns that a reason names."""
+VAGUE: Final = "the readings say less of it than is plausible anyway"
 POSES: Final = 300
 SEED: Final = 10
 
@@ -262,8 +265,7 @@ def hidden_by(model: Model, told: Determinability) -> tuple[Hidden, ...]:
         worst = max(lowest, key=lambda one: unseen[one])
         if unseen[worst] > UNSEEN:
             direction = told.moving(worst)
-            reason = "the readings say less of it than is plausible anyway" if direction is None else str(direction)
-            found.append(Hidden(name, reason))
+            found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
     return tuple(found)
 
 

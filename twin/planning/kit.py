@@ -225,7 +225,7 @@ class Kit:
                 ("work", "W", 170.0, 30.0 + 30.0 * k),
             ):
                 carrier: Literal["tool", "work"] = "tool" if side == "tool" else "work"
-                place = _three(np.round([*(radius * across), height]))
+                place = _three(np.round([*(radius * across), height]) + 0.0)
                 targets[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         times = _Seconds()
         return cls(

@@ -78,9 +78,8 @@ def plan(
             stands += filler.stands(
                 Readings(instrument, every, np.zeros(len(every), dtype=int), ALWAYS, model.prior, rows, aim)
             )
-        stands.sort(key=lambda one: one.value)
+        stands = filler.best(stands)
         best = stands[0]
-        tell("choosing", 0.15)
         found = filler.filled(best)
         tell("foretelling", 0.95)
         told = forecast(

@@ -26,7 +26,7 @@ SHOWN: Final = 5
 @final
 @dataclass(frozen=True)
 class Alternative:
-    """Another way to stand, and what an even spread of readings from there would give in the same time.
+    """A way to stand with one instrument, and what a first choice of readings from there gives.
 
     Attributes:
         instrument: its name.
@@ -177,7 +177,7 @@ class Plan:
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
-            "where to stand (readings spread evenly; the plan itself is better than that):",
+            "from where (at a first choice of readings):",
         ]
         for one in self.alternatives[:SHOWN]:
             chosen = "  <- taken" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""

@@ -71,7 +71,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
 
     Its targets and stations are the kit's where they have its names; others cost no aiming.
     """
-    clock = _Clock(machine, kit, plan, np.zeros((len(plan), 3)), Clearance(machine, kit))
+    clock = _Clock(machine, kit, plan, _towards(machine, kit, plan), None)
     here: str | None = None
     for row in range(len(plan)):
         if plan.station[row] != here:
@@ -90,6 +90,8 @@ def route(
     *,
     session: np.ndarray | None = None,
     sessions: Sequence[Session] = ALWAYS,
+    first_round: int = 1,
+    clear: bool = True,
 ) -> Route:
     """Put a plan in order: session by session, station by station, in two passes, always on to the point that is reached soonest.
 
@@ -101,18 +103,11 @@ def route(
         rng: of which point goes into which pass.
         session: (n,) index of the session of each row; all in the first if None.
         sessions: in order.
+        first_round: number of the first round.
+        clear: whether the way has to keep clear; to know about how long it takes, it need not.
     """
-    clearance, sight = Clearance(machine, kit), Sight(machine, kit)
-    poses = sight.poses(plan.positions)
-    towards = np.zeros((len(plan), 3))
-    for station in stations:
-        for target in kit.targets:
-            rows = np.flatnonzero((plan.station == station) & (plan.target == target))
-            if len(rows):
-                of = {side: pose[rows] for side, pose in poses.items()}
-                towards[rows] = sight.towards(of, kit.targets[target], kit.stations[station].origin_mm)
-    clock = _Clock(machine, kit, plan, towards, clearance)
-    number = 0
+    clock = _Clock(machine, kit, plan, _towards(machine, kit, plan), Clearance(machine, kit) if clear else None)
+    number = first_round - 1
     begun: list[tuple[int, str]] = []
     state = np.zeros(len(plan), dtype=int) if session is None else session
     standing: str | None = None
@@ -153,11 +148,25 @@ def route(
     )
 
 
+def _towards(machine: Machine, kit: Kit, plan: Measurements) -> np.ndarray:
+    """(n, 3) unit vectors from reflectors to stations, on the reflectors' carriers; zero where the kit lacks either."""
+    sight = Sight(machine, kit)
+    poses = sight.poses(plan.positions)
+    found = np.zeros((len(plan), 3))
+    for station in kit.stations:
+        for target in kit.targets:
+            rows = np.flatnonzero((plan.station == station) & (plan.target == target))
+            if len(rows):
+                of = {side: pose[rows] for side, pose in poses.items()}
+                found[rows] = sight.towards(of, kit.targets[target], kit.stations[station].origin_mm)
+    return found
+
+
 class _Clock:
     """A machine on its way through a plan."""
 
     def __init__(
-        self, machine: Machine, kit: Kit, plan: Measurements, towards: np.ndarray, clearance: Clearance
+        self, machine: Machine, kit: Kit, plan: Measurements, towards: np.ndarray, clearance: Clearance | None
     ) -> None:
         self.kit = kit
         self.plan = plan
@@ -188,12 +197,10 @@ class _Clock:
             travel, target, aim = self.way(candidates)
             nearest = np.argsort(travel + target + aim, kind="stable")
             taken = int(nearest[0])
-            if self.order:
-                here = self.plan.positions[self.order[-1]]
+            if self.order and self.clearance is not None:
+                here, clearance = self.plan.positions[self.order[-1]], self.clearance
                 clear = (
-                    int(k)
-                    for k in nearest[:TRIED]
-                    if self.clearance.free_move(here, self.plan.positions[candidates[k]])
+                    int(k) for k in nearest[:TRIED] if clearance.free_move(here, self.plan.positions[candidates[k]])
                 )
                 found = next(clear, None)
                 if found is None:
@@ -227,7 +234,7 @@ class _Clock:
             target = self.kit.targets.get(name)
             if target is None or target.facing is not None:
                 continue
-            mine = targets == name
+            mine = (targets == name) & self.towards[rows].any(axis=1)
             if name not in self.facing:
                 aim[mine] = self.kit.seconds.aim
             else:

@@ -142,7 +142,11 @@ def separate(
         own = Kit.default(machine) if kit is None else kit
         tell: Say = say or (lambda stage, part: None)
         known = Calibration.default(machine) if calibration is None else calibration
-        filler = Filler(machine, own, minutes, seed, tell)
+        first_round = 1
+        if after is not None:
+            own = _beside(own, after)
+            first_round += max((int(name) for name in after.round if str(name).isdecimal()), default=0)
+        filler = Filler(machine, own, minutes, seed, tell, first_round=first_round)
         tell("looking", 0.0)
         sessions = _sessions(causes)
         plain = candidates(machine, own, safe_poses(machine, own, filler.rng), filler.rng)
@@ -151,9 +155,8 @@ def separate(
         found: list[Readings] = []
         for instrument in own.instruments:
             found.append(_readings(machine, own, instrument, every, session, sessions, known, causes, cells, after))
-        stands = sorted((one for readings in found for one in filler.stands(readings)), key=lambda one: one.value)
+        stands = filler.best([one for readings in found for one in filler.stands(readings)])
         best = stands[0]
-        tell("choosing", 0.15)
         way = filler.filled(best)
         again = tuple(_cell(one, machine, way.plan, known) for one in causes)
         last = _readings(
@@ -180,6 +183,25 @@ def separate(
             seed,
             _separation(causes, again, covariance_of(last.prior, last.rows)),
         )
+
+
+def _beside(kit: Kit, after: Measurements) -> Kit:
+    """The kit with names that the earlier table does not have: set up anew, a station or reflector is another one."""
+
+    def fresh(name: str, taken: set[str]) -> str:
+        number = 2
+        new = name
+        while new in taken:
+            new, number = f"{name} {number}", number + 1
+        return new
+
+    stations, targets = {*after.station}, {*after.target}
+    return replace(
+        kit,
+        stations=MappingProxyType({fresh(name, stations): one for name, one in kit.stations.items()}),
+        stations_known=frozenset(fresh(name, stations) for name in kit.stations_known),
+        targets=MappingProxyType({fresh(name, targets): one for name, one in kit.targets.items()}),
+    )
 
 
 def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:

@@ -1,0 +1,137 @@
+"""``twin axis-run`` and ``twin simulate-run``: one linear axis under a multi-axis interferometer."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from twin.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run, to_dict, to_text
+from twin.cli.app import NOT_ALL_MET, CalibrationOption, JsonOption, MachineOption, app, calibration_of
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.machine import Machine
+from twin.nc import find_program
+
+LayoutOption = Annotated[
+    Path, typer.Option("--layout", "-l", help="The interferometer's layout file, or one that comes with twin.")
+]
+
+
+class RunScatter(StrEnum):
+    """Whose scatter an uncertainty carries."""
+
+    stated = "stated"
+    repeats = "repeats"
+
+
+@app.command("axis-run")
+def axis_run(
+    readings: Annotated[Path, typer.Argument(help="The table of readings: a column a beam.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis.")],
+    layout: LayoutOption,
+    machine: MachineOption = "dmu50",
+    spread: Annotated[
+        RunScatter,
+        typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats."),
+    ] = RunScatter.stated,
+    json_file: JsonOption = None,
+) -> None:
+    """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty.
+
+    twin axis-run run.csv --layout nine_beams_x.yaml -o x_axis.yaml
+    """
+    loaded = Machine.load(machine)
+    written = [path for path in (output, json_file) if path is not None]
+    check_writable(written)
+    standing = AxisLayout.load(_layout_file(layout), loaded)
+    if {readings.resolve(), _layout_file(layout).resolve()} & {path.resolve() for path in written}:
+        raise InputError("the output is an input itself", expected="another file", file=output)
+    data = load_readings(readings, standing)
+    motions = error_motions(standing, data, spread=spread.value)
+    curves = axis_curves(
+        motions, loaded, source=f"measured by {standing.name} and twin from {data.source}: {len(data)} rows"
+    )
+    curves.calibration.save(output)
+    if json_file is not None:
+        write_whole(json_file, json.dumps(to_dict(standing, data, motions, curves), indent=1) + "\n")
+    print(to_text(standing, data, motions, curves), end="")
+    print(f"\nwritten: {', '.join(str(path) for path in written)}")
+    if data.set_aside:
+        raise typer.Exit(NOT_ALL_MET)
+
+
+@app.command("simulate-run")
+def simulate_axis_run(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings.")],
+    layout: LayoutOption,
+    positions: Annotated[str, typer.Option("--positions", help="from,to,count of the axis (mm).")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    rounds: Annotated[int, typer.Option("--rounds", help="Forth and back so often.")] = 3,
+    seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+) -> None:
+    """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer.
+
+    twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv --seed 7
+    """
+    loaded = Machine.load(machine)
+    check_writable([output])
+    standing = AxisLayout.load(_layout_file(layout), loaded)
+    if _layout_file(layout).resolve() == output.resolve():
+        raise InputError("the output is the layout itself", expected="another file", file=output)
+    for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
+        if value < 0:
+            raise InputError(f"{name} is too small", expected="--seed 0 or more, --rounds 1 or more", value=value)
+    forth = _positions(positions, standing)
+    truth = calibration_of(calibration, loaded)
+    n = len(forth)
+    table, stands = simulate_run(
+        standing,
+        loaded,
+        truth,
+        np.tile(np.concatenate([forth, forth[::-1]]), rounds),
+        np.random.default_rng(seed),
+        rounds=np.repeat([str(k + 1) for k in range(rounds)], 2 * n),
+        approach=np.tile(np.repeat([1.0, -1.0], n), rounds),
+        noise=noise,
+    )
+    known = ", ".join(
+        f"{name} {value:.3g}" for name, value in zip(standing.beams.installation, stands, strict=True) if value
+    )
+    comment = (
+        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, {standing.name}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise\nthe layout really stands off by (m, rad, 1): {known}"
+    )
+    table.save(output, standing, comment=comment)
+    print(f"written: {output}, {len(table)} rows")
+
+
+def _layout_file(path: Path) -> Path:
+    try:
+        return find_program(path)  # looks for a file of any kind
+    except InputError:
+        raise InputError(
+            "no such layout", expected="a layout file, or one that comes with twin: nine_beams_x.yaml", file=path
+        ) from None
+
+
+def _positions(text: str, layout: AxisLayout) -> np.ndarray:
+    try:
+        first, last, count = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError("--positions does not fit", expected="from,to,count", value=text) from None
+    lower, upper = layout.axis.lower, layout.axis.upper
+    inside = lower is None or upper is None or lower <= min(first, last) <= max(first, last) <= upper
+    if not inside or not first < last or count != int(count) or count < 2:
+        span = "" if lower is None else f" from {lower:g} to {upper:g}"
+        raise InputError(
+            "--positions does not fit", expected=f"rising positions{span} mm and a count of 2 or more", value=text
+        )
+    return np.linspace(first, last, int(count))

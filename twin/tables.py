@@ -1,0 +1,107 @@
+"""Tables: CSV with a header and comments, whose errors know file, line and value."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.errors import InputError
+from twin.files import read_text
+
+
+def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
+    """A CSV file with a header row and ``#`` comments.
+
+    Returns:
+        Header, rows with their lines, and the text of every comment.
+
+    Raises:
+        InputError: no header, a column given twice, a row of another length.
+    """
+    whole = [(number, text) for number, text in enumerate(read_text(path).splitlines(), start=1) if text.strip()]
+    lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
+    comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
+    if not lines:
+        raise InputError("no header row", expected="a CSV table with a header", file=path)
+    cells = list(csv.reader([text for _, text in lines]))
+    header = [name.strip() for name in cells[0]]
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(
+                "a column given twice", expected="each column once", file=path, line=lines[0][0], value=name
+            )
+    rows = []
+    for (number, _), row in zip(lines[1:], cells[1:], strict=True):
+        if len(row) != len(header):
+            raise InputError(
+                f"{len(row)} cells",
+                expected=f"{len(header)}, as in the header",
+                file=path,
+                line=number,
+                value=",".join(row),
+            )
+        rows.append((number, [cell.strip() for cell in row]))
+    return header, rows, comments
+
+
+@final
+@dataclass(frozen=True)
+class Cells:
+    """The cells below a header; reading a column checks it, and what does not fit is an `InputError` with file, line and value."""
+
+    path: Path
+    columns: Mapping[str, int]
+    rows: Sequence[tuple[int, list[str]]]
+
+    def numbers(self, name: str) -> np.ndarray:
+        """A column of numbers; NaN where the cell is empty or the column absent."""
+        column = self.columns.get(name)
+        if column is None:
+            return locked(np.full(len(self.rows), np.nan))
+        values = np.full(len(self.rows), np.nan)
+        for i, (line, row) in enumerate(self.rows):
+            cell = row[column]
+            if cell:
+                try:
+                    values[i] = float(cell)
+                except ValueError:
+                    raise InputError(
+                        f"{name} is no number",
+                        expected="a number with a decimal point, or nothing",
+                        file=self.path,
+                        line=line,
+                        value=cell,
+                    ) from None
+                if np.isnan(values[i]):
+                    values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
+        return locked(values)
+
+    def words(self, name: str, default: str) -> np.ndarray:
+        """A column of words; the default where the cell is empty or the column absent."""
+        column = self.columns.get(name)
+        cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
+        return locked(np.array(cells, dtype=object))
+
+    def signs(self, name: str) -> np.ndarray:
+        """A column of directions, +1 or −1; 0 where the cell is empty or the column absent."""
+        values = np.nan_to_num(self.numbers(name), nan=0.0)
+        wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
+        if np.any(wrong):
+            i = int(np.flatnonzero(wrong)[0])
+            raise InputError(
+                f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
+            )
+        return locked(values)
+
+
+def not_understood(name: str, known: Sequence[str]) -> str:
+    """What a reader is told of a column that is not used."""
+    close = difflib.get_close_matches(name, known, 1)
+    return f"column {name} is not understood and not used" + (f" (is it {close[0]}?)" if close else "")
