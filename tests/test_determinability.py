@@ -87,7 +87,7 @@ def test_words_name_what_moves_together_with_sign_and_unit() -> None:
     unknowns = [Unknown("station 1 x", "mm", 1.0, 1e-3), Unknown("E_X0C", "um", 1000.0), Unknown("E_A0C", "urad", 9.0)]
     found = determinability(jacobian, unknowns)
     assert [str(one) for one in found.null_directions] == ["station 1 x +1 mm with E_X0C -1000 um"]
-    assert str(found.moving("E_X0C")) == "E_X0C +1000 um with station 1 x -1 mm"
+    assert str(found.moving("E_X0C")) == "E_X0C +1000 µm with station 1 x -1 mm"
     assert found.moving("E_A0C") is None
     assert np.allclose(found.leverage, [0.5, 0.5, 0.0])
     assert np.allclose(found.reach, [np.sqrt(0.5), 1000.0 * np.sqrt(0.5), 0.0])
@@ -119,7 +119,7 @@ def test_a_small_part_of_a_large_plausible_size_is_named_all_the_same() -> None:
     """A station may stand metres off; the millimetre of it that makes up for an error's is what the sentence is about."""
     unknowns = [Unknown("E_X0B", "um", 1000.0), Unknown("station 1 x", "mm", 1e4, 1e3)]
     found = determinability(np.array([[1.0, -1.0]]), unknowns)
-    assert str(found.moving("E_X0B")) == "E_X0B +1000 um with station 1 x +1 mm"
+    assert str(found.moving("E_X0B")) == "E_X0B +1000 µm with station 1 x +1 mm"
     assert found.leverage[1] < 1e-7 < 0.99 < found.leverage[0]
 
 

@@ -110,7 +110,7 @@ def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict
     assert set(reasons) == {"E_X0B", "E_Y0B", "E_Y0C"}
     assert all("give the targets' places" in reason for reason in reasons.values())
     # The cradle's frame shifted along its own axis is stations and tool targets shifted the other way, one for one.
-    shown = reasons["E_X0B"].removeprefix("no reading shows E_X0B +1000 um with ").partition(": ")[0].split(", ")
+    shown = reasons["E_X0B"].removeprefix("no reading shows E_X0B +1000 µm with ").partition(": ")[0].split(", ")
     assert sorted(shown) == [f"{name} x +1 mm" for name in ("station 1", "target K", "target P", "target Q")]
     assert known.unidentified == ()
     for name, value in more["location"].items():

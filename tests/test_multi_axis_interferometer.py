@@ -471,7 +471,7 @@ def test_a_missing_beam_widens_the_uncertainty() -> None:
 
 def test_an_installation_nobody_states_is_refused_in_words() -> None:
     layout, _, readings, start = simulated(1.0, 2)
-    with pytest.raises(InputError, match=r"leave the installation open.*beam \d [xy] \+1000 um with"):
+    with pytest.raises(InputError, match=r"leave the installation open.*beam \d [xy] \+1000 µm with"):
         measure(layout, readings, noise=NOISE, installation_u=np.where(layout.of_beams, np.inf, 0.0), poses=start)
 
 

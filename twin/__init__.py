@@ -15,6 +15,7 @@ from twin.kinematics import Kinematics, Poses
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
 from twin.nc import read_program
+from twin.paths import Refit, refit
 from twin.toolpath import Setup
 from twin.uncertainty import ToolUncertainty
 
@@ -34,6 +35,7 @@ __all__ = [
     "Measurements",
     "Options",
     "Poses",
+    "Refit",
     "Scope",
     "Setup",
     "Solution",
@@ -43,4 +45,5 @@ __all__ = [
     "diagnose",
     "identify",
     "read_program",
+    "refit",
 ]

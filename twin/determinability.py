@@ -147,7 +147,8 @@ class Move:
     def __str__(self) -> str:
         digits = np.format_float_positional(self.value, 3, unique=False, fractional=False, trim="-", sign=True)
         shown = digits if 1e-4 < abs(self.value) < 1e7 else f"{self.value:+.3g}"
-        return f"{self.name} {shown} {self.unit}".rstrip()
+        unit = self.unit.replace("um", "µm").replace("urad", "µrad")
+        return f"{self.name} {shown} {unit}".rstrip()
 
 
 @final

@@ -18,6 +18,7 @@ from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.spread import Misfit
+from twin.identification.table import TableTilt
 from twin.measurement import Measurements, RowNote
 from twin.units import MM
 
@@ -170,6 +171,7 @@ class Identification:
     def to_dict(self) -> dict[str, Any]:
         """The report as JSON (``schema: twin.identification/1``)."""
         fit = self.misfit
+        table = TableTilt.of(self.calibration)
         stations = {}
         for i, name in enumerate(self.setup.stations):
             stations[name] = {"origin_mm": _list(self.setup.origin[i] / MM), "known": bool(self.setup.station_known[i])}
@@ -182,6 +184,14 @@ class Identification:
             "points": {"used": int(self.used.sum()), "set_aside": len(self.set_aside)},
             "uncertainty": self.spread,
             "errors": self.rows(),
+            "table": None
+            if table is None
+            else {
+                "at_deg": dict(table.at),
+                "fused_urad": _list(table.fused_urad),
+                "u_urad": [_number(float(v)) for v in table.u_urad],
+                "missing": list(table.missing),
+            },
             "not_identifiable": [{"name": one.name, "reason": one.reason} for one in self.unidentified],
             "stations": stations,
             "targets": {
@@ -225,6 +235,8 @@ class Identification:
             )
         lines += [_verdict(fit), "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
+        table = TableTilt.of(self.calibration)
+        lines += [] if table is None else [f"  {table.to_text(COVERAGE)}"]
         lines += [
             "  degree 0: nothing beyond the noise on held-out data. What lies beyond the orders given is not taken as zero:",
             "  the intervals allow for it.",

@@ -11,8 +11,9 @@ import numpy as np
 
 from twin.budget import volume
 from twin.calibration import Calibration
-from twin.determinability import UNSEEN, Determinability, Observability, Unknown, determinability, observability
+from twin.determinability import UNSEEN, Determinability, Observability, determinability, observability
 from twin.effects import split_name
+from twin.identification.solve import named
 from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -21,7 +22,6 @@ from twin.planning.design import covariance_of
 from twin.planning.information import Model
 from twin.simulate import Setting
 from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
-from twin.units import MM, UM
 
 NAMED: Final = 5
 """Unknowns that a reason names."""
@@ -223,7 +223,7 @@ def told_by(model: Model, rows: np.ndarray) -> Determinability:
     # The coordinates' own derivatives, carried back to the unknowns: outside the datum's directions there is nothing to carry.
     return determinability(
         triangle @ model.free.T / model.plausible,
-        unknowns_of(model),
+        named(model.unknowns, model.setup),
         free=model.free,
         measurements=int(np.count_nonzero(np.any(flat != 0.0, axis=1))),
     )
@@ -240,23 +240,10 @@ def _observability(told: Determinability, names: Collection[str]) -> Observabili
     return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), told.measurements)
 
 
-def unknowns_of(model: Model) -> list[Unknown]:
-    """The unknowns with names that can be read in a sentence, in the units users see."""
-    found = []
-    for column in model.unknowns.columns:
-        curve = column.entity in model.curves
-        name = f"{column.entity} order {column.index}" if curve else column.entity
-        found.append(Unknown(name, _unit(column.entity), 1000.0, 1.0))
-    for name, size in zip(model.setup.names, model.setup.plausible, strict=True):
-        turn = " turn " in name
-        found.append(Unknown(name, "urad" if turn else "mm", size / (UM if turn else MM), UM if turn else MM))
-    return found
-
-
 def hidden_by(model: Model, told: Determinability) -> tuple[Hidden, ...]:
     """The errors of which not even the lowest order is determined, as `identify` would leave them out."""
     unseen = dict(zip(told.names, told.unseen, strict=True))
-    names = dict(zip(model.unknowns.columns, (one.name for one in unknowns_of(model)), strict=False))
+    names = dict(zip(model.unknowns.columns, (one.name for one in named(model.unknowns, model.setup)), strict=False))
     found = []
     for name in model.unknowns.entities:
         space = model.curves.get(name)
