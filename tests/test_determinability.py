@@ -86,7 +86,7 @@ def test_words_name_what_moves_together_with_sign_and_unit() -> None:
     jacobian = np.array([[1e6, 1.0, 0.0], [2e6, 2.0, 0.0], [0.0, 0.0, 1.0]])
     unknowns = [Unknown("station 1 x", "mm", 1.0, 1e-3), Unknown("E_X0C", "um", 1000.0), Unknown("E_A0C", "urad", 9.0)]
     found = determinability(jacobian, unknowns)
-    assert [str(one) for one in found.null_directions] == ["station 1 x +1 mm with E_X0C -1000 um"]
+    assert [str(one) for one in found.null_directions] == ["station 1 x +1 mm with E_X0C -1000 µm"]
     assert str(found.moving("E_X0C")) == "E_X0C +1000 µm with station 1 x -1 mm"
     assert found.moving("E_A0C") is None
     assert np.allclose(found.leverage, [0.5, 0.5, 0.0])
@@ -97,7 +97,7 @@ def test_words_name_what_moves_together_with_sign_and_unit() -> None:
 
 def test_what_nothing_reads_moves_alone() -> None:
     found = determinability(np.array([[5.0, 0.0]]), [Unknown("a", "um", 1.0), Unknown("b", "um", 3.0)])
-    assert [str(one) for one in found.null_directions] == ["b +3 um alone"]
+    assert [str(one) for one in found.null_directions] == ["b +3 µm alone"]
     assert np.allclose(found.unseen, [1.0 / 26.0, 1.0])
 
 
