@@ -157,11 +157,15 @@ def _check(machine: Machine, wanted: Sequence[str]) -> None:
 
 def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float) -> Aim:
     """What is to become small, of what the candidates together can determine at all."""
-    lost = {one.name for one in hidden_by(model, told_by(model, rows))}
+    told = told_by(model, rows)
+    lost = {one.name for one in hidden_by(model, told)}
+    # What no candidate shows stays as uncertain as it is, in whatever it moves: it must not drown what can be made small.
+    silent = model.free.T @ told.spectrum.silent
+    seen = np.eye(model.free.shape[1]) - silent @ silent.T
     columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
     own = model.plausible[columns, None] * model.free[columns]
     if names == ["tool"]:
-        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), tool_length_mm, lost))
+        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), tool_length_mm, lost) @ seen)
     if names in (["everything"], ["weakest"]):
         basis, triangle = np.linalg.qr(own.T)
         kept = np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()
@@ -178,4 +182,4 @@ def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float
             expected="an error that some reading depends on: known places of the targets, more of them, other stations",
             value=" ".join(names),
         )
-    return AtTool(own[wanted][None], "errors")
+    return AtTool((own[wanted] @ seen)[None], "errors")
