@@ -46,6 +46,7 @@ class Compensation:
         exact: (rows, axes) compensated commands before the linear words were rounded.
         commands: (rows, axes) compensated commands as printed.
         lines: (rows,) program line of each.
+        taken: (rows,) whether it only takes up a reversal, on the way to where the block begins.
     """
 
     text: str
@@ -57,6 +58,7 @@ class Compensation:
     exact: np.ndarray
     commands: np.ndarray
     lines: np.ndarray
+    taken: np.ndarray
 
 
 @final
@@ -129,6 +131,7 @@ class Compensator:
             locked(rows.exact),
             locked(rows.commands),
             locked(numbers[rows.motion]),
+            locked(rows.taken),
         )
 
 

@@ -1,0 +1,112 @@
+"""``twin path``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.cli.app import (
+    NOT_ALL_MET,
+    CalibrationOption,
+    JsonOption,
+    MachineOption,
+    Mode,
+    ModeOption,
+    OffsetOption,
+    OriginOption,
+    TemperatureOption,
+    TimeOption,
+    ToolOption,
+    app,
+    calibration_of,
+    progress,
+)
+from twin.compensation import Options
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.iso16907 import NAMES, Scope
+from twin.machine import Machine
+from twin.nc import find_program
+from twin.options import conditions, positive, setup
+from twin.paths import refit
+from twin.paths.points import is_points
+from twin.paths.refit import DEFAULT_TOLERANCE_MM
+
+
+@app.command()
+def path(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="INPUT",
+            help="NC program: ISO, Heidenhain .h, APT .cls, or one that comes with twin; or points: .csv with x_mm,y_mm,z_mm and "
+            "nothing more, one column a rotary axis (B_deg,C_deg), or a tool vector i,j,k.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks.")],
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", help="mm the executed path may be from the input's, everything included.")
+    ] = DEFAULT_TOLERANCE_MM,
+    compensated: Annotated[
+        bool,
+        typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too."),
+    ] = True,
+    mode: ModeOption = Mode.axis,
+    tool_length: ToolOption = None,
+    work_offset: OffsetOption = None,
+    work_origin: OriginOption = None,
+    feed: Annotated[float | None, typer.Option("--feed", help="mm/min, for points: a program has its own.")] = None,
+    scope: Annotated[
+        list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")
+    ] = None,
+    rotary_limit: Annotated[
+        float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
+    ] = DEFAULT_ROTARY_LIMIT_DEG,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
+
+    twin path part.nc -o part.fewer.nc --tolerance 0.01 --tool-length 120 --json report.json
+
+    The tolerance holds for the path the machine with its errors executes; corners stay corners, everything that is no run passes
+    through as it is.
+    """
+    loaded = Machine.load(machine)
+    positive("--tolerance", tolerance)
+    positive("--rotary-limit", rotary_limit)
+    if feed is not None:
+        positive("--feed", feed)
+    found = source if is_points(source) else find_program(source)
+    outputs = [one for one in (output, json_file) if one is not None]
+    check_writable(outputs)
+    if found.resolve() in {one.resolve() for one in outputs}:
+        raise InputError("the output is the input itself", expected="another file", file=found)
+    options = Options(
+        setup=setup(loaded, work_offset, work_origin),
+        tool_length_mm=tool_length,
+        tcp=mode is Mode.tcp,
+        scope=None if scope is None else Scope.parse(scope),
+        tolerance_mm=tolerance,
+        rotary_limit_deg=rotary_limit,
+        conditions=conditions(temperature, time),
+    )
+    errors = calibration_of(calibration, loaded)
+    with progress() as say:
+        result = refit(
+            found, loaded, errors, options=options, compensated=compensated, output=output, feed=feed, progress=say
+        )
+    write_whole(output, result.text.encode("latin-1"))
+    if json_file is not None:
+        write_whole(json_file, json.dumps(result.report.to_dict(), indent=1) + "\n")
+    print(result.report.to_text(), end="")
+    print(f"\nwritten: {', '.join(str(one) for one in outputs)}")
+    if not result.report.complete:
+        raise typer.Exit(NOT_ALL_MET)
