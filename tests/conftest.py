@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
 from twin.calibration import Calibration
 from twin.machine import Machine
+from twin.planning import Kit, Plan, duration, plan
+from twin.samples import thesis_plan
 
 # Seeded and without a deadline: two shared cores make time no measure of right or wrong.
 settings.register_profile("twin", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
@@ -23,6 +28,16 @@ def dmu50() -> Machine:
 @pytest.fixture(scope="session")
 def calibration(dmu50: Machine) -> Calibration:
     return Calibration.default(dmu50)
+
+
+@pytest.fixture(scope="session")
+def half(dmu50: Machine) -> Plan:
+    """A plan that takes as long as half of the thesis's, by the same clock, with a tracker left and right."""
+    own = Kit.default(dmu50)
+    own = replace(own, stations=MappingProxyType({name: own.stations[name] for name in ("left", "right")}))
+    whole = thesis_plan.plan(dmu50)
+    first = whole.select(np.isin(whole.round, ["1", "2"]))
+    return plan(dmu50, own, minutes=duration(dmu50, own, first) / 60.0)
 
 
 @pytest.fixture(scope="session")

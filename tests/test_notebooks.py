@@ -63,4 +63,18 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
     )
 
 
-CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {"02_diagnose": diagnosed}
+def planned(notebook: nbformat.NotebookNode) -> None:
+    """40 % less at the tool in the same hours at least, foretold and achieved; then two names, and after half an hour the right one."""
+    text = told(notebook)
+    hours = re.findall(r"readings.*?, ([\d.]+) hours", text)
+    assert len(hours) == 2 and float(hours[1]) <= float(hours[0])
+    (less,) = re.findall(r"foretold (\d+) % less, achieved (\d+) % less", text)
+    assert all(int(share) >= 40 for share in less)
+    assert text.index("ambiguous: cross_axis E_A") < text.index("explained: cross_axis E_AY by Z")
+    assert "are enough" in text and "NOT ENOUGH" not in text
+
+
+CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {
+    "02_diagnose": diagnosed,
+    "03_plan_a_measurement": planned,
+}

@@ -26,6 +26,7 @@ from twin.measurement import load as load_measurements
 from twin.options import instrument_named, plan_file, positive
 from twin.planning import Kit, duration, judge, separate
 from twin.planning import plan as make_plan
+from twin.planning.kit import bundled_kit
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
@@ -40,7 +41,10 @@ def plan(
     calibration: CalibrationOption = None,
     kit: Annotated[
         Path | None,
-        typer.Option("--kit", help="What there is to measure with (schema twin.kit/1); twin's own guess if not given."),
+        typer.Option(
+            "--kit",
+            help="What there is to measure with (schema twin.kit/1; dmu50 comes with twin); a guess if not given.",
+        ),
     ] = None,
     minutes: Annotated[
         float | None,
@@ -83,7 +87,7 @@ def plan(
     twin plan --judge thesis_plan.csv
     """
     loaded = Machine.load(machine)
-    own = Kit.default(loaded) if kit is None else Kit.load(kit, loaded)
+    own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     errors = calibration_of(calibration, loaded)
     if seed < 0:
         raise InputError("--seed is negative", expected="0 or more", value=seed)

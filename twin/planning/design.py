@@ -207,9 +207,11 @@ def _grow(
 
 def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """(n,) by how much what is aimed at falls with each of some readings (n, 3, f)."""
-    spread = rows @ covariance
-    own = np.einsum("nif,njf->nij", spread, rows) + np.eye(3)
-    moved = np.einsum("nif,njf->nij", spread @ weight, spread)
+    # One long product instead of many small ones.
+    long = rows.reshape(-1, rows.shape[-1]) @ covariance
+    spread = long.reshape(rows.shape)
+    own = spread @ rows.transpose(0, 2, 1) + np.eye(3)
+    moved = (long @ weight).reshape(rows.shape) @ spread.transpose(0, 2, 1)
     return np.asarray(np.einsum("nii->n", np.linalg.solve(own, moved)))
 
 

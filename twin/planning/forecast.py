@@ -14,6 +14,7 @@ from twin.calibration import Calibration
 from twin.determinability import UNSEEN, Determinability, Observability, determinability, observability
 from twin.effects import split_name
 from twin.identification.solve import named
+from twin.identification.unknowns import offset_name
 from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -194,8 +195,30 @@ def forecast(
         known: stations and targets that an evaluation is told exactly.
         tool_length_mm: of the tool whose point is asked for; the machine file's, or 100 mm where it says none.
     """
+    return of_rows(*informed(machine, plan, setting, instrument, expected, known), tool_length_mm)
+
+
+def informed(
+    machine: Machine,
+    plan: Measurements,
+    setting: Setting,
+    instrument: Instrument,
+    expected: Calibration,
+    known: Collection[str] = (),
+) -> tuple[Model, np.ndarray]:
+    """The unknowns of a plan as `identify` has them, and (n, 3, f) the derivatives of its readings.
+
+    A constant that the readings do not show is a station's or a location's: its curve has none.
+    """
     model = Model.of(machine, plan, setting, instrument, expected, known)
-    return of_rows(model, model.rows(plan, instrument), tool_length_mm)
+    rows = model.rows(plan, instrument)
+    if not model.unknowns.offsets:
+        return model, rows
+    told = told_by(model, rows)
+    unseen = dict(zip(told.names, told.unseen, strict=True))
+    seen = [name for name in model.unknowns.offsets if unseen[offset_name(name)] <= UNSEEN]
+    model = Model.of(machine, plan, setting, instrument, expected, known, seen)
+    return model, model.rows(plan, instrument)
 
 
 def of_rows(model: Model, rows: np.ndarray, tool_length_mm: float | None = None) -> Forecast:

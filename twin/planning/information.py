@@ -2,8 +2,8 @@
 
 The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, locations, stations,
 targets. What is known beforehand is how large such things are: a curve's functions fall off as those of the calibration in hand do
-(`twin.identification.remainder`), constants, stations and targets are as far off as is plausible. Linear in the errors, about the
-machine as drawn: they are micrometres, and what a plan is worth does not hang on them.
+(`twin.identification.remainder`), constants, stations and targets are as far off as is plausible. Linear in the errors, about
+those expected.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.arrays import locked
-from twin.calibration import Calibration
+from twin.calibration import Calibration, Curve
 from twin.curves import BASES
 from twin.effects import split_name
 from twin.identification.network import PIECE, Network
@@ -55,6 +55,8 @@ class Model:
         plausible: (p,) size of every unknown that stands for one in the coordinates used here.
         free: (p, f) the directions the datum leaves, in these units: the coordinates are along them.
         prior: (f, f) precision of the coordinates before any reading.
+        about: (columns,) the expected errors, µm and µrad: derivatives are taken there. An angle that is not zero shows where on its
+            carrier the targets sit, which no reading tells exactly.
     """
 
     machine: Machine
@@ -64,6 +66,7 @@ class Model:
     plausible: np.ndarray
     free: np.ndarray
     prior: np.ndarray
+    about: np.ndarray
 
     @classmethod
     def of(
@@ -74,6 +77,7 @@ class Model:
         instrument: Instrument,
         expected: Calibration,
         known: Collection[str] = (),
+        offsets: Collection[str] | None = None,
     ) -> Model:
         """The unknowns of a plan's axes, stations and targets.
 
@@ -84,6 +88,7 @@ class Model:
             known: names of the stations and targets that an evaluation is told exactly.
             instrument: whether it reads lengths only.
             expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
+            offsets: names of the curves that may have a constant, of those that can (`Unknowns`); all of them if None.
         """
         power = next(basis for basis in BASES if not basis.periodic)
         fourier = next(basis for basis in BASES if basis.periodic)
@@ -91,15 +96,22 @@ class Model:
         bases = {axis.name: fourier if axis.lower is None or axis.name in turning else power for axis in machine.axes}
         spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
         told = as_told(plan, known)
-        unknowns = Unknowns(machine, spaces, constants, axes_told(machine, told))
+        unknowns = Unknowns(
+            machine, spaces, constants, axes_told(machine, told), None if offsets is None else sorted(offsets)
+        )
         setup = setup_of(told, setting, instrument)
         plausible = np.concatenate([np.full(len(unknowns), PLAUSIBLE), setup.plausible])
         free = free_directions(unknowns.datum, len(unknowns), len(setup))
         precision = np.ones(len(plausible))
+        about = np.zeros(len(unknowns))
         for space in spaces:
             columns = unknowns.of(space.name)
             precision[columns] = PLAUSIBLE**2 / _sizes(space, expected) ** 2
-        return cls(machine, unknowns, setting, setup, plausible, free, free.T @ (precision[:, None] * free))
+            if space.name in expected.curves:
+                about[columns] = _parts(space, expected.curves[space.name])
+        for name, value in (*expected.squareness.items(), *expected.location.items()):
+            about[unknowns.of(name)] = value
+        return cls(machine, unknowns, setting, setup, plausible, free, free.T @ (precision[:, None] * free), about)
 
     def rows(self, plan: Measurements, instrument: Instrument) -> np.ndarray:
         """(n, 3, f) derivatives of the whitened readings of a plan by the coordinates; zero where nothing is read."""
@@ -118,7 +130,7 @@ class Model:
         kept = self._columns(stations, targets)
         found = np.empty((len(plan), 3, self.free.shape[1]))
         for start in range(0, len(plan), PIECE):
-            piece = network.piece(np.zeros(len(self.unknowns)), own, np.arange(start, min(start + PIECE, len(plan))))
+            piece = network.piece(self.about, own, np.arange(start, min(start + PIECE, len(plan))))
             scaled = piece.jacobian * self.plausible[kept]
             found[piece.rows] = scaled @ self.free[kept]
         return found
@@ -172,7 +184,7 @@ def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
     """(count − first,) how large each orthonormal function of a curve may be, µm or µrad.
 
     As an estimate will have it (`twin.identification.remainder`): nothing holds the functions the expected curve has; those beyond
-    fall by `FALL` a function, from the size that all of them together show.
+    fall by `FALL` a function, from the size that those it has show together.
     """
     count = space.count - space.first
     fall = FALL ** np.arange(count)
@@ -180,12 +192,19 @@ def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
     if curve is None:
         own = np.where(np.arange(count) < EXPECTED_FUNCTIONS, EXPECTED_UM / np.sqrt(EXPECTED_FUNCTIONS), 0.0)
     else:
-        q, w = space.grid()
-        own = ((w * curve(q)) @ space.functions(q))[space.first :]
-    size = max(float(np.sum(own**2 / fall)) / max(count - 1, 1), LEAST_UM**2)
+        own = _parts(space, curve)
     held = np.flatnonzero(np.abs(own) > ROUNDING * max(np.abs(own).max(initial=0.0), LEAST_UM))
-    open_ = np.arange(count) <= (held[-1] if len(held) else -1)
+    has = int(held[-1]) + 1 if len(held) else 0
+    # What an estimate does not resolve says nothing of the size either, and the expected curve left it out.
+    size = max(float(np.sum(own[:has] ** 2 / fall[:has])) / max(has - 1, 1), LEAST_UM**2)
+    open_ = np.arange(count) < has
     return np.asarray(np.where(open_, PLAUSIBLE, np.sqrt(size * fall)))
+
+
+def _parts(space: CurveSpace, curve: Curve) -> np.ndarray:
+    """(count − first,) a curve in a space's orthonormal functions, those the datum leaves."""
+    q, w = space.grid()
+    return np.asarray(((w * curve(q)) @ space.functions(q))[space.first :])
 
 
 def as_told(plan: Measurements, known: Collection[str]) -> Measurements:

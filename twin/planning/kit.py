@@ -10,13 +10,14 @@ from typing import Annotated, Any, Final, Literal, final
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 from twin.budget import volume
 from twin.errors import InputError
 from twin.files import Place, load_yaml
 from twin.instruments import INSTRUMENTS, Instrument
-from twin.machine import Machine
+from twin.machine import Machine, find_bundled
 from twin.simulate import Station
 from twin.units import DEG
 
@@ -51,6 +52,14 @@ class _TargetEntry(BaseModel):
     known: bool = False
     facing: tuple[float, float, float] | Literal["aimed"] = "aimed"
     acceptance_deg: Annotated[float, Field(gt=0, le=180)] = ACCEPTANCE_DEG
+
+    @field_validator("facing", mode="before")
+    @classmethod
+    def _direction(cls, value: Any) -> Any:
+        if value != "aimed" and not (isinstance(value, list) and len(value) == 3):
+            expected = "aimed, or x, y, z on its carrier"
+            raise PydanticCustomError("facing", "Input should be {expected}", {"expected": expected})
+        return value
 
 
 class _KitFile(BaseModel):
@@ -239,6 +248,15 @@ class Kit:
             ranges=whole_ranges(machine),
             opaque=True,
         )
+
+
+def bundled_kit(name: str | Path) -> Path:
+    """A kit file by its path, or one that comes with `twin` by its bare name.
+
+    Raises:
+        InputError: neither; the message lists what comes with `twin`.
+    """
+    return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
 def whole_ranges(machine: Machine) -> np.ndarray:

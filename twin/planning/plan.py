@@ -14,13 +14,14 @@ from twin.arrays import locked
 from twin.budget import volume
 from twin.calibration import Calibration
 from twin.errors import InputError
+from twin.identification.unknowns import PLAUSIBLE
 from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
 from twin.planning.design import Aim, AtTool, Everything, Say, Weakest
 from twin.planning.fill import Filler, Readings
-from twin.planning.forecast import POSES, SEED, Forecast, forecast, hidden_by, length_of, told_by
+from twin.planning.forecast import POSES, SEED, Forecast, forecast, hidden_by, informed, length_of, told_by
 from twin.planning.information import Model
 from twin.planning.kit import Kit
 from twin.planning.result import Plan, alternatives
@@ -28,6 +29,8 @@ from twin.planning.route import ALWAYS
 from twin.simulate import Setting
 
 AIMS: Final = ("tool", "everything", "weakest")
+OPEN: Final = 0.1
+"""Share of the plausible variance from which nothing holds an unknown beforehand: the datum takes part of some."""
 
 
 def plan(
@@ -57,7 +60,7 @@ def plan(
     Raises:
         InputError: no time to measure anything; no room for any pose; a reflector nobody sees; a name of no error of the machine.
     """
-    with threadpool_limits(limits=2, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"):
         names = [reduce] if isinstance(reduce, str) else list(reduce)
         _check(machine, names)
         own = Kit.default(machine) if kit is None else kit
@@ -72,8 +75,7 @@ def plan(
         every = candidates(machine, own, safe_poses(machine, own, filler.rng, levels=levels), filler.rng)
         stands = []
         for instrument in own.instruments:
-            model = Model.of(machine, every, setting_of(own), instrument, sizes, own.known)
-            rows = model.rows(every, instrument)
+            model, rows = informed(machine, every, setting_of(own), instrument, sizes, own.known)
             aim = _aim(model, rows, names, length)
             stands += filler.stands(
                 Readings(instrument, every, np.zeros(len(every), dtype=int), ALWAYS, model.prior, rows, aim)
@@ -167,9 +169,12 @@ def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float
     if names == ["tool"]:
         return AtTool(model.at_tool(volume(model.machine, POSES, SEED), tool_length_mm, lost) @ seen)
     if names in (["everything"], ["weakest"]):
-        basis, triangle = np.linalg.qr(own.T)
-        kept = np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()
-        machine = basis[:, kept].T
+        if names == ["weakest"]:
+            # What is held to be small anyway stays as it is held, however much is read.
+            reach = np.einsum("ki,ij,kj->k", own, np.linalg.inv(model.prior), own)
+            own = own[reach > OPEN * PLAUSIBLE**2] @ seen
+        basis = np.linalg.svd(own, full_matrices=False)
+        machine = basis.Vh[basis.S > 1e-9 * basis.S[0]]
         return Everything(machine) if names == ["everything"] else Weakest(machine, model.prior)
     wanted = [
         k

@@ -138,6 +138,8 @@ class Plan:
         """What whoever carries it out must know."""
         found = [
             "approach_… is the side each axis comes from: run over by more than any reversal and come back",
+            "place_… and station_… say about where things go; in a measured table they count as exactly known: keep there only those "
+            "that are",
         ]
         if Clearance(self.machine, self.kit).known:
             found.append(

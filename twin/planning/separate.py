@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Candidate, Cell, catalogue
-from twin.diagnosis.problem import Problem
+from twin.diagnosis.problem import TOLD_APART, Problem
 from twin.errors import InputError
 from twin.identification.network import Network
 from twin.identification.screen import fitting
@@ -44,6 +44,8 @@ LAMBDA: Final = (POWER + float(np.sqrt(POWER**2 + 2.0 * np.log(ODDS)))) ** 2
 """s²/Var of a cause so told from the other: the log-likelihood ratio is normal about λ/2 with variance λ."""
 WARM_K: Final = 5.0
 """K: how much warmer a sensor is in a session than in the others."""
+HOLD: Final = 1e-4
+"""Precision of a set-up beforehand, over that of its plausible size."""
 LATER_S: Final = 4.0 * 3600.0
 """After a cold start, when a drift has mostly gone through."""
 
@@ -137,8 +139,10 @@ def separate(
     Raises:
         InputError: a cause that is none of this machine's, or whose place and time no plan can choose; two that are one; no time.
     """
-    with threadpool_limits(limits=2, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"):
         causes = (Named.parse(first), Named.parse(second))
+        if causes[0].text == causes[1].text:
+            raise InputError("two causes that are one", expected="two effects, or two places of one", value=second)
         own = Kit.default(machine) if kit is None else kit
         tell: Say = say or (lambda stage, part: None)
         known = Calibration.default(machine) if calibration is None else calibration
@@ -292,7 +296,8 @@ def _readings(
     setup, doubt = problem.nuisance.shape[1] - len(problem.prior), len(problem.prior)
     whole = np.concatenate([problem.nuisance, *columns], axis=1)
     total = whole.shape[1]
-    prior = np.eye(total)
+    # `twin diagnose` holds a set-up by nothing: where on its carrier a target sits, angles of the machine alone may have to tell.
+    prior = np.diag(np.where(np.arange(total) < setup, HOLD, 1.0))
     if after is not None:
         prior[setup:, setup:] += _told_already(machine, instrument, after, calibration, causes, doubt)
     ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
@@ -316,7 +321,7 @@ def _problem(
     )
     told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
     setup = setup_of(told, setting, instrument)
-    return Problem(Network(machine, told, instrument, Unknowns(machine, [], [])), setup, calibration)
+    return Problem(Network(machine, told, instrument, Unknowns(machine, [], []), calibration), setup, calibration)
 
 
 def _told_already(
@@ -332,12 +337,16 @@ def _told_already(
     lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
     kept, setup = fitting(machine, after, lengths_only=lengths_only)
     problem = Problem(
-        Network(machine, kept, instrument if lengths_only else reader, Unknowns(machine, [], [])), setup, calibration
+        Network(machine, kept, instrument if lengths_only else reader, Unknowns(machine, [], []), calibration),
+        setup,
+        calibration,
     )
     columns = [problem.signature(_cell(one, machine, kept, calibration)[1].columns) for one in causes]
     own = problem.nuisance[:, : problem.nuisance.shape[1] - doubt]
     rest = np.concatenate([problem.nuisance[:, problem.nuisance.shape[1] - doubt :], *columns], axis=1)
-    basis, _ = np.linalg.qr(own)
+    # Not all of a set-up need show: a frame and everything that was read in it may move together.
+    basis, strength, _ = np.linalg.svd(own, full_matrices=False)
+    basis = basis[:, strength > TOLD_APART * strength[0]]
     left = rest - basis @ (basis.T @ rest)
     return np.asarray(left.T @ left)
 
