@@ -79,7 +79,7 @@ def test_a_kit_file_says_what_there_is(own: Path, slides: Path) -> None:
         ("ranges: {X: [50, 350]}", "ranges: {X: [50, 450]}", "a range the machine does not have", "0 … 400"),
         ("ranges: {X: [50, 350]}", "ranges: {X: [350, 50]}", "a range the machine does not have", "0 … 400"),
         ("facing: [0, -2, 0]", "facing: [0, 0, 0]", "no direction", "aimed, or x, y, z"),
-        ("facing: [0, -2, 0]", "facing: north", "does not fit", "tuple"),
+        ("facing: [0, -2, 0]", "facing: north", "does not fit", "aimed, or x, y, z"),
         ("acceptance_deg: 60", "acceptance_deg: 200", "does not fit", "less than or equal to 180"),
         ("carrier: tool, place_mm: [100", "carrier: bed, place_mm: [100", "does not fit", "'tool' or 'work'"),
         ("place_mm: [100, 0, -40]", "place_mm: [100, 0]", "does not fit", "required"),

@@ -204,7 +204,8 @@ def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Conte
         readings = "one reading decides" if many == 1 else f"some {many} readings decide"
         text = f"They differ most at these positions; {readings} at the first."
         if not any(name.startswith("misplaced") for name in pair):
-            text += f' A whole plan, new stations included: twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>.'
+            plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
+            text += f" A whole plan, new stations included: {plan}."
         found.append(Contest((a, b), rows, text))
     return found
 
