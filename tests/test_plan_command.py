@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from twin import cli
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.measurement import load
-from twin.planning import Kit, duration
+from twin.planning import Kit, Plan, duration
 from twin.planning.kit import bundled_kit
 from twin.samples import thesis_plan
 
@@ -213,3 +214,21 @@ def test_the_kit_that_comes_with_twin(dmu50: Machine, tmp_path: Path) -> None:
     assert bundled_kit(str(copy)) == copy
     with pytest.raises(InputError, match=r"dmu50\.kit\.yaml"):
         bundled_kit("dmu51")
+
+
+def test_coordinates_filled_into_a_plan_do_not_make_its_places_known(half: Plan, tmp_path: Path) -> None:
+    """Where a reflector was meant to go is no measurement of where it sits; a kit that says `known` makes it one."""
+    half.save(tmp_path / "p.csv")
+    header, *rows = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
+    measured = tmp_path / "m.csv"
+    measured.write_text("\n".join([f"{header},x_mm,y_mm,z_mm", *(f"{row},1,2,3" for row in rows)]) + "\n")
+    plan, data = (load(path, half.machine, plan=path != measured) for path in (tmp_path / "p.csv", measured))
+    assert np.allclose(plan.place_mm, half.table.place_mm) and np.allclose(plan.station_pose, half.table.station_pose)
+    assert np.isnan(data.place_mm).all() and np.isnan(data.station_pose).all()
+    assert not any("planned" in notice for notice in data.notices)
+    one = next(iter(half.kit.targets))
+    known = replace(half.kit, targets={**half.kit.targets, one: replace(half.kit.targets[one], known=True)})
+    replace(half, kit=known).save(tmp_path / "k.csv")
+    told = load(tmp_path / "k.csv", half.machine, plan=True)
+    assert np.allclose(told.place_mm, half.table.place_mm)
+    assert "place_x_mm" in (tmp_path / "k.csv").read_text().replace("planned_place_x_mm", "")

@@ -334,7 +334,7 @@ def test_a_plan_is_a_table(dmu50: Machine, made: Plan, tmp_path: Path) -> None:
     """What stands in it is what the kit says, to the last digit after writing and reading."""
     from twin.measurement import load
 
-    made.table.save(tmp_path / "p.csv", dmu50, comment=made.comment())
+    made.save(tmp_path / "p.csv")
     read = load(tmp_path / "p.csv", dmu50, plan=True)
     assert not read.set_aside and len(read) == len(made.table)
     for name in ("positions", "approach", "time_s", "place_mm", "station_pose"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -27,6 +27,8 @@ CARRIERS: Final = ("tool", "work")
 POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
+PLANNED: Final = "planned_"
+"""Before the name of such a column: where a target or station is meant to go. A plan's; no evaluation takes it for known."""
 SIMULATED: Final = "simulated"
 """What the comment of a simulated table begins with."""
 FEWEST_POINTS: Final = 3
@@ -97,12 +99,18 @@ class Measurements:
         temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
         return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
 
-    def save(self, path: Path, machine: Machine, *, comment: str = "") -> None:
-        """Write the table, whole or not at all; columns without any value are left out."""
-        write_whole(path, self.to_csv(machine, comment=comment))
+    def save(self, path: Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
+        """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
+        write_whole(path, self.to_csv(machine, comment=comment, planned=planned))
 
-    def to_csv(self, machine: Machine, *, comment: str = "") -> str:
-        """The table as text; reading it gives the same measurements. Without any coordinate it is a plan."""
+    def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
+        """The table as text; reading it gives the same measurements. Without any coordinate it is a plan.
+
+        Args:
+            machine: the machine.
+            comment: lines that go before.
+            planned: names of targets and stations that are only meant to go where they are said to be (`PLANNED`).
+        """
         columns: dict[str, Sequence[str]] = {}
         for i, axis in enumerate(machine.axes):
             columns[_column(axis)] = _printed(self.positions[:, i])
@@ -124,9 +132,14 @@ class Measurements:
         for i, name in enumerate("xyz"):
             if np.isfinite(self.u_mm[:, i]).any():
                 columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
-        for names, known in ((PLACE_COLUMNS, self.place_mm), (STATION_COLUMNS, self.station_pose)):
-            if np.isfinite(known).any():
-                columns |= _columns(names, known)
+        for names, whose, values in (
+            (PLACE_COLUMNS, self.target, self.place_mm),
+            (STATION_COLUMNS, self.station, self.station_pose),
+        ):
+            meant = np.array([name in planned for name in whose])[:, None]
+            for prefix, known in (("", np.where(meant, np.nan, values)), (PLANNED, np.where(meant, values, np.nan))):
+                if np.isfinite(known).any():
+                    columns |= _columns(tuple(f"{prefix}{name}" for name in names), known)
         text = io.StringIO()
         text.write("".join(f"# {line}\n" for line in comment.splitlines()))
         writer = csv.writer(text, lineterminator="\n")
@@ -171,6 +184,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     known = {*needed, *POINT_COLUMNS, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
     known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
+    known |= {f"{PLANNED}{name}" for name in (*PLACE_COLUMNS, *STATION_COLUMNS)}
     strange = [name for name in header if name not in known]
     notices = (*made, *(not_understood(name, sorted(known)) for name in strange))
     table = Measurements(
@@ -186,8 +200,8 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
         u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
         time_s=reader.numbers("time_s"),
         approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
-        place_mm=_stacked([reader.numbers(name) for name in PLACE_COLUMNS]),
-        station_pose=_stacked([reader.numbers(name) for name in STATION_COLUMNS]),
+        place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
+        station_pose=_places(reader, STATION_COLUMNS, planned=plan),
         temperature_degC=MappingProxyType(temperatures),
         notices=notices,
     )
@@ -195,6 +209,15 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
     _check_names(table, path)
     return _usable(_known(table), machine)
+
+
+def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
+    """(n, k) what is known of places; in a plan also what is meant."""
+    found = _stacked([reader.numbers(name) for name in names])
+    if not planned:
+        return found
+    meant = _stacked([reader.numbers(f"{PLANNED}{name}") for name in names])
+    return locked(np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant))
 
 
 def load_export(

@@ -150,7 +150,7 @@ def plan(
         report = made.to_dict()
         incomplete = not made.complete
         if output is not None:
-            made.table.save(output, loaded, comment=made.comment())
+            made.save(output)
         print(made.to_text(), end="")
     if json_file is not None:
         write_whole(json_file, json.dumps(report, indent=1) + "\n")

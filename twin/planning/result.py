@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, final
 
 from twin.instruments import Instrument
@@ -138,8 +139,7 @@ class Plan:
         """What whoever carries it out must know."""
         found = [
             "approach_… is the side each axis comes from: run over by more than any reversal and come back",
-            "place_… and station_… say about where things go; in a measured table they count as exactly known: keep there only those "
-            "that are",
+            "planned_… say about where things go, and no evaluation takes that for known; place_… and station_… count as exactly known",
         ]
         if Clearance(self.machine, self.kit).known:
             found.append(
@@ -156,6 +156,11 @@ class Plan:
             more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
             found.append(f"RETRACT before readings {rows}{more}: the straight move there comes too near to something")
         return found
+
+    def save(self, path: Path) -> None:
+        """Write the plan as a table without coordinates, whole or not at all."""
+        meant = {*self.kit.stations, *self.kit.targets} - self.kit.known
+        self.table.save(path, self.machine, comment=self.comment(), planned=meant)
 
     def comment(self) -> str:
         """The lines the file carries."""
