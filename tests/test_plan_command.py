@@ -232,3 +232,13 @@ def test_coordinates_filled_into_a_plan_do_not_make_its_places_known(half: Plan,
     told = load(tmp_path / "k.csv", half.machine, plan=True)
     assert np.allclose(told.place_mm, half.table.place_mm)
     assert "place_x_mm" in (tmp_path / "k.csv").read_text().replace("planned_place_x_mm", "")
+
+
+def test_several_errors_behind_one_reduce(
+    slides: Path, own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the contract writes `--reduce …`: one option, several words."""
+    out, report = tmp_path / "p.csv", tmp_path / "r.json"
+    arguments = ["plan", "-o", out, "--machine", slides, "--kit", own, "--json", report, "--reduce", "E_XX", "E_YX"]
+    assert status(*arguments) == 0
+    assert json.loads(report.read_text())["aim"] == "E_XX E_YX"

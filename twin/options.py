@@ -81,6 +81,7 @@ def gathered(arguments: list[str]) -> list[str]:
         "--temperature": re.compile(r"[^\W\d][\w.-]*=.*"),
         "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
         "--only": re.compile(r"E_[A-Z0-9*?]+"),
+        "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
     }
     out: list[str] = []
     gathering: str | None = None
