@@ -205,7 +205,7 @@ def test_a_run_killed_at_any_moment_leaves_the_old_output_or_the_new_one(tmp_pat
     new = out.read_text()
     old = "(the old one)\n"
     seen = set()
-    for fraction in (0.3, 0.6, 0.8, 0.9, 0.97, 1.5):
+    for fraction in (0.6, 0.9, 0.97, 1.5):
         out.write_text(old)
         process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
@@ -221,11 +221,13 @@ def test_a_run_killed_at_any_moment_leaves_the_old_output_or_the_new_one(tmp_pat
 
 def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
     part, out = tmp_path / "part.nc", tmp_path / "out.nc"
-    part.write_text("G90\nG0 X100 Y100 Z-100 B30 C10\n" + "G1 X110 F500\nX100\n" * 20000)
+    part.write_text("G90\nG0 X100 Y100 Z-100 B30 C10\n" + "G1 X110 F500\nX100\n" * 400_000)
     process = subprocess.Popen(
         [*TWIN, "compensate", str(part), "-o", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    time.sleep(3.0)
+    # In the middle of the work: some of the output is there, under another name.
+    while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob(".out.nc.*")):
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130

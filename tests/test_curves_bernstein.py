@@ -156,7 +156,9 @@ def relative(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
-@pytest.mark.parametrize(("n", "printed"), [(10, 3.4e-13), (20, 1.2e-9), (25, 4.1e-7), (50, 1.0)])
+@pytest.mark.parametrize(
+    ("n", "printed"), [(10, 3.4e-13), (20, 1.2e-9), (25, 4.1e-7), pytest.param(50, 1.0, marks=pytest.mark.slow)]
+)
 def test_table_1(n: int, printed: float) -> None:
     """Random right-hand sides: the bidiagonal factors keep all digits at every n, an ordinary solution loses them all by n = 50."""
     t, basis = equidistant(n), FGBernstein(n - 1)

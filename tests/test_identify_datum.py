@@ -81,7 +81,7 @@ def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
     reasons = {one.name: one.reason for one in found.unidentified}
     assert "it takes three targets apart from one line" in reasons["E_AX"]
     # Both targets lie on one line along x through the frame of X: its roll alone moves neither, and moves with nothing else.
-    assert reasons["E_AX"].startswith("no reading shows E_AX order 1 +1000 urad alone")
+    assert reasons["E_AX"].startswith("no reading shows E_AX order 1 +1000 µrad alone")
     assert "E_AX" not in found.calibration.curves
     worst = differences(found.calibration, truth, errors)
     assert max(worst[name] for name in ("E_XX", "E_YX", "E_ZX", "E_BX", "E_CX")) <= EXACT

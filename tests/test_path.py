@@ -99,7 +99,7 @@ def cycloid(count: int = 600, radius: float = 10.0) -> np.ndarray:
 # -------------------------------------------------------------------- the path is kept, with fewer blocks
 
 
-@pytest.mark.parametrize("tolerance", [0.005, 0.02])
+@pytest.mark.parametrize("tolerance", [pytest.param(0.005, marks=pytest.mark.slow), 0.02])
 @pytest.mark.parametrize("points", [circle(), helix(), cycloid()], ids=["circle", "helix", "cycloid"])
 def test_fewer_blocks_on_the_same_path(dmu50: Machine, points: np.ndarray, tolerance: float) -> None:
     text = program_of(points)
@@ -131,7 +131,7 @@ def test_standing_axes_stand(dmu50: Machine) -> None:
     assert np.ptp(after[:, 2]) == 0.0
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(st.integers(0, 10_000), st.sampled_from([0.004, 0.01, 0.05]), st.integers(30, 240), st.booleans())
 def test_any_smooth_or_rough_path_is_kept(seed: int, tolerance: float, count: int, rough: bool) -> None:
     rng = np.random.default_rng(seed)

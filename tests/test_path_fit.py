@@ -62,7 +62,7 @@ def test_no_curve_with_two_control_points_less_would_do() -> None:
     assert from_line(best[::4], cycloid(dense)).max() > 5e-5
 
 
-@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("power", [pytest.param(0.0, marks=pytest.mark.slow), 0.5, 1.0])
 def test_pieces_meet_with_one_tangent(power: float) -> None:
     t = np.linspace(0.0, 1.0, 5000)
     words = np.stack([200.0 * t, 30.0 * np.sin(40.0 * t) * np.cos(7.0 * t), 5.0 * np.sin(90.0 * t)], axis=1)

@@ -58,7 +58,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 
 
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 200 repeats within 4 sigma."""
+    """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
     setting = Setting.drawn(plan, np.random.default_rng(5))
     for instrument in INSTRUMENTS:
         exact, _ = simulate(
@@ -69,7 +69,7 @@ def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan
         by_tracker, _ = simulate(plan, dmu50, calibration, LaserTracker(), rng, setting=setting, noise=False)
         seen = by_tracker.point_mm * 1e-3
         covariance = instrument.covariance(seen) * 1e6
-        for _ in range(200):
+        for _ in range(60):
             noisy, _ = simulate(plan, dmu50, calibration, instrument, rng, setting=setting)
             for i, error in enumerate(noisy.point_mm - exact.point_mm):
                 read = np.isfinite(error)
