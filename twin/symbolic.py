@@ -56,21 +56,21 @@ def tool_in_work(machine: Machine, q: Any, e: Any, length: Any) -> Pose:
 def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:
     """A frame of the model in the base frame."""
     placed = machine.model.frames[frame]
-    return _joint_in_base(machine, placed.parentJoint, q, e).then(_constant(placed.placement))
+    return _joint_in_base(machine, placed.parentJoint, q, e).then(constant_pose(placed.placement))
 
 
 def _joint_in_base(machine: Machine, joint: int, q: Any, e: Any) -> Pose:
     model = machine.model
     moving = {joint: q[i] for i, joint in enumerate(machine.axis_joints)}
     erring = {frame.joint: e[6 * i : 6 * i + 6] for i, frame in enumerate(machine.frames)}
-    pose = _constant(pin.SE3.Identity())
+    pose = constant_pose(pin.SE3.Identity())
     while joint != 0:
         if joint in erring:
             error = erring[joint]
             motion = Pose(rotation_exp(error[3:6]), error[0:3])
         else:
-            motion = _joint_pose(model.joints[joint], moving.get(joint, 0.0))
-        pose = _constant(model.jointPlacements[joint]).then(motion).then(pose)
+            motion = joint_pose(model.joints[joint], moving.get(joint, 0.0))
+        pose = constant_pose(model.jointPlacements[joint]).then(motion).then(pose)
         joint = model.parents[joint]
     return pose
 
@@ -103,19 +103,25 @@ def error_vector(
     return ca.vertcat(*[component for row in rows for component in row])
 
 
-def _joint_pose(joint: pin.JointModel, value: Any) -> Pose:
-    """A one-degree-of-freedom joint, from what Pinocchio says of its motion subspace."""
+def joint_twist(joint: pin.JointModel) -> tuple[Any, Any]:
+    """Turn (3, 1) and shift (3, 1) of a one-degree-of-freedom joint: what Pinocchio says of its motion subspace."""
     data = joint.createData()
     joint.calc(data, np.zeros(joint.idx_q + joint.nq), np.zeros(joint.idx_v + joint.nv))
     motion = np.asarray(data.S).reshape(6)
-    if np.any(motion[:3]):
-        return Pose(ca.SX.eye(3), ca.DM(motion[:3]) * value)
-    axis = ca.DM(motion[3:])
+    return ca.sparsify(ca.DM(motion[3:])), ca.sparsify(ca.DM(motion[:3]))
+
+
+def joint_pose(joint: pin.JointModel, value: Any) -> Pose:
+    """A one-degree-of-freedom joint moved by ``value``."""
+    axis, shift = (ca.densify(part) for part in joint_twist(joint))
+    if np.any(np.asarray(shift)):
+        return Pose(ca.SX.eye(3), shift * value)
     cross = ca.skew(axis)
     turn = ca.SX.eye(3) + ca.sin(value) * cross + (1.0 - ca.cos(value)) * (cross @ cross)
     return Pose(turn, ca.SX.zeros(3))
 
 
-def _constant(placement: pin.SE3) -> Pose:
+def constant_pose(placement: pin.SE3) -> Pose:
+    """A placement of the model."""
     # Sparse where a placement is exactly zero, so that nothing is multiplied by it.
     return Pose(ca.SX(ca.sparsify(ca.DM(placement.rotation))), ca.SX(ca.sparsify(ca.DM(placement.translation))))

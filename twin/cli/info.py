@@ -22,6 +22,7 @@ from twin.cli.app import (
 )
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.native import in_use
 from twin.options import conditions
 from twin.uncertainty import DEFINITION, ToolUncertainty
 
@@ -45,6 +46,7 @@ def info(
         f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n",
         highlight=False,
     )
+    console.print(f"inverse       {in_use()}\n", highlight=False, markup=False, soft_wrap=True)
     axes = Table(
         "axis",
         "kind",

@@ -1,0 +1,25 @@
+// One routine over many rows. Before this file: simd.hpp, the sizes N inputs and O outputs, and the routine row.
+
+struct Rows {
+  int64_t rows;
+  const double *const *in;   // N columns, and how far apart their rows are (0: one number for all rows)
+  const int64_t *in_step;
+  double *const *out;        // O of them
+  const int64_t *out_step;
+  const double *k;
+};
+
+extern "C" int lanes() { return W; }
+
+extern "C" void run(const Rows *given) {
+  const Rows &job = *given;
+  for (int64_t i = 0; i < job.rows; i += W) {
+    V x[N], y[O];
+    const int some = job.rows - i < W ? (int)(job.rows - i) : (int)W;
+    for (int c = 0; c < N; ++c)  // the last row again for what fills a register up
+      for (int l = 0; l < W; ++l) x[c][l] = job.in[c][(i + (l < some ? l : some - 1)) * job.in_step[c]];
+    row(x, job.k, y);
+    for (int l = 0; l < some; ++l)
+      for (int c = 0; c < O; ++c) job.out[c][(i + l) * job.out_step[c]] = ((const double *)&y[c])[l];
+  }
+}

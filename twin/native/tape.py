@@ -1,0 +1,301 @@
+"""A CasADi function as straight-line code, every value computed once: what is turned into C++, and what NumPy runs without it.
+
+CasADi's own evaluation spends most of its time on finding the next instruction, five nanoseconds each for every row. Here an
+instruction is one NumPy call for a block of rows, or a line of C++ for a register full of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+BLOCK: Final = 1024
+"""Rows an instruction: a call into NumPy costs as much as these, and the values in use stay in cache."""
+
+OPERATIONS: Final[dict[int, str]] = {
+    ca.OP_ADD: "add",
+    ca.OP_SUB: "sub",
+    ca.OP_MUL: "mul",
+    ca.OP_DIV: "div",
+    ca.OP_NEG: "neg",
+    ca.OP_SQRT: "sqrt",
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_FLOOR: "floor",
+    ca.OP_FABS: "abs",
+    ca.OP_FMIN: "min",
+    ca.OP_FMAX: "max",
+    ca.OP_LT: "lt",
+    ca.OP_LE: "le",
+    ca.OP_NOT: "not",
+    ca.OP_IF_ELSE_ZERO: "where",
+}
+"""What is known here, by CasADi's number; squares, doubles, inverses and whole powers are put down to these."""
+COMMUTE: Final = frozenset({"add", "mul"})
+TURNS: Final = frozenset({"sin", "cos"})
+TRUTHS: Final = frozenset({"lt", "le", "not"})
+"""Operations whose result is true or false; ``where`` (condition, value) takes one, and is zero where it is false."""
+
+MULTIPLES: Final = 20
+"""Largest multiple of an angle that is built from the angle: each costs one rounding."""
+ONE: Final = 4e-16
+"""Two roundings from one."""
+
+Node = tuple[str, int, int]
+"""Operation and the numbers of its operands (−1: none)."""
+
+_UFUNCS: Final[dict[str, Callable[..., Any]]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "floor": np.floor,
+    "abs": np.abs,
+    "min": np.fmin,
+    "max": np.fmax,
+    "lt": np.less,
+    "le": np.less_equal,
+}
+
+
+class UnknownOperationError(Exception):
+    """An operation of a CasADi function that has no place here: the caller evaluates it by CasADi."""
+
+
+@final
+class Tape:
+    """The instructions of one function.
+
+    Args:
+        function: an SX function of dense inputs and outputs.
+
+    Attributes:
+        inputs, outputs: how many numbers go in and come out, all arguments after one another, column-major.
+        constants: every constant, so that the same code serves other numbers; two calibrations with curves of the same orders differ
+            in nothing else.
+        nodes: operations on values: 0 … are the inputs, then the constants, then the nodes themselves.
+        results: numbers of the values that come out.
+
+    Raises:
+        UnknownOperationError: an operation that is not in `OPERATIONS`.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        if not function.is_a("SXFunction"):
+            raise UnknownOperationError("operations on matrices")
+        self.inputs = sum(function.numel_in(i) for i in range(function.n_in()))
+        builder = _Builder(self.inputs)
+        results = builder.read(function)
+        self.constants, self.nodes, self.results = builder.finished(results)
+        self.outputs = len(self.results)
+        self._first = self.inputs + len(self.constants)
+
+    def node(self, value: int) -> Node | None:
+        """The operation that makes a value; None for an input or a constant."""
+        return self.nodes[value - self._first] if value >= self._first else None
+
+    def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Evaluate by NumPy.
+
+        Args:
+            columns: one (rows,) array an input.
+
+        Returns:
+            (outputs, rows).
+        """
+        rows = len(columns[0])
+        found = np.empty((self.outputs, rows))
+        program, slots, results = self._program
+        room = np.empty((slots, min(rows, BLOCK)))
+        constants = [np.array(value) for value in self.constants]
+        with np.errstate(all="ignore"):
+            for start in range(0, rows, BLOCK):
+                part = slice(start, start + BLOCK)
+                given = [*(np.ascontiguousarray(column[part]) for column in columns), *constants]
+                size = len(given[0])
+                place = [*given, *room[:, :size]]
+                for function, a, b, out in program:
+                    function(place[a], place[b], place[out]) if b >= 0 else function(place[a], place[out])
+                for k, slot in enumerate(results):
+                    found[k, part] = place[slot]
+        return found
+
+    @cached_property
+    def _program(self) -> tuple[list[tuple[Callable[..., Any], int, int, int]], int, list[int]]:
+        """Instructions on places that are used again as soon as nobody needs them, how many places, and where results are."""
+        last: dict[int, int] = {}
+        for i, (_, a, b) in enumerate(self.nodes):
+            last[a] = last[b] = i
+        for value in self.results:
+            last[value] = len(self.nodes)
+        slot = {value: value for value in range(self._first)}
+        free: list[int] = []
+        count = 0
+        program: list[tuple[Callable[..., Any], int, int, int]] = []
+        for i, (name, a, b) in enumerate(self.nodes):
+            if free and name != "where":
+                out = free.pop()
+            else:
+                out, count = self._first + count, count + 1
+            slot[self._first + i] = out
+            function = _SPECIAL.get(name) or _UFUNCS[name]
+            program.append((function, slot[a], slot[b] if b >= 0 else -1, out))
+            for value in {a, b}:
+                if value >= self._first and last[value] == i:
+                    free.append(slot[value])
+        return program, count, [slot[value] for value in self.results]
+
+
+def _where(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
+    out[...] = np.where(condition != 0.0, value, 0.0)
+
+
+def _not(condition: np.ndarray, out: np.ndarray) -> None:
+    np.equal(condition, 0.0, out)
+
+
+_SPECIAL: Final[dict[str, Callable[..., Any]]] = {"where": _where, "not": _not}
+
+
+class _Builder:
+    """Reads instructions, giving equal values one number."""
+
+    def __init__(self, inputs: int) -> None:
+        self.inputs = inputs
+        self.number: dict[Any, int] = {}
+        self.known: list[Any] = list(range(inputs))  # an input, ("const", value) or a node
+
+    def value(self, key: Any) -> int:
+        if key not in self.number:
+            self.number[key] = len(self.known)
+            self.known.append(key)
+        return self.number[key]
+
+    def constant(self, value: float) -> int:
+        return self.value(("const", float(value)))
+
+    def given(self, number: int) -> float | None:
+        key = self.known[number]
+        return key[1] if isinstance(key, tuple) and key[0] == "const" else None
+
+    def operation(self, name: str, a: int, b: int = -1) -> int:
+        if name == "div" and (divisor := self.given(b)) is not None and divisor != 0.0:
+            name, b = "mul", self.constant(1.0 / divisor)
+        if name == "mul":
+            return self.product(a, b)
+        if name in TURNS:
+            return self.turn(name, a)
+        if name in COMMUTE and b < a:
+            a, b = b, a
+        return self.value((name, a, b))
+
+    def product(self, a: int, b: int) -> int:
+        """A product; constant factors become one, and none where they cancel to rounding (degrees and back)."""
+        factor, rest = 1.0, [v for v in (a, b) if self.given(v) is None]
+        for given in (self.given(v) for v in (a, b)):
+            factor *= 1.0 if given is None else given
+        if len(rest) == 1:
+            inner, rest[0] = self.factor(rest[0])
+            factor *= inner
+            return (
+                rest[0] if abs(factor - 1.0) < ONE else self.value(("mul", *sorted((rest[0], self.constant(factor)))))
+            )
+        return self.value(("mul", *sorted(rest))) if rest else self.constant(factor)
+
+    def factor(self, value: int) -> tuple[float, int]:
+        """A value as a number times another value."""
+        key = self.known[value]
+        if isinstance(key, tuple) and key[0] == "add" and key[1] == key[2]:
+            number, rest = self.factor(key[1])
+            return 2.0 * number, rest
+        if isinstance(key, tuple) and key[0] == "mul":
+            for one, other in ((key[1], key[2]), (key[2], key[1])):
+                constant = self.given(one)
+                if constant is not None:
+                    return constant, other
+        return 1.0, value
+
+    def turn(self, name: str, angle: int) -> int:
+        """Sine or cosine; of a whole multiple of an angle by way of the multiple below."""
+        number, rest = self.factor(angle)
+        times = round(number) if abs(number) <= MULTIPLES else 0
+        if times < 2 or abs(number / times - 1.0) >= ONE:
+            return self.value((name, angle, -1))
+        below = self.product(self.constant(times - 1.0), rest)
+        (s1, c1), (s, c) = ((self.turn("sin", v), self.turn("cos", v)) for v in (rest, below))
+        if name == "sin":
+            return self.operation("add", self.operation("mul", s1, c), self.operation("mul", c1, s))
+        return self.operation("sub", self.operation("mul", c1, c), self.operation("mul", s1, s))
+
+    def power(self, base: int, exponent: float | None) -> int:
+        if exponent is None or exponent != int(exponent) or not 1 <= exponent <= 16:
+            raise UnknownOperationError("a power that is no small whole number")
+        found = base
+        for _ in range(int(exponent) - 1):
+            found = self.operation("mul", found, base)
+        return found
+
+    def read(self, function: ca.Function) -> list[int]:
+        starts_in = np.cumsum([0] + [function.numel_in(i) for i in range(function.n_in())])
+        starts_out = np.cumsum([0] + [function.numel_out(i) for i in range(function.n_out())])
+        results = [self.constant(0.0)] * int(starts_out[-1])
+        work: dict[int, int] = {}
+        for k in range(function.n_instructions()):
+            code, given, made = (
+                function.instruction_id(k),
+                function.instruction_input(k),
+                function.instruction_output(k),
+            )
+            if code == ca.OP_CONST:
+                work[made[0]] = self.constant(function.instruction_constant(k))
+            elif code == ca.OP_INPUT:
+                work[made[0]] = int(starts_in[given[0]]) + given[1]
+            elif code == ca.OP_OUTPUT:
+                rows = function.sparsity_out(made[0]).find()
+                results[int(starts_out[made[0]]) + rows[made[1]]] = work[given[0]]
+            else:
+                work[made[0]] = self._made(code, [work[i] for i in given])
+        return results
+
+    def _made(self, code: int, given: list[int]) -> int:
+        match code:
+            case ca.OP_ASSIGN:
+                return given[0]
+            case ca.OP_SQ:
+                return self.operation("mul", given[0], given[0])
+            case ca.OP_TWICE:
+                return self.operation("add", given[0], given[0])
+            case ca.OP_INV:
+                return self.operation("div", self.constant(1.0), given[0])
+            case ca.OP_POW | ca.OP_CONSTPOW:
+                return self.power(given[0], self.given(given[1]))
+        if code not in OPERATIONS:
+            raise UnknownOperationError(f"operation {code}")
+        return self.operation(OPERATIONS[code], *given)
+
+    def finished(self, results: list[int]) -> tuple[tuple[float, ...], tuple[Node, ...], tuple[int, ...]]:
+        """Constants, nodes and results without what nobody uses, renumbered."""
+        used: set[int] = set()
+        stack = list(results)
+        while stack:
+            value = stack.pop()
+            if value < 0 or value in used:
+                continue
+            used.add(value)
+            key = self.known[value]
+            if isinstance(key, tuple) and key[0] != "const":
+                stack += [key[1], key[2]]
+        constants = [v for v in sorted(used) if self.given(v) is not None]
+        nodes = [v for v in sorted(used) if isinstance(self.known[v], tuple) and self.given(v) is None]
+        new = {v: v for v in range(self.inputs)} | {-1: -1}
+        new |= {v: self.inputs + i for i, v in enumerate([*constants, *nodes])}
+        code = tuple((self.known[v][0], new[self.known[v][1]], new[self.known[v][2]]) for v in nodes)
+        return tuple(self.known[v][1] for v in constants), code, tuple(new[v] for v in results)
