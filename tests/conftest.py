@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -7,12 +8,18 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  # its own library, to be limited with NumPy's
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 
 from twin.calibration import Calibration
 from twin.machine import Machine
 from twin.planning import Kit, Plan, duration, plan
 from twin.samples import thesis_plan
+
+# Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpool_limits(limits=1, user_api="blas")
 
 # Seeded and without a deadline: two shared cores make time no measure of right or wrong.
 settings.register_profile("twin", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
