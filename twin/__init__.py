@@ -5,7 +5,7 @@ The names a script needs; everything else lives in the room its name says.
 
 from twin.calibration import Calibration, Curve
 from twin.channels import Conditions
-from twin.compensation import Compensation, Compensator, Options, compensate
+from twin.compensation import Compensation, Compensator, Options, compensate, compensate_file
 from twin.diagnosis import Diagnosis, diagnose
 from twin.errors import InputError
 from twin.identification import Identification, identify
@@ -42,6 +42,7 @@ __all__ = [
     "Status",
     "ToolUncertainty",
     "compensate",
+    "compensate_file",
     "diagnose",
     "identify",
     "read_program",

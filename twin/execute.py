@@ -72,7 +72,7 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
         ends += [False] * (len(fractions) - 1) + [True]
         lines += [program.lines[motion.move.line].number] * len(fractions)
     positions = space.commands(np.concatenate(words), np.array(tcp))
-    check_domains(real, program, np.array(lines)[ends], positions[ends])
+    check_domains(real, program.source, np.array(lines)[ends], positions[ends])
     sides = LostMotion(real.calibration).sides(path, np.array(of), positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]

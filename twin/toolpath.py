@@ -7,21 +7,23 @@ tip in the work frame and the control finds the commands by the nominal inverse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import final
+from typing import final, overload
 
 import numpy as np
 import pinocchio as pin
 
+from twin.arrays import every
 from twin.branches import Branches
 from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.inverse import Inverse
 from twin.kinematics import Kinematics, Poses
 from twin.machine import Machine
-from twin.nc.blocks import AxisWords, Kind, Move, Notice, Program, Reading
+from twin.nc.blocks import AxisWords, Kind, Left, Move, Notice, Program, Reading
+from twin.nc.columns import MoveColumns
 
 
 @final
@@ -118,6 +120,8 @@ class WordSpace:
             reached = self.nominal.forward(start)
             target = Poses(words[rows, :3] + self.origin, reached.rotation)
             shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
+        if np.all(self.order == np.arange(len(self.order))):
+            return np.asarray(shifted)
         commands = np.empty_like(shifted)
         commands[:, self.order] = shifted
         return commands
@@ -154,6 +158,94 @@ class Motion:
 
 @final
 @dataclass(frozen=True)
+class MotionColumns(Sequence[Motion]):
+    """Motions in columns; a motion is made where somebody asks for it.
+
+    Attributes:
+        move: (n,) index of each one's move among those it was followed with.
+        line: (n,) index of its line.
+        rapid: (n,) whether it is a rapid.
+        tcp: (n,) whether its words are tool-tip coordinates.
+        start, end: (n, axes) as of `Motion`.
+        special: by index, the moves with more to them: arcs and tool vectors.
+    """
+
+    move: np.ndarray
+    line: np.ndarray
+    rapid: np.ndarray
+    tcp: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    special: Mapping[int, Move]
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion], move: Sequence[int] | None = None) -> MotionColumns:
+        """Of motions; ``move``: of which moves, 0, 1, 2 … if None."""
+        moves = [motion.move for motion in motions]
+        return cls(
+            np.arange(len(moves)) if move is None else np.array(move, dtype=int),
+            np.array([one.line for one in moves], dtype=int),
+            np.array([one.kind is Kind.RAPID for one in moves], dtype=bool),
+            np.array([one.tcp for one in moves], dtype=bool),
+            np.array([motion.start for motion in motions]),
+            np.array([motion.end for motion in motions]),
+            {i: one for i, one in enumerate(moves) if one.arc is not None or one.vector is not None},
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[MotionColumns], width: int) -> MotionColumns:
+        """One behind the other; ``width``: how many axes."""
+        if not parts:
+            none, nowhere = np.zeros(0, dtype=int), np.zeros((0, width))
+            return cls(none, none, none > 0, none > 0, nowhere, nowhere, {})
+        special: dict[int, Move] = {}
+        count = 0
+        for part in parts:
+            special |= {count + i: move for i, move in part.special.items()}
+            count += len(part)
+        return cls(
+            move=np.concatenate([part.move for part in parts]),
+            line=np.concatenate([part.line for part in parts]),
+            rapid=np.concatenate([part.rapid for part in parts]),
+            tcp=np.concatenate([part.tcp for part in parts]),
+            start=np.concatenate([part.start for part in parts]),
+            end=np.concatenate([part.end for part in parts]),
+            special=special,
+        )
+
+    def part(self, begin: int, end: int) -> MotionColumns:
+        """Some of them, one behind the other."""
+        which = slice(begin, end)
+        return MotionColumns(
+            move=self.move[which],
+            line=self.line[which],
+            rapid=self.rapid[which],
+            tcp=self.tcp[which],
+            start=self.start[which],
+            end=self.end[which],
+            special={i - begin: move for i, move in self.special.items() if begin <= i < end},
+        )
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @overload
+    def __getitem__(self, index: int) -> Motion: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Motion]: ...
+    def __getitem__(self, index: int | slice) -> Motion | list[Motion]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        move = self.special.get(index)
+        if move is None:
+            kind = Kind.RAPID if self.rapid[index] else Kind.LINEAR
+            end = tuple(self.end[index].tolist())
+            move = Move(int(self.line[index]), kind, bool(self.tcp[index]), end, frozenset())
+        return Motion(move, self.start[index], self.end[index])
+
+
+@final
+@dataclass(frozen=True)
 class Passage:
     """Axes moved between two motions by a line that is left as written.
 
@@ -179,9 +271,14 @@ class Path:
         passages: what those lines, and lines that leave an axis in a place unknown, do to the axes.
     """
 
-    motions: tuple[Motion, ...]
+    motions: Sequence[Motion]
     passed: tuple[Notice, ...]
     passages: tuple[Passage, ...] = ()
+
+    @cached_property
+    def columns(self) -> MotionColumns:
+        """The motions in columns."""
+        return self.motions if isinstance(self.motions, MotionColumns) else MotionColumns.of(self.motions)
 
 
 def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
@@ -190,87 +287,197 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
     Raises:
         InputError: a feed move from or to a place the program has not said, or a tool vector the machine cannot reach.
     """
-    vectors = [i for i, move in enumerate(reading.moves) if move.vector is not None]
-    solutions = {}
-    if vectors:
-        candidates = space.branches.all(np.array([reading.moves[i].vector for i in vectors]))
-        solutions = dict(zip(vectors, candidates, strict=True))
-    motions: list[Motion] = []
-    passed: list[Notice] = []
-    passages: list[Passage] = []
-    words = np.full(len(space.axes.names), np.nan)
-    tcp = reading.moves[0].tcp if reading.moves else False
-    assumed = False
-    left = 0
-    for i, move in enumerate(reading.moves):
-        while left < len(reading.left) and reading.left[left].line < move.line:
-            forgotten = np.isin(np.arange(len(words)), reading.left[left].axes)
-            passages.append(_passage(len(motions), np.full(len(words), np.nan), forgotten, space))
-            if reading.left[left].moved:
-                words, assumed = np.where(forgotten, np.nan, words), assumed and not forgotten[3:].any()
-            left += 1
-        if move.tcp != tcp:
-            words, tcp = _switched(words, move.tcp, space), move.tcp
+    follower = Follower(program.source, space)
+    motions = follower.follow(reading.moves, reading.left, lambda line: program.texts[line])
+    return Path(tuple(motions), tuple(follower.passed), tuple(follower.passages))
+
+
+@final
+class Follower:
+    """Goes through a program, in one stretch or several, keeping track of where every axis stands.
+
+    Args:
+        source: the program's name.
+        space: words to commands.
+
+    Attributes:
+        passed: notices so far on lines that move but are left as written, and on what was assumed.
+        passages: what lines between motions did to the axes so far.
+        count: motions so far.
+    """
+
+    def __init__(self, source: str, space: WordSpace) -> None:
+        self.passed: list[Notice] = []
+        self.passages: list[Passage] = []
+        self.count = 0
+        self._source = source
+        self._space = space
+        self._words = np.full(len(space.axes.names), np.nan)
+        self._tcp: bool | None = None
+        self._assumed = False
+        self._left: list[Left] = []
+
+    def follow(self, moves: Sequence[Move], left: Sequence[Left], text_of: Callable[[int], str]) -> list[Motion]:
+        """The motions of the next moves, one by one.
+
+        Args:
+            moves: the moves.
+            left: what lines among them leave in places unknown.
+            text_of: the text of a line, by its index in the program.
+
+        Raises:
+            InputError: as `follow`.
+        """
+        vectors = self._vectors({i: move for i, move in enumerate(moves) if move.vector is not None})
+        self._left = [*left[::-1], *self._left]
+        steps = (self._step(move, vectors.get(i), text_of) for i, move in enumerate(moves))
+        return [motion for motion in steps if motion is not None]
+
+    def columns(self, moves: MoveColumns, left: Sequence[Left], text_of: Callable[[int], str]) -> MotionColumns:
+        """As `follow`, those that are plain all at once."""
+        vectors = self._vectors({i: move for i, move in moves.special.items() if move.vector is not None})
+        self._left = [*left[::-1], *self._left]
+        stops = np.unique(
+            np.concatenate(
+                [
+                    np.array([*moves.special, len(moves)], dtype=int),
+                    np.flatnonzero(np.diff(moves.tcp)) + 1,
+                    np.searchsorted(moves.line, np.array([one.line for one in left], dtype=int), side="right"),
+                ]
+            )
+        )
+        parts: list[MotionColumns] = []
+        loose: dict[int, Motion] = {}
+        at = 0
+        while at < len(moves):
+            self._forget_before(int(moves.line[at]))
+            end = int(stops[np.searchsorted(stops, at, side="right")])
+            plain = end > at + 1 and at not in moves.special and self._tcp == bool(moves.tcp[at])
+            if plain and np.isfinite(self._words).all():
+                if loose:
+                    parts.append(MotionColumns.of([*loose.values()], [*loose]))
+                    loose = {}
+                parts.append(self._plain(moves, at, end))
+                at = end
+                continue
+            motion = self._step(moves[at], vectors.get(at), text_of)
+            if motion is not None:
+                loose[at] = motion
+            at += 1
+        if loose:
+            parts.append(MotionColumns.of([*loose.values()], [*loose]))
+        return MotionColumns.joined(parts, len(self._words))
+
+    def _plain(self, moves: MoveColumns, begin: int, end: int) -> MotionColumns:
+        """Moves that only name positions, from where every axis is known."""
+        said = moves.position[begin:end]
+        ends = np.where(np.isnan(said), self._words, said)
+        starts = np.concatenate([self._words[None, :], ends[:-1]])
+        self._words = ends[-1].copy()
+        self.count += end - begin
+        part = slice(begin, end)
+        return MotionColumns(
+            np.arange(begin, end), moves.line[part], moves.rapid[part], moves.tcp[part], starts, ends, {}
+        )
+
+    def _vectors(self, moves: Mapping[int, Move]) -> dict[int, np.ndarray]:
+        """Rotary positions for the tool vectors there are."""
+        if not moves:
+            return {}
+        solutions = self._space.branches.all(np.array([move.vector for move in moves.values()]))
+        return dict(zip(moves, solutions, strict=True))
+
+    def _forget_before(self, line: int) -> None:
+        """What the lines before one left in places unknown."""
+        while self._left and self._left[-1].line < line:
+            left, words = self._left.pop(), self._words
+            forgotten = np.isin(np.arange(len(words)), left.axes)
+            self.passages.append(_passage(self.count, np.full(len(words), np.nan), forgotten, self._space))
+            if left.moved:
+                self._words = np.where(forgotten, np.nan, words)
+                self._assumed = self._assumed and not forgotten[3:].any()
+
+    def _step(self, move: Move, solutions: np.ndarray | None, text_of: Callable[[int], str]) -> Motion | None:
+        """One move; None if it is no motion from and to places that are known."""
+        self._forget_before(move.line)
+        space, words = self._space, self._words
+        if move.tcp != self._tcp:
+            words = words if self._tcp is None else _switched(words, move.tcp, space)
+            self._words, self._tcp = words, move.tcp
         end = np.array(move.position)
         if move.machine:
-            passages.append(_passage(len(motions), end, np.isfinite(end), space))
-            words = _after_machine_move(words, end, move, space)
-            passed.append(Notice(move.line, "machine coordinates: passed through as written"))
-            continue
+            self.passages.append(_passage(self.count, end, np.isfinite(end), space))
+            self._words = _after_machine_move(words, end, move, space)
+            self.passed.append(Notice(move.line, "machine coordinates: passed through as written"))
+            return None
         end = np.where(np.isnan(end), words, end)
-        if i in solutions:
-            end[3:] = _along_vector(program, move, solutions[i], words[3:], space)
+        if solutions is not None:
+            end[3:] = self._along_vector(move, solutions, words[3:])
         unsaid = np.isnan(end[3:])
         if np.any(unsaid):
             end[3:] = np.where(unsaid, space.start, end[3:])
-            if not assumed:
+            if not self._assumed:
                 names = [name for name, missing in zip(space.axes.rotary, unsaid, strict=True) if missing]
                 at = ", ".join(
                     f"{name} = {value:g}°"
                     for name, value in zip(space.axes.rotary, space.start, strict=True)
                     if name in names
                 )
-                passed.append(
+                self.passed.append(
                     Notice(move.line, f"the program has not said where {' and '.join(names)} stand: taken as {at}")
                 )
-                assumed = True
+                self._assumed = True
         start = words.copy()
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
-        words = end
+        self._words = end
         if np.isnan(end[:3]).any():
             names = [name for name, value in zip(space.axes.linear, end, strict=False) if np.isnan(value)]
             if move.kind is not Kind.RAPID:
                 raise InputError(
                     f"a feed move before the program said where {', '.join(names)} stand",
                     expected="a position for every linear axis first",
-                    file=program.source,
-                    line=program.lines[move.line].number,
-                    value=program.lines[move.line].text.strip(),
+                    file=self._source,
+                    line=move.line + 1,
+                    value=text_of(move.line).strip(),
                 )
-            passed.append(Notice(move.line, f"{', '.join(names)} not said yet: rapid passed through as written"))
+            self.passed.append(Notice(move.line, f"{', '.join(names)} not said yet: rapid passed through as written"))
             commands = end + space.offset
             if move.tcp:
                 commands[:3] = np.nan
             moved = np.array([name in move.named for name in space.axes.names])
-            passages.append(_passage(len(motions), commands, moved, space))
-            continue
-        motions.append(Motion(move, start, end))
-    return Path(tuple(motions), tuple(passed), tuple(passages))
+            self.passages.append(_passage(self.count, commands, moved, space))
+            return None
+        self.count += 1
+        return Motion(move, start, end)
+
+    def _along_vector(self, move: Move, solutions: np.ndarray, before: np.ndarray) -> np.ndarray:
+        space = self._space
+        standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
+        found = space.branches.nearest(solutions, standing)
+        if found is None:
+            raise InputError(
+                f"{space.machine.name} cannot point its tool that way",
+                expected="a tool vector within the ranges of its rotary axes",
+                file=self._source,
+                line=move.line + 1,
+                value=move.vector,
+            )
+        return np.asarray(found - space.offset[3:])
 
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
     """(n,) whether commands (mm, degrees) leave an axis's range; NaN does."""
     limits = machine.limits / machine.scale[:, None]
     slack = 1e-9
-    return ~((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack)).all(axis=1)
+    return ~every((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
 
 
-def check_domains(real: Kinematics, program: Program, lines: np.ndarray, commands: np.ndarray) -> None:
+def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
     """A position the axis has and its curves do not know is an error, not an extrapolation.
 
     Args:
         real: the machine with its calibration.
-        program: for the message.
+        source: the program's name, for the message.
         lines: (n,) program line number of each command.
         commands: (n, axes) mm and degrees; those out of range are somebody else's to report.
 
@@ -285,7 +492,7 @@ def check_domains(real: Kinematics, program: Program, lines: np.ndarray, command
         raise InputError(
             f"{axis.name} outside the domain of its error motions in {real.calibration.path or 'the calibration'}",
             expected=f"{lo:g} to {hi:g} {axis.unit}",
-            file=program.source,
+            file=source,
             line=int(lines[row]),
             value=f"{axis.name} {commands[row, column]:.6g}",
         )
@@ -345,19 +552,3 @@ def _after_machine_move(words: np.ndarray, end: np.ndarray, move: Move, space: W
     if move.tcp:
         after[:3] = np.nan  # where the tip is then depends on the control
     return np.asarray(after)
-
-
-def _along_vector(
-    program: Program, move: Move, solutions: np.ndarray, before: np.ndarray, space: WordSpace
-) -> np.ndarray:
-    standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
-    found = space.branches.nearest(solutions, standing)
-    if found is None:
-        raise InputError(
-            f"{space.machine.name} cannot point its tool that way",
-            expected="a tool vector within the ranges of its rotary axes",
-            file=program.source,
-            line=program.lines[move.line].number,
-            value=move.vector,
-        )
-    return np.asarray(found - space.offset[3:])

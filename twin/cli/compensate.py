@@ -31,7 +31,7 @@ from twin.files import check_writable, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import NAMES, Scope
 from twin.machine import Machine
-from twin.nc import dialect_for, find_program, read_program
+from twin.nc import dialect_for, dialect_of, find_program
 from twin.options import conditions, positive, setup
 
 
@@ -82,7 +82,7 @@ def compensate(
     source = find_program(program)
     positive("--tolerance", tolerance)
     positive("--rotary-limit", rotary_limit)
-    read, dialect = read_program(source)
+    dialect = dialect_of(source)
     target = dialect_for(output)
     if target.name != dialect.name and dialect.name != "apt":
         raise InputError(
@@ -106,14 +106,13 @@ def compensate(
     )
     compensator = Compensator(loaded, calibration_of(calibration, loaded), options)
     with progress() as say:
-        result = compensator.compensate(read, dialect, say, into=target)
-    account = result.report.to_text()
-    write_whole(output, result.text.encode("latin-1"))
+        report = compensator.compensate_file(source, output, say, into=target)
+    account = report.to_text()
     if json_file is not None:
-        write_whole(json_file, json.dumps(result.report.to_dict(), indent=1) + "\n")
+        write_whole(json_file, json.dumps(report.to_dict(), indent=1) + "\n")
     if report_file is not None:
         write_whole(report_file, account)
     print(account, end="")
     print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
-    if not result.report.complete:
+    if not report.complete:
         raise typer.Exit(NOT_ALL_MET)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, final
@@ -13,11 +13,12 @@ from twin.approach import LostMotion
 from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.compensation.thesis import ThesisMethod
-from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.iso16907 import Scope, acts_as
+from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
+from twin.iso16907 import BASIC, Scope, acts_as, iso_class
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.toolpath import Setup, WordSpace, outside_range
+from twin.uncertainty import ToolUncertainty
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the fraction done."""
@@ -119,3 +120,77 @@ class Bench:
     def outside(self, commands: np.ndarray) -> np.ndarray:
         """(n,) whether commands (mm, degrees) leave an axis's range."""
         return outside_range(self.machine, commands)
+
+    def aim(self, *, turns: bool) -> Aim:
+        """What is corrected in a program that moves rotary axes, or in one that does not."""
+        return self._aims[turns]
+
+    @cached_property
+    def _aims(self) -> tuple[Aim, Aim]:
+        return Aim(self, False), Aim(self, True)
+
+
+@final
+class Aim:
+    """What is corrected in one program, and the machines with only that.
+
+    Args:
+        bench: machine, calibration, options.
+        turns: whether the program moves rotary axes.
+
+    Attributes:
+        turns: as given.
+        scope: what is corrected.
+        lost: the reversals of it.
+    """
+
+    def __init__(self, bench: Bench, turns: bool) -> None:
+        self._bench = bench
+        self.turns = turns
+        self.scope = bench.options.scope or Scope.everything(orientation=turns)
+        self.lost = LostMotion(bench.corrected(self.scope, orientation=turns) if bench.thesis is None else bench.none)
+
+    @cached_property
+    def point(self) -> Kinematics:
+        """The errors corrected at the functional point."""
+        return self._bench.limited(lambda name: self.scope.at_point(name, self._bench.machine))
+
+    @cached_property
+    def point_inverse(self) -> Inverse:
+        """Commands that reach a point with those."""
+        return Inverse(self.point)
+
+    @cached_property
+    def orientation(self) -> Kinematics | None:
+        """The errors corrected by the rotary axes; None where they do not move for it."""
+        limited = self._bench.limited(lambda name: self.scope.in_orientation(name, self._bench.machine))
+        return limited if self.turns and not limited.calibration.empty else None
+
+    @cached_property
+    def orientation_inverse(self) -> Inverse | None:
+        """Commands that reach a pose with those."""
+        if self.orientation is None:
+            return None
+        return Inverse(self.orientation, rotary_limit_deg=self._bench.options.rotary_limit_deg)
+
+    @cached_property
+    def at_point(self) -> ToolUncertainty:
+        """The uncertainty of what is corrected at the functional point."""
+        return ToolUncertainty(self.point)
+
+    @cached_property
+    def at_axis(self) -> ToolUncertainty | None:
+        """That of the orientation; None where it is not corrected, the same where what turns the tool is what moves it."""
+        if self.orientation is None:
+            return None
+        names = [{effect.name for effect in one.calibration.effects} for one in (self.orientation, self.point)]
+        return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation)
+
+    @cached_property
+    def by_class(self) -> Mapping[str, Kinematics]:
+        """The machine with the errors of one class alone, for those classes that it has errors of."""
+        found = {
+            name: self._bench.limited(lambda error, name=name: iso_class(error, self._bench.machine) == name)  # type: ignore[misc]
+            for name in BASIC
+        }
+        return {name: alone for name, alone in found.items() if not alone.calibration.empty}

@@ -19,16 +19,15 @@ from twin.compensation.account import Account
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.pieces import Pieces, Rows
 from twin.compensation.report import Report
+from twin.compensation.stream import PRINTED_MM, Streamed
 from twin.errors import InputError, OutputError
+from twin.files import whole_file
 from twin.machine import Machine
-from twin.nc import read_program
+from twin.nc import dialect_for, dialect_of, find_program, read_program
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
 from twin.nc.post import post
 from twin.toolpath import Path as ToolPath
 from twin.toolpath import check_domains, follow
-
-PRINTED_MM: float = 2e-4
-"""What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
 
 
 @final
@@ -104,9 +103,12 @@ class Compensator:
             )
         written = dialect if into is None else into
         posted = written.name != dialect.name
-        pieces = Pieces(self.bench, path, reading, dialect, posted=posted)
-        numbers = np.array([program.lines[motion.move.line].number for motion in path.motions])
-        check_domains(self.bench.full, program, numbers, self.bench.space.commands(pieces.end, pieces.tcp))
+        rotary = set(axes.rotary)
+        turns = any(move.vector is not None or move.named & rotary for move in reading.moves)
+        aim = self.bench.aim(turns=turns)
+        pieces = Pieces(self.bench, path, aim, dialect, posted=posted)
+        numbers = path.columns.line + 1
+        check_domains(self.bench.full, program.source, numbers, self.bench.space.commands(pieces.end, pieces.tcp))
         say("solving", 0.1)
         rows = pieces.solve(say)
         rewrites = [] if pieces.idle else _rewrites(pieces, rows)
@@ -119,7 +121,10 @@ class Compensator:
         again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         _verify(program, reading, rewrites, again)
         say("checking", 0.9)
-        report = Account(self.bench, pieces, rows, program, rewritten=len(rewrites)).report()
+        account = Account(self.bench, aim, program.source)
+        account.add(pieces, rows, rewritten=len(rewrites))
+        notices = [*reading.notices, *path.passed]
+        report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
         say("done", 1.0)
         return Compensation(
             text,
@@ -133,6 +138,38 @@ class Compensator:
             locked(numbers[rows.motion]),
             locked(rows.taken),
         )
+
+    def compensate_file(
+        self, program: Path, output: Path, progress: Progress | None = None, *, into: Dialect | None = None
+    ) -> Report:
+        """Compensate a program from file to file.
+
+        An ISO program on a machine without reversals is worked through in stretches, in memory that does not grow with its length; any
+        other one, and one with drilling cycles, is held in memory whole. The output appears whole or not at all.
+
+        Args:
+            program: its path.
+            output: where to write it.
+            progress: called with a stage and the fraction done.
+            into: as of `compensate`.
+
+        Raises:
+            InputError: as `compensate`; a file that cannot be read or written.
+            OutputError: as `compensate`.
+        """
+        say = progress or (lambda stage, fraction: None)
+        dialect = dialect_of(program)
+        target = dialect if into is None else into
+        streams = dialect.name == target.name == "iso" and program.is_file() and not self.bench.lost.axes
+        with whole_file(output) as out:
+            report = Streamed(self.bench, program, say).run(out) if streams else None
+            if report is None:
+                out.seek(0)
+                out.truncate()
+                result = self.compensate(*read_program(program), say, into=into)
+                out.write(result.text.encode("latin-1"))
+                report = result.report
+        return report
 
 
 def compensate(
@@ -166,6 +203,35 @@ def compensate(
     errors = Calibration.default(machine) if calibration is None else calibration
     read, dialect = read_program(program)
     return Compensator(machine, errors, replace(chosen, conditions=conditions)).compensate(read, dialect)
+
+
+def compensate_file(
+    program: str | Path,
+    output: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    options: Options | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Compensate the program of a file, or one that comes with twin, into another file: any length in bounded memory.
+
+    Args:
+        program: its path.
+        output: where to write it; it appears whole or not at all.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        options: what to do.
+        progress: called with a stage and the fraction done.
+
+    Raises:
+        InputError: as `Compensator.compensate_file`.
+        OutputError: as that.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    found, target = find_program(program), Path(output)
+    into = dialect_for(target) if dialect_of(found).name == "apt" else None
+    return Compensator(machine, errors, options).compensate_file(found, target, progress, into=into)
 
 
 def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:

@@ -7,14 +7,14 @@ probability Φ(U/2u): 84 % if what is uncertain lies along the correction, 92 % 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import floor, isfinite, log10
-from typing import Any, final
+from typing import Any, final, overload
 
 import numpy as np
 
-from twin.uncertainty import DEFINITION, PoseUncertainty
+from twin.uncertainty import DEFINITION, ToolUncertainty
 
 NAMED = 8
 """Names without uncertainty that the text shows before it counts the rest; JSON has them all."""
@@ -28,6 +28,39 @@ class Below:
     line: int
     correction: float
     expanded: float
+
+
+@final
+class Belows(Sequence[Below]):
+    """Blocks whose correction is no larger than its uncertainty, in columns: they may be all of a long program.
+
+    Args:
+        line: (n,) program lines.
+        correction: (n,) of each.
+        expanded: (n,) U of each.
+    """
+
+    def __init__(self, line: np.ndarray, correction: np.ndarray, expanded: np.ndarray) -> None:
+        self._columns = (line, correction, expanded)
+
+    def __len__(self) -> int:
+        return len(self._columns[0])
+
+    @overload
+    def __getitem__(self, index: int) -> Below: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Below]: ...
+    def __getitem__(self, index: int | slice) -> Below | list[Below]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        line, correction, expanded = (column[index] for column in self._columns)
+        return Below(int(line), float(correction), float(expanded))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and list(self) == list(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
 
 
 @final
@@ -60,64 +93,9 @@ class Correction:
     expanded_max: float
     expanded_max_line: int
     standard_rms: tuple[float, float, float]
-    below: tuple[Below, ...]
+    below: Sequence[Below]
     known: bool
     without_uncertainty: tuple[str, ...]
-
-    @classmethod
-    def of_point(cls, lines: np.ndarray, blocks: np.ndarray, size_um: np.ndarray, at: PoseUncertainty) -> Correction:
-        """Of the tool point.
-
-        Args:
-            lines: (n,) program lines.
-            blocks: (n,) which block each end belongs to.
-            size_um: (n,) length of the correction, n > 0.
-            at: uncertainty of the n poses.
-        """
-        return cls._of("tool point", "um", lines, blocks, size_um, at.expanded_um, at.standard_um, at)
-
-    @classmethod
-    def of_axis(cls, lines: np.ndarray, blocks: np.ndarray, size_urad: np.ndarray, at: PoseUncertainty) -> Correction:
-        """Of the tool axis, as `of_point`."""
-        return cls._of("tool axis", "urad", lines, blocks, size_urad, at.axis_expanded_urad, at.standard_urad, at)
-
-    @classmethod
-    def _of(
-        cls,
-        of: str,
-        unit: str,
-        lines: np.ndarray,
-        blocks: np.ndarray,
-        size: np.ndarray,
-        expanded: np.ndarray,
-        standard: np.ndarray,
-        at: PoseUncertainty,
-    ) -> Correction:
-        _, first, index, count = np.unique(blocks, return_index=True, return_inverse=True, return_counts=True)
-        of_block = np.sqrt(np.bincount(index, size**2) / count)
-        u_of_block = np.sqrt(np.bincount(index, expanded**2) / count)
-        largest = int(np.argmax(size))
-        widest = int(np.argmax(expanded))
-        x, y, z = np.sqrt(np.mean(standard**2, axis=0))
-        return cls(
-            of=of,
-            unit=unit,
-            blocks=len(first),
-            rms=_rms(size),
-            max=float(size[largest]),
-            max_expanded=float(expanded[largest]),
-            max_line=int(lines[largest]),
-            expanded_rms=_rms(expanded),
-            expanded_max=float(expanded[widest]),
-            expanded_max_line=int(lines[widest]),
-            standard_rms=(float(x), float(y), float(z)),
-            below=tuple(
-                Below(int(lines[first[i]]), float(of_block[i]), float(u_of_block[i]))
-                for i in np.flatnonzero(of_block <= u_of_block)
-            ),
-            known=at.known,
-            without_uncertainty=at.without_uncertainty,
-        )
 
     @property
     def label(self) -> str:
@@ -204,6 +182,85 @@ class Correction:
 
 
 @final
+class CorrectionTally:
+    """A `Correction` in the making: block ends come a stretch of program at a time, those of one block together.
+
+    Args:
+        of: ``tool point`` or ``tool axis``.
+        unit: ``um`` or ``urad``.
+    """
+
+    def __init__(self, of: str, unit: str) -> None:
+        self._of, self._unit = of, unit
+        self._ends = self._blocks = 0
+        self._squares, self._standard = np.zeros(2), np.zeros(3)
+        self._largest = (-1.0, 0.0, 0)
+        self._widest = (-np.inf, 0)
+        self._below: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._known = False
+        self._without: tuple[str, ...] = ()
+
+    def add(
+        self,
+        lines: np.ndarray,
+        blocks: np.ndarray,
+        size: np.ndarray,
+        expanded: np.ndarray,
+        standard: np.ndarray,
+        tool: ToolUncertainty,
+    ) -> None:
+        """Take some ends.
+
+        Args:
+            lines: (n,) program lines.
+            blocks: (n,) which block each end belongs to, ascending.
+            size: (n,) length of the correction, n > 0.
+            expanded: (n,) its U.
+            standard: (n, 3) standard uncertainties.
+            tool: where these come from; NaN where it knows nothing.
+        """
+        first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
+        count = np.diff(np.append(first, len(blocks)))
+        of_block = np.sqrt(np.add.reduceat(size**2, first) / count)
+        u_of_block = np.sqrt(np.add.reduceat(expanded**2, first) / count)
+        below = of_block <= u_of_block
+        self._below.append((lines[first[below]], of_block[below], u_of_block[below]))
+        largest, widest = int(np.argmax(size)), int(np.argmax(expanded))
+        if size[largest] > self._largest[0]:
+            self._largest = float(size[largest]), float(expanded[largest]), int(lines[largest])
+        if not self._ends or expanded[widest] > self._widest[0]:
+            self._widest = float(expanded[widest]), int(lines[widest])
+        self._ends += len(size)
+        self._blocks += len(first)
+        self._squares += [np.sum(size**2), np.sum(expanded**2)]
+        self._standard += np.sum(standard**2, axis=0)
+        self._known, self._without = bool(tool.parameters), tool.without_uncertainty
+
+    def correction(self) -> Correction | None:
+        """Of all that was added; None of nothing."""
+        if not self._ends:
+            return None
+        rms, expanded_rms = np.sqrt(self._squares / self._ends).tolist()
+        x, y, z = np.sqrt(self._standard / self._ends).tolist()
+        return Correction(
+            of=self._of,
+            unit=self._unit,
+            blocks=self._blocks,
+            rms=rms,
+            max=self._largest[0],
+            max_expanded=self._largest[1],
+            max_line=self._largest[2],
+            expanded_rms=expanded_rms,
+            expanded_max=self._widest[0],
+            expanded_max_line=self._widest[1],
+            standard_rms=(x, y, z),
+            below=Belows(*(np.concatenate(columns) for columns in zip(*self._below, strict=True))),
+            known=self._known,
+            without_uncertainty=self._without,
+        )
+
+
+@final
 @dataclass(frozen=True)
 class Corrections:
     """Of point and axis; None where the scope does not correct it."""
@@ -240,7 +297,3 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
     decimals = 1 - floor(log10(expanded)) if expanded > 0.0 else 3
     decimals = min(max(decimals, 0), 3)
     return f"{value:.{decimals}f}", f"{expanded:.{decimals}f}"
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -87,8 +87,8 @@ def turning_points(
         (k,) motion and (k,) fraction, in order; none nearer to another or to an end of its motion than two least increments of every
         word, which is nearer than words can say.
     """
-    curved = np.array([i for i in which if _can_turn(motions[i])], dtype=int)
-    if not curved.size or not axes:
+    curved = np.array([i for i in which if _can_turn(motions[i])] if axes else [], dtype=int)
+    if not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
     of = np.repeat(curved, counts + 1)

@@ -13,23 +13,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.approach import LostMotion
-from twin.compensation.bench import Bench, Progress
+from twin.arrays import every, lengths
+from twin.compensation.bench import Aim, Bench, Progress
 from twin.compensation.legs import Legs, turning_points
-from twin.inverse import Inverse, Status
-from twin.iso16907 import Scope
-from twin.kinematics import Kinematics, Poses
-from twin.nc.blocks import Dialect, Reading
+from twin.inverse import Status
+from twin.kinematics import Poses
+from twin.nc.blocks import Dialect
 from twin.toolpath import Path, along, chords
 
 SAMPLES_A_PIECE: Final = 5
 """Interior points at which every piece is re-simulated; more where it is long."""
 SAMPLE_SPACING: Final = (10.0, 3.0)
 """No two samples further apart than this: mm of linear and degrees of rotary motion."""
+POSES: Final = 100_000
+"""Points checked at once, which bounds the memory it takes."""
 LARGEST_SPLIT: Final = 4096
 """Pieces a block may be split into; an error that needs more is not one that splitting cures."""
 VECTOR_DECIMALS: Final = {"apt": 9}
@@ -70,20 +71,36 @@ class Rows:
     clamped: np.ndarray
     untouched: np.ndarray
 
-    def where(self, keep: np.ndarray) -> Rows:
-        """Some of the rows, (n,) booleans."""
+    def where(self, keep: np.ndarray | slice) -> Rows:
+        """Some of the rows, (n,) booleans or a stretch of them."""
         fields = {name: getattr(self, name)[keep] for name in Rows.__dataclass_fields__ if name != "target"}
         return Rows(target=Poses(self.target.point_mm[keep], self.target.rotation[keep]), **fields)
 
 
+class Ways(NamedTuple):
+    """Where pieces go.
+
+    Attributes:
+        begin: (rows, axes) words that each piece starts from.
+        way: (rows, axes) how far it goes.
+        rows: (pieces,) the rows that are ends of pieces.
+        first: (legs,) which of these each leg begins with.
+    """
+
+    begin: np.ndarray
+    way: np.ndarray
+    rows: np.ndarray
+    first: np.ndarray
+
+
 @final
 class Pieces:
-    """One program cut into pieces, and the commands for their ends.
+    """One program, or a stretch of it, cut into pieces, and the commands for their ends.
 
     Args:
         bench: machine, calibration, options.
         path: the program as motions.
-        reading: the program as read.
+        aim: what is corrected.
         dialect: its language.
         posted: whether axis words come out whatever went in (cutter locations written for a control).
 
@@ -99,63 +116,41 @@ class Pieces:
         tcp_out: (motions,) whether those that come out are.
     """
 
-    def __init__(self, bench: Bench, path: Path, reading: Reading, dialect: Dialect, *, posted: bool) -> None:
+    def __init__(self, bench: Bench, path: Path, aim: Aim, dialect: Dialect, *, posted: bool) -> None:
         self.bench = bench
         self.space = bench.space
         self.path = path
-        self.reading = reading
+        self.aim = aim
         self.dialect = dialect
-        self.turns = any(move.vector is not None or move.named & set(self.space.axes.rotary) for move in reading.moves)
-        self.scope = bench.options.scope or Scope.everything(orientation=self.turns)
-        self.tcp = np.array([motion.move.tcp for motion in path.motions])
-        self.start = np.array([motion.start for motion in path.motions])
-        self.end = np.array([motion.end for motion in path.motions])
-        self.straight = np.array([motion.move.arc is None for motion in path.motions])
-        self.by_vector = np.array([motion.move.vector is not None and not posted for motion in path.motions])
+        self.turns, self.scope, self.lost = aim.turns, aim.scope, aim.lost
+        self.point, self.orientation = aim.point, aim.orientation
+        columns = path.columns
+        self.tcp, self.start, self.end = columns.tcp, columns.start, columns.end
+        self.straight = np.ones(len(columns), dtype=bool)
+        self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
+        self.by_vector = np.zeros(len(columns), dtype=bool)
+        self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
         self.posted = posted
         self.increment = bench.increment.copy()
         if dialect.name == "apt" and not posted:
             self.increment[:3] = CUTTER_LOCATION_INCREMENT
         self.tcp_out = self.tcp & (not posted)
-        self.interpolated = np.array([motion.interpolated for motion in path.motions])
+        self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
         self.interpolated &= ~self.bench.outside(self.space.commands(self.start, self.tcp))
         # Nothing to correct: arcs stay arcs, and the program is written as it came.
-        nothing = self.point.calibration.empty and self._orientation_inverse is None
+        nothing = self.point.calibration.empty and self.orientation is None
         self.idle = nothing and not posted and bench.thesis is None
-        self.lost = LostMotion(
-            bench.corrected(self.scope, orientation=self.turns) if bench.thesis is None else bench.none
-        )
         motions = path.motions
         turning = turning_points(bench, motions, np.flatnonzero(self.interpolated), self.lost.axes)
         self.legs = Legs.of(len(motions), turning)
+        self._known_mm = np.full(len(self.legs.motion), np.nan)  # what `between` found, as long as it holds
         if not self.idle:
-            whole = np.array([chords(motion, bench.options.tolerance_mm) for motion in motions])
+            whole = np.ones(len(motions), dtype=int)
+            for i in np.flatnonzero(~self.straight).tolist():
+                whole[i] = chords(motions[i], bench.options.tolerance_mm)
             share = self.legs.end - self.legs.begin
             self.legs.count = np.maximum(np.ceil(whole[self.legs.motion] * share), 1).astype(int)
-
-    @cached_property
-    def point(self) -> Kinematics:
-        """The errors corrected at the functional point."""
-        return self.bench.limited(lambda name: self.scope.at_point(name, self.bench.machine))
-
-    @cached_property
-    def _point_inverse(self) -> Inverse:
-        return Inverse(self.point)
-
-    @cached_property
-    def orientation(self) -> Kinematics | None:
-        """The errors corrected by the rotary axes; None where they do not move for it."""
-        limited = self.bench.limited(lambda name: self.scope.in_orientation(name, self.bench.machine))
-        return limited if self.turns and not limited.calibration.empty else None
-
-    @cached_property
-    def _orientation_inverse(self) -> Inverse | None:
-        return (
-            None
-            if self.orientation is None
-            else Inverse(self.orientation, rotary_limit_deg=self.bench.options.rotary_limit_deg)
-        )
 
     # --- pieces ------------------------------------------------------------------------------------------------------
 
@@ -172,6 +167,7 @@ class Pieces:
             step += 1
             say("splitting", min(0.7, 0.2 + 0.05 * step))
             worst = self.between(candidates, rows)
+            self._known_mm[candidates] = worst
             stuck = np.zeros(len(self.path.motions), dtype=bool)
             stuck[rows.motion[rows.clamped | rows.untouched]] = True
             failing = (worst > self.bench.options.tolerance_mm) & ~stuck[legs.motion[candidates]]
@@ -183,15 +179,30 @@ class Pieces:
             factor = np.sqrt(worst[failing] / self.bench.options.tolerance_mm)
             grown = np.ceil(legs.count[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
             legs.count[candidates] = np.minimum(grown, LARGEST_SPLIT)
+            self._known_mm[candidates] = np.nan
             rows = _replaced(rows, candidates, self._solve(*legs.ends(candidates)))
         kept = np.unique(rows.motion[rows.untouched])
         if np.any(self.count(rows)[kept] > 1):
             # A block that leaves the range on its way is left as written, whole.
             legs.whole(kept)
+            self._known_mm[np.isin(legs.motion, kept)] = np.nan
             again = np.flatnonzero(np.isin(legs.motion, kept))
             rows = _replaced(rows, again, self._solve(*legs.ends(again)))
             rows = replace(rows, untouched=rows.untouched | np.isin(rows.motion, kept))
-        return self._taken_up(rows) if self.lost.axes else rows
+        if not self.lost.axes:
+            return rows
+        self._known_mm[:] = np.nan
+        return self._taken_up(rows)
+
+    def left(self, rows: Rows) -> np.ndarray:
+        """(motions,) largest distance (mm) as of `between` that is left inside each motion, 0 where there is no path to keep to."""
+        legs = np.flatnonzero(self.interpolated[self.legs.motion])
+        unknown = legs[np.isnan(self._known_mm[legs])]
+        if unknown.size:
+            self._known_mm[unknown] = self.between(unknown, rows)
+        found = np.zeros(len(self.start))
+        np.maximum.at(found, self.legs.motion[legs], self._known_mm[legs])
+        return found
 
     def count(self, rows: Rows) -> np.ndarray:
         """(motions,) how many blocks each motion becomes."""
@@ -249,7 +260,7 @@ class Pieces:
         for axis in rotary:
             sides[there, axis] = real[there, axis]
             start[:, axis] = (rows.commands - rows.beyond)[:, axis]
-        exact = self._point_inverse.solve(rows.target, start, rotary=False, approach=sides).positions
+        exact = self.aim.point_inverse.solve(rows.target, start, rotary=False, approach=sides).positions
         return self._printed(replace(rows, exact=exact, approach=sides))
 
     def _ratcheted(self, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
@@ -277,19 +288,28 @@ class Pieces:
     def _wanted(self, rows: Rows) -> np.ndarray:
         """(rows, axes) where the axes are really to be: compensated for everything but reversals, and not rounded."""
         commands = np.clip(rows.nominal, *self.bench.limits.T)
-        if self._orientation_inverse is not None:
-            solution = self._orientation_inverse.solve(rows.target, commands)
+        if self.aim.orientation_inverse is not None:
+            solution = self.aim.orientation_inverse.solve(rows.target, commands)
             good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
             for axis in self.bench.machine.rotary:
                 commands[good, axis] = solution.positions[good, axis]
-        solved = self._point_inverse.solve(rows.target, commands, rotary=False).positions
+        solved = self.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
         return np.where(rows.untouched[:, None], rows.nominal, solved)
+
+    @cached_property
+    def _ways(self) -> tuple[np.ndarray, np.ndarray]:
+        """(motions, axes) words each motion starts from, its end where they are not known, and how far they go."""
+        begin = np.where(np.isfinite(self.start), self.start, self.end)
+        return begin, self.end - begin
 
     def words_at(self, of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """(n, axes) meant words at fractions of motions."""
-        start = np.where(np.isfinite(self.start[of]), self.start[of], self.end[of])
-        words = start + fraction[:, None] * (self.end[of] - start)
-        words[fraction == 1.0] = self.end[of[fraction == 1.0]]
+        begin, way = self._ways
+        words = begin.take(of, axis=0) + fraction[:, None] * way.take(of, axis=0)
+        whole = np.flatnonzero(fraction == 1.0)
+        words[whole] = self.end.take(of[whole], axis=0)
+        if self.straight.all():
+            return words
         for motion in np.unique(of[~self.straight[of]]):
             rows = of == motion
             words[rows] = along(self.path.motions[motion], fraction[rows])
@@ -313,14 +333,14 @@ class Pieces:
             commands = self.bench.thesis.commands(safe)
             exact = np.array(commands)
         else:
-            if self._orientation_inverse is not None:
-                solution = self._orientation_inverse.solve(target, safe, approach=sides)
+            if self.aim.orientation_inverse is not None:
+                solution = self.aim.orientation_inverse.solve(target, safe, approach=sides)
                 good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
                 commands[np.ix_(good, rotary)] = solution.positions[np.ix_(good, rotary)]
                 singular = solution.where(Status.SINGULAR)
                 orientation_left = np.where(singular, solution.orientation_residual_rad, 0.0)
             commands, vectors = self._rotary_as_printed(commands, of)
-            exact = self._point_inverse.solve(target, commands, rotary=False, approach=sides).positions
+            exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
         none = np.zeros(len(of), dtype=bool)
         nowhere = np.zeros(sides.shape)
         rows = Rows(
@@ -350,7 +370,7 @@ class Pieces:
         limits = self.bench.limits
         wanted = rows.exact + rows.beyond
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
-        clamped = (np.abs(clipped - wanted)[:, self.space.order] > 0.5 * self.bench.increment).any(axis=1)
+        clamped = ~every(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
         tcp_out = self.tcp_out[rows.motion]
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / self.increment) * self.increment
@@ -391,14 +411,9 @@ class Pieces:
         Returns:
             (n,) leg, (n,) fraction of the motion, and (n, 2) piece of the leg and fraction within the piece.
         """
-        motions = self.legs.motion[legs]
-        size = np.abs(self.end[motions] - self.start[motions])
-        linear, turned = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
-        spacing = np.maximum(linear / SAMPLE_SPACING[0], turned / SAMPLE_SPACING[1])
-        spacing *= self.legs.end[legs] - self.legs.begin[legs]
         pieces = self.legs.count[legs]
-        each = np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / np.maximum(pieces, 1))).astype(int)
-        count = pieces * each
+        count = self._samples(legs)
+        each = count // np.maximum(pieces, 1)
         of = np.repeat(legs, count)
         index = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
         within = (index % np.repeat(each, count) + 0.5) / np.repeat(each, count)
@@ -406,24 +421,38 @@ class Pieces:
         share = (piece + within) / np.repeat(pieces, count)
         return of, self.legs.at(of, share), np.stack([piece, within], axis=1)
 
-    def path_commands(
-        self, of: np.ndarray, local: np.ndarray, rows: Rows, given: np.ndarray, *, as_run: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Commands at (piece, fraction within it) of legs whose piece ends are ``given`` in words, row by row.
+    def _samples(self, legs: np.ndarray) -> np.ndarray:
+        """(legs,) how many dense points each has: as many in every piece."""
+        motions = self.legs.motion[legs]
+        size = np.abs(self.end[motions] - self.start[motions])
+        linear, turned = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
+        spacing = np.maximum(linear / SAMPLE_SPACING[0], turned / SAMPLE_SPACING[1])
+        spacing *= self.legs.end[legs] - self.legs.begin[legs]
+        pieces = self.legs.count[legs]
+        return np.asarray(pieces * np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / np.maximum(pieces, 1))).astype(int))
+
+    def ways(self, rows: Rows, given: np.ndarray, *, as_run: bool = False) -> Ways:
+        """The way of each piece, its end being ``given`` in words.
 
         A motion that starts from a place left as written really starts there (``as_run``); for splitting it is taken to
         start compensated, since no splitting cures its first end.
+        """
+        first = np.append(True, rows.motion[1:] != rows.motion[:-1])
+        begin = np.concatenate([given[:1], given[:-1]])
+        begin[first] = self._begin(rows, given, as_run=as_run)[rows.motion[first]]
+        ends = np.flatnonzero(~rows.taken)
+        first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self.legs.motion)))
+        return Ways(begin, given - begin, ends, first_of_leg)
+
+    def path_commands(self, of: np.ndarray, local: np.ndarray, ways: Ways) -> tuple[np.ndarray, np.ndarray]:
+        """Commands at (piece, fraction within it) of legs that go those ways.
 
         Returns:
             (n, axes) commands, and (n,) the row each piece ends in.
         """
-        ends = np.flatnonzero(~rows.taken)
-        row = ends[np.searchsorted(rows.leg[ends], of) + local[:, 0].astype(int)]
-        first = np.append(True, rows.motion[1:] != rows.motion[:-1])[row]
-        motion = self.legs.motion[of]
-        begin = np.where(first[:, None], self._begin(rows, given, as_run=as_run)[motion], given[np.maximum(row - 1, 0)])
-        words = begin + local[:, 1][:, None] * (given[row] - begin)
-        return self.space.commands(words, self.tcp_out[motion]), row
+        row = ways.rows[ways.first[of] + local[:, 0].astype(int)]
+        words = ways.begin.take(row, axis=0) + local[:, 1][:, None] * ways.way.take(row, axis=0)
+        return self.space.commands(words, self.tcp_out[self.legs.motion[of]]), row
 
     def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
         """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
@@ -431,8 +460,8 @@ class Pieces:
         begin = np.full_like(self.start, np.nan)
         begin[1:] = given[ends[:-1]]
         follows = np.zeros(len(begin), dtype=bool)
-        follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & (self.start[1:] == self.end[:-1]).all(axis=1)
-        apart = np.flatnonzero(~follows & np.isfinite(self.start).all(axis=1))
+        follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & every(self.start[1:] == self.end[:-1])
+        apart = np.flatnonzero(~follows & every(np.isfinite(self.start)))
         if apart.size:
             sides = rows.approach[np.searchsorted(rows.motion, apart)]
             rows = self._solve(np.searchsorted(self.legs.motion, apart), np.zeros(len(apart)), sides)
@@ -444,10 +473,18 @@ class Pieces:
 
         Linear words are taken before rounding, so that splitting is not asked to cure rounding.
         """
+        ways = self.ways(rows, self.space.words(rows.exact, self.tcp_out[rows.motion]))
+        parts = [self._between(part, rows, ways) for part in self.portions(legs)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def portions(self, legs: np.ndarray) -> list[np.ndarray]:
+        """Legs in portions of no more than some `POSES` samples, about as many in each."""
+        return np.split(legs, even_cuts(self._samples(legs), POSES)) if legs.size else []
+
+    def _between(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
         of, fraction, local = self.samples(legs)
         motion = self.legs.motion[of]
-        given = self.space.words(rows.exact, self.tcp_out[rows.motion])
-        commands, row = self.path_commands(of, local, rows, given)
+        commands, row = self.path_commands(of, local, ways)
         meant = self.space.nominal.reached(
             self.space.commands(self.words_at(motion, fraction), self.tcp[motion]) * self.bench.machine.scale
         )[1]
@@ -459,10 +496,17 @@ class Pieces:
             before = np.where(unseen, sides[:, axis], rows.approach[last, axis])
             sides[:, axis] = before + local[:, 1] * (sides[:, axis] - before)
         reached = self.point.reached(commands * self.bench.machine.scale, sides)[1]
-        distance = np.linalg.norm(reached - meant, axis=1) * 1e3
+        distance = lengths(reached - meant) * 1e3
         worst = np.zeros(len(self.legs.motion))
         np.maximum.at(worst, of, distance)
         return worst[legs]
+
+
+def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
+    """Where to cut things of (n,) sizes in as few portions as can be that make no more than about ``most`` each, and alike."""
+    total = np.cumsum(sizes)
+    count = int(np.ceil(total[-1] / most)) if len(total) else 0
+    return np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist() if count > 1 else []
 
 
 def _not_back(way: np.ndarray, most: float) -> np.ndarray:

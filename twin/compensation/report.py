@@ -8,9 +8,10 @@ from typing import Any, final
 
 import numpy as np
 
+from twin.arrays import lengths
 from twin.channels import TIME
 from twin.compensation.correction import Corrections
-from twin.kinematics import Poses, angle_between_rad, rms_and_max
+from twin.kinematics import Poses, angle_between_rad
 from twin.uncertainty import DEFINITION
 
 SCHEMA = "twin.compensation/1"
@@ -41,23 +42,43 @@ class Deviation:
     tilt_rms_urad: tuple[float, float] = (0.0, 0.0)
     tilt_max_urad: tuple[float, float] = (0.0, 0.0)
 
-    @classmethod
-    def of(cls, reached: Poses, meant: Poses, lines: np.ndarray) -> Deviation:
+
+@final
+class DeviationTally:
+    """A `Deviation` in the making: poses come a stretch of program at a time."""
+
+    def __init__(self) -> None:
+        self._points = self._worst_line = 0
+        self._squares = np.zeros(4)
+        self._largest = np.zeros(4)
+
+    def add(self, reached: Poses, meant: Poses, lines: np.ndarray) -> None:
         """Compare poses; ``lines`` (n,) says which program line each belongs to."""
-        distance = np.linalg.norm(reached.point_mm - meant.point_mm, axis=1) * 1e3
-        angle = angle_between_rad(reached.axis, meant.axis) * 1e6
+        distance = lengths(reached.point_mm - meant.point_mm) * 1e3
         if not distance.size:
-            return cls(0.0, 0.0, 0.0, 0.0, 0, 0)
-        tilt_rms, tilt_max = rms_and_max(reached.tilt_urad(meant))
-        return cls(
-            rms_um=float(np.sqrt(np.mean(distance**2))),
-            max_um=float(distance.max()),
-            rms_urad=float(np.sqrt(np.mean(angle**2))),
-            max_urad=float(angle.max()),
-            worst_line=int(lines[np.argmax(distance)]),
-            points=len(distance),
-            tilt_rms_urad=tilt_rms,
-            tilt_max_urad=tilt_max,
+            return
+        angle = angle_between_rad(reached.axis, meant.axis) * 1e6
+        size = np.stack([distance, angle, *np.abs(reached.tilt_urad(meant)).T])
+        largest = int(np.argmax(distance))
+        if not self._points or distance[largest] > self._largest[0]:
+            self._worst_line = int(lines[largest])
+        self._points += len(distance)
+        self._squares += np.sum(size**2, axis=1)
+        self._largest = np.maximum(self._largest, size.max(axis=1))
+
+    def deviation(self) -> Deviation:
+        """Of all that was added."""
+        rms = np.sqrt(self._squares / max(self._points, 1)).tolist()
+        largest = self._largest.tolist()
+        return Deviation(
+            rms_um=rms[0],
+            max_um=largest[0],
+            rms_urad=rms[1],
+            max_urad=largest[1],
+            worst_line=self._worst_line,
+            points=self._points,
+            tilt_rms_urad=(rms[2], rms[3]),
+            tilt_max_urad=(largest[2], largest[3]),
         )
 
 

@@ -52,6 +52,19 @@ def find_program(path: str | Path) -> Path:
     raise InputError("no such program", expected=f"a file, or one that comes with twin: {' '.join(names)}", file=path)
 
 
+def dialect_of(path: Path) -> Dialect:
+    """The dialect of a program that is there, by its name and how it begins.
+
+    Raises:
+        InputError: it cannot be read, or an unknown suffix.
+    """
+    try:
+        with path.open("rb") as stream:
+            return dialect_for(path, stream.read(200))
+    except OSError as error:
+        raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
+
+
 def read_program(path: str | Path) -> tuple[Program, Dialect]:
     """A program from a file (or one that comes with twin), and its dialect.
 

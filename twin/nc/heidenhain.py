@@ -57,7 +57,7 @@ class Heidenhain(TextDialect):
         if not by_line:
             return program.text
         interpreter = Interpreter(program.source, axes, tcp=reading.moves[0].tcp)
-        writer = _Writer(axes, newline_of(program), style_in(program, Style(plus=True)))
+        writer = _Writer(axes, newline_of(program), style_in(program.texts, Style(plus=True)))
         match = (plain_language(axes.names).pattern if short_way else NOTHING).fullmatch
         for index, text in enumerate(program.texts):
             pieces = by_line.get(index)

@@ -60,7 +60,7 @@ class Iso(TextDialect):
         cycles = {move.line for move in reading.moves}
         drilled = len(cycles) != len(reading.moves) and (strokes or _touches_cycle(reading, by_line))
         writer = Writer(
-            program.source, axes, newline_of(program), style_in(program, Style(point=True)), expand_cycles=drilled
+            program.source, axes, newline_of(program), style_in(program.texts, Style(point=True)), expand_cycles=drilled
         )
         match = (iso_plain(axes.names).pattern if short_way else NOTHING).fullmatch
         out: list[str] = []

@@ -44,14 +44,14 @@ class Plain(NamedTuple):
     others: tuple[str, ...]
 
 
-def _letters(names: tuple[str, ...]) -> str:
+def plain_letters(names: tuple[str, ...]) -> str:
     """The axes a plain block can name, in order; none where an axis has the letter of something else."""
     letters = [name.upper() for name in names if len(name) == 1]
     return "".join(sorted(letters, key=_ORDER.index)) if all(letter in _ORDER for letter in letters) else ""
 
 
 def _compiled(names: tuple[str, ...], head: str, value: str, others: tuple[str, ...], equals: str, tail: str) -> Plain:
-    letters = _letters(names)
+    letters = plain_letters(names)
     if not letters:
         return Plain(NOTHING, (), others)
     words = "".join(rf"(?:{letter}({value})(?!=)[ \t]*+)?+" for letter in letters)

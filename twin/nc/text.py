@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,16 +29,58 @@ def read_lines(data: bytes, source: str, dialect: str) -> Program:
     Raises:
         InputError: no bytes, no line with anything on it, or a binary file.
     """
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise InputError("binary file", expected="an NC program as text", file=source, line=line, value="NUL byte")
-    stripped = data.translate(None, _CONTROL)
-    if 10 * (len(data) - len(stripped)) > len(data):
-        raise InputError("binary file", expected="an NC program as text", file=source, value="control characters")
-    text = data.decode("latin-1")
-    if not text.removeprefix(BOM).strip(" \t\r\n\f\x1a"):
-        raise InputError("empty program", expected="at least one block", file=source)
-    return Program(source=source, dialect=dialect, texts=tuple(_LINE.findall(text)))
+    check = TextCheck(source)
+    check.add(data)
+    check.finish()
+    return Program(source=source, dialect=dialect, texts=tuple(_LINE.findall(data.decode("latin-1"))))
+
+
+def lines_in(data: bytes) -> Iterator[str]:
+    """The lines of some bytes, each with its own ending."""
+    return (match.group() for match in _LINE.finditer(data.decode("latin-1")))
+
+
+class TextCheck:
+    """Whether bytes that come one stretch after the other are a program at all.
+
+    Args:
+        source: its name.
+    """
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._size = self._control = self._newlines = 0
+        self._empty = True
+
+    def add(self, data: bytes) -> None:
+        """The next stretch.
+
+        Raises:
+            InputError: a binary file.
+        """
+        if b"\0" in data:
+            line = self._newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
+            raise InputError(
+                "binary file", expected="an NC program as text", file=self._source, line=line, value="NUL byte"
+            )
+        begin = len(BOM) if not self._size and data.startswith(BOM.encode("latin-1")) else 0
+        self._size += len(data)
+        self._control += len(data) - len(data.translate(None, _CONTROL))
+        self._newlines += data.count(b"\n")
+        self._empty = self._empty and not data[begin:].strip(b" \t\r\n\f\x1a")
+
+    def finish(self) -> None:
+        """Nothing more comes.
+
+        Raises:
+            InputError: no bytes, no line with anything on it, or a binary file.
+        """
+        if 10 * self._control > self._size:
+            raise InputError(
+                "binary file", expected="an NC program as text", file=self._source, value="control characters"
+            )
+        if self._empty:
+            raise InputError("empty program", expected="at least one block", file=self._source)
 
 
 def ending(text: str) -> str:
@@ -118,11 +161,11 @@ def style_of(text: str, base: Style) -> Style:
 _AXIS_NUMBER = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*([+-]?\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
 
 
-def style_in(program: Program, base: Style) -> Style:
-    """The style of a program's axis words, as far as its first ones tell."""
+def style_in(lines: Iterable[str], base: Style) -> Style:
+    """The style of a program's axis words, as far as the first ones of its lines tell."""
     style = base
     seen = 0
-    for line in program.texts:
+    for line in lines:
         for text in _AXIS_NUMBER.findall(line):
             if text.strip("+-.,"):
                 style = style_of(text, style)

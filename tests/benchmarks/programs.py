@@ -1,0 +1,96 @@
+"""Programs of any length, measured: run ``python -m tests.benchmarks.programs [BLOCKS ...]`` (two minutes; 10³ to 10⁶ if none).
+
+Five-axis programs from file to file, all in: read, solve, check, split, write, read back, account for. Beside each the time it takes
+to read and write the same bytes and nothing else, so that the ratio says something on another machine. Every length in a process of
+its own for its peak of memory, after a program of 60,000 blocks that has compiled what is worth compiling (`twin.native`).
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from twin.calibration import Calibration
+from twin.compensation import Compensator, Options
+from twin.machine import Machine
+
+LENGTHS = (1_000, 10_000, 100_000, 1_000_000)
+WARM = 60_000
+AT_ONCE = 50_000
+
+
+def program(path: Path, blocks: int) -> None:
+    """A path over most of the DMU 50, every axis moving in every block, three decimals; moves of some tenths of a millimetre."""
+    with path.open("w") as out:
+        out.write("%\nG90 G21\nG1 F2000\n")
+        for first in range(0, blocks, AT_ONCE):
+            t = np.arange(first, min(first + AT_ONCE, blocks)) / 1e5
+            x, y, z = 250 + 150 * np.cos(40 * t), 225 + 120 * np.sin(43 * t), -200 + 80 * np.sin(9 * t)
+            b, c = 45 + 30 * np.sin(5 * t), 180 + 150 * np.cos(7 * t)
+            rows = np.stack([x, y, z, b, c], axis=1)
+            out.write("".join("G1 X{:.3f} Y{:.3f} Z{:.3f} B{:.3f} C{:.3f}\n".format(*row) for row in rows.tolist()))
+        out.write("M30\n%\n")
+
+
+def copied(source: Path, target: Path) -> float:
+    """Seconds to read and write the same bytes and to wait until they are on the disk, as `twin.files.whole_file` does."""
+    start = time.perf_counter()
+    with source.open("rb") as data, target.open("wb") as out:
+        while block := data.read(1 << 20):
+            out.write(block)
+        out.flush()
+        os.fsync(out.fileno())
+    return time.perf_counter() - start
+
+
+def one(blocks: int) -> None:
+    """A line of the table."""
+    machine = Machine.load("dmu50")
+    compensator = Compensator(machine, Calibration.default(machine), Options(tool_length_mm=120.0))
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "p.nc", Path(folder) / "out.nc"
+        program(source, WARM)
+        compensator.compensate_file(source, target)
+        program(source, blocks)
+        floor = copied(source, target)
+        start, used = time.perf_counter(), time.process_time()
+        report = compensator.compensate_file(source, target)
+        seconds, used = time.perf_counter() - start, time.process_time() - used
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(
+        f"{report.moves:>10,} {seconds:>9.2f} {report.moves / seconds:>11,.0f} {used / report.moves * 1e6:>12.1f} "
+        f"{floor:>9.3f} {seconds / floor:>8,.0f} {peak:>8.0f}",
+        flush=True,
+    )
+
+
+def main(arguments: list[str]) -> None:
+    """All lengths, each in a process of its own."""
+    if arguments[:1] == ["--one"]:
+        one(int(arguments[1]))
+        return
+    names = [line.partition(":")[2].strip() for line in _cpu() if line.startswith("model name")]
+    print(f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(
+        f"{'blocks':>10} {'s':>9} {'blocks/s':>11} {'µs a block':>12} {'copy, s':>9} {'ratio':>8} {'MB':>8}", flush=True
+    )
+    print(f"{'':>10} {'':>9} {'':>11} {'of processor':>12}", flush=True)
+    for blocks in [int(argument) for argument in arguments] or LENGTHS:
+        subprocess.run([sys.executable, "-m", "tests.benchmarks.programs", "--one", str(blocks)], check=True)
+
+
+def _cpu() -> list[str]:
+    info = Path("/proc/cpuinfo")
+    return info.read_text().splitlines() if info.exists() else []
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

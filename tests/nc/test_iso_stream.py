@@ -1,0 +1,191 @@
+"""Programs in stretches, runs of plain lines all at once: the same moves and the same bytes as in one piece and line by line."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.nc.nc_support import AXES, iso_program
+from tests.nc.test_plain import (
+    EOL,
+    HANDED_ON,
+    ISO,
+    LONG,
+    ODD,
+    SWAPPED,
+    axis_words,
+    mixed_iso,
+    new_positions,
+    outcome,
+    shown,
+)
+from twin.nc import iso_stream
+from twin.nc.blocks import AxisWords, Program, Reading
+from twin.nc.bulk import NewPositions
+from twin.nc.columns import MoveColumns
+from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
+from twin.nc.plain import iso_plain
+from twin.nc.scan import scan
+from twin.nc.text import Style, newline_of, style_in
+
+SEED = st.integers(0, 10**6)
+MANY = settings(max_examples=400)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def every_run_at_once() -> Iterator[None]:
+    """However short; `pytest.MonkeyPatch` by hand, hypothesis wanting no fixture of a single test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(iso_stream, "SHORTEST_RUN", 1)
+        yield
+
+
+def stretches(program: Program, names: tuple[str, ...], size: int) -> Iterator[Stretch]:
+    for first in range(0, len(program.texts), size):
+        yield Stretch("".join(program.texts[first : first + size]).encode("latin-1"), first, names)
+
+
+def read(
+    program: Program, axes: AxisWords, size: int, tcp: bool
+) -> tuple[list[tuple[Stretch, MoveColumns]], Reading, bool]:
+    reader = IsoReader(program.source, axes, tcp=tcp)
+    parts = [(stretch, reader.read(stretch)) for stretch in stretches(program, axes.names, size)]
+    moves = tuple(move for _, columns in parts for move in columns)
+    return parts, Reading(moves, tuple(reader.notices()), tuple(reader.left())), reader.drills
+
+
+def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, size: int = 5) -> None:
+    program = ISO.read(text.encode("latin-1"), "test")
+    whole = outcome(lambda: ISO.moves(program, axes, tcp=tcp))
+    found = outcome(lambda: read(program, axes, size, tcp))
+    if isinstance(whole, str) or isinstance(found, str):
+        assert whole == found
+        return
+    parts, reading, drills = found
+    assert shown(whole) == shown(reading)
+    assert whole.left == reading.left
+    rewrites = {id(one.move): one for one in new_positions(whole, seed, len(axes.names))}
+    # Cycles are not for streams; a vector that stays while its block moves is not for compensation.
+    vectors_stay = any(one.move.vector is not None and one.vectors is None for one in rewrites.values())
+    if drills or vectors_stay or not rewrites:
+        return
+
+    def written() -> str:
+        style = style_in(program.texts, Style(point=True))
+        rewriter = IsoRewriter(program.source, axes, newline_of(program), style, tcp=whole.moves[0].tcp)
+        out, at = [], 0
+        for stretch, moves in parts:
+            mine = [rewrites.get(id(move)) for move in whole.moves[at : at + len(moves)]]
+            at += len(moves)
+            count = np.array([0 if one is None else len(one.positions) for one in mine], dtype=int)
+            there = [one for one in mine if one is not None]
+            nothing = np.full((1, 3), np.nan)
+            vectors = [
+                np.repeat(nothing, len(one.positions), 0) if one.vectors is None else one.vectors for one in there
+            ]
+            new = NewPositions(
+                first=np.cumsum(count) - count,
+                count=count,
+                positions=np.concatenate([np.zeros((0, len(axes.names))), *(one.positions for one in there)]),
+                vectors=np.concatenate([np.zeros((0, 3)), *vectors]),
+            )
+            out.append(rewriter.write(stretch, moves, new))
+        return b"".join(out).decode("latin-1")
+
+    assert outcome(written) == outcome(lambda: ISO.rewrite(program, axes, whole, rewrites.values()))
+
+
+@MANY
+@given(text=st.one_of(mixed_iso(), iso_program()), seed=SEED, tcp=st.booleans(), size=st.sampled_from([1, 3, 7, 100]))
+def test_any_program(text: str, seed: int, tcp: bool, size: int) -> None:
+    if text.strip():
+        check(text, seed, tcp=tcp, size=size)
+
+
+@MANY
+@given(data=st.data(), seed=SEED, axes=st.sampled_from([SWAPPED, LONG, ODD]), size=st.sampled_from([3, 100]))
+def test_on_other_machines(data: st.DataObject, seed: int, axes: AxisWords, size: int) -> None:
+    text = data.draw(mixed_iso(names=("X", "Y", "Z", *(name for name in axes.rotary if len(name) == 1))))
+    if text.strip():
+        check(text, seed, axes, size=size)
+
+
+@st.composite
+def plain_only(draw: st.DrawFn) -> str:
+    """Lines that are nearly all plain, in one hand: long runs."""
+    glue = draw(st.sampled_from([(" ",), ("",), ("", "", " ", "\t")]))
+    small, eol = draw(st.booleans()), draw(EOL)
+
+    def line() -> str:
+        head = draw(st.sampled_from(["", "", "N10 ", "N10", "n7\t", " "]))
+        code = draw(st.sampled_from(["", "", "G1", "G0 ", "G01 ", "g1", "G00"]))
+        text = head + code + draw(axis_words(AXES.names, glue=glue)) + draw(st.sampled_from(["", " F500", "F.5"]))
+        return text.lower() if small else text
+
+    lines = [line() if draw(st.integers(0, 20)) else draw(st.sampled_from(["", " ", "(c)"])) for _ in range(25)]
+    return eol.join(["G0 X0 Y0 Z0 B0 C0", *lines, ""])
+
+
+@MANY
+@given(text=plain_only(), seed=SEED, size=st.sampled_from([4, 100]))
+def test_long_runs(text: str, seed: int, size: int) -> None:
+    check(text, seed, size=size)
+
+
+@pytest.mark.parametrize("name", [name for name, (dialect, _) in HANDED_ON.items() if dialect is ISO])
+def test_what_one_way_leaves_to_the_other(name: str) -> None:
+    for seed in range(60):
+        check(HANDED_ON[name][1], seed, size=(1, 4, 100)[seed % 3])
+
+
+def test_what_is_plain_is_what_the_pattern_says() -> None:
+    """Lines, words, and numbers to the last bit, beside the regular expression and Python's own `float`."""
+    rng = random.Random(5)
+    plain = iso_plain(AXES.names)
+    numbers = ["12.5", "0", "-0", "+5", "5.", "00.5", "0.120", "-0.0004", "12.34567", "007", "-.5", "+0.", "0.1", "8.7"]
+    odd = ["1234567890", "1.2.3", ".", "", "- 5", "5,5", "1e3", "123456789.1234567", "+", "-", "12345678.1234567"]
+    heads, codes = (
+        ["", "", "N10 ", "n7\t", " ", "N1.5", "(c)", "%"],
+        ["", "", "G1", "G01 ", "g0", "G2", "G", "G1.0", "G10"],
+    )
+    tails, ends = [" F500", "", "F.5", " F", " (c)", "  ", "F+5", "M3"], ["\n", "\n", "\r\n", "\r"]
+    found = 0
+    for _ in range(1500):
+        lines = []
+        for _ in range(rng.randint(1, 12)):
+            axes = [name for name in AXES.names if rng.random() < 0.6]
+            if rng.random() < 0.05:
+                rng.shuffle(axes)
+            words = rng.choice(["", " "]).join(a + rng.choice(odd if rng.random() < 0.03 else numbers) for a in axes)
+            lines.append(rng.choice(heads) + rng.choice(codes) + words + rng.choice(tails) + rng.choice(ends))
+        text = "".join(lines)
+        if rng.random() < 0.3:
+            text = text.rstrip("\r\n") + "X1"
+        seen = scan(text.encode("latin-1"), AXES.names)
+        lines = re.findall(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++", text)
+        assert [seen.line(i) for i in range(len(seen.start))] == lines
+        for i, line in enumerate(lines):
+            match = plain.pattern.fullmatch(line)
+            if not seen.plain[i]:
+                digits = max((len(re.sub(r"\D", "", n)) for n in re.findall(r"[\d.]+", line)), default=0)
+                whole = match is not None and match.group(1) not in ("2", "02", "3", "03") and digits <= 15
+                assert not (whole and line[-1] in "\r\n"), line
+                assert not seen.blank[i] or not line.strip()
+                continue
+            found += 1
+            assert match is not None, line
+            code = match.group(1)
+            assert (seen.code[i], seen.wide[i]) == ((-1, False) if code is None else (int(code), len(code) > 1))
+            own = slice(seen.first[i], seen.first[i + 1])
+            values = dict(zip(seen.words.axis[own].tolist(), seen.words.value[own].tolist(), strict=True))
+            wanted = {axis: match.group(group) for group, axis in enumerate(plain.axes, start=2) if match.group(group)}
+            assert {axis: repr(value) for axis, value in values.items()} == {
+                axis: repr(float(text)) for axis, text in wanted.items()
+            }
+    assert found > 1000

@@ -1,0 +1,333 @@
+"""Plain lines written all at once: the words of `twin.nc.scan` replaced as `twin.nc.iso_write.Writer.plain` replaces them one by one.
+
+What a word looks like depends on the words before it (`twin.nc.text.style_of`): each says something of the style or leaves it as it
+was. So the style at every word is, part by part, what was said last, and that is found for all words together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.nc.emit import SAME, Said
+from twin.nc.scan import Scan, Words
+from twin.nc.text import Style, grid
+
+LARGEST_STEPS: Final = 1e11
+"""Values of more least increments are written one by one: a double no longer has all their decimals beyond doubt."""
+_UNKNOWN: Final = np.iinfo(np.int64).min
+_MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
+
+
+@final
+@dataclass(frozen=True)
+class NewPositions:
+    """What replaces the moves of a stretch of program.
+
+    Attributes:
+        first: (moves,) the row that each one's pieces begin at.
+        count: (moves,) how many it becomes; 0 for one that stays as it is.
+        positions: (rows, axes) as of `twin.nc.blocks.Rewrite`.
+        vectors: (rows, 3) tool vectors, for moves that have one.
+    """
+
+    first: np.ndarray
+    count: np.ndarray
+    positions: np.ndarray
+    vectors: np.ndarray
+
+    def rows(self, which: np.ndarray) -> np.ndarray:
+        """The rows of some moves, move by move."""
+        first, count = self.first[which], self.count[which]
+        return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
+
+
+@final
+@dataclass(frozen=True)
+class Edits:
+    """Stretches of a text and what replaces them, in the order of the text.
+
+    Attributes:
+        start, end: (n,) of the text.
+        length: (n,) of what replaces it.
+        content: all of that, one behind the other.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    length: np.ndarray
+    content: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class Habits:
+    """How a program writes, at some place of it.
+
+    Attributes:
+        style: of its numbers.
+        spaced: whether words stand apart.
+        lower: whether letters are small.
+    """
+
+    style: Style
+    spaced: bool
+    lower: bool
+
+
+@final
+class Grids:
+    """The steps that axis words are written in, where they can be written all at once.
+
+    Args:
+        names: axis names.
+        increment: (axes,) least increments, mm and degrees.
+    """
+
+    def __init__(self, names: tuple[str, ...], increment: list[float]) -> None:
+        grids = [grid(one, False) for one in increment]
+        self.step = np.array([one.step for one in grids])
+        self.decimals = np.array([one.decimals for one in grids])
+        whole = self.step * 10.0**self.decimals
+        self.scale = np.round(whole).astype(np.int64)
+        self.exact = bool(np.all(np.abs(whole - self.scale) <= 1e-9 * whole))
+        self.letters = np.array([ord(name[0].upper()) for name in names], dtype=np.uint8)
+        self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
+
+
+def assembled(text: np.ndarray, edits: list[Edits]) -> bytes:
+    """A text with its edits done; they do not overlap, and those at one place are in order."""
+    start = np.concatenate([part.start for part in edits])
+    order = np.argsort(start, kind="stable")
+    start, end = start[order], np.concatenate([part.end for part in edits])[order]
+    length = np.concatenate([part.length for part in edits])
+    content_at = (np.cumsum(length) - length + len(text))[order]
+    source = np.concatenate([text, *(part.content for part in edits)])
+    begins, lengths = np.empty(2 * len(start) + 1, dtype=np.int64), np.empty(2 * len(start) + 1, dtype=np.int64)
+    begins[0], begins[2::2], begins[1::2] = 0, end, content_at
+    lengths[1::2] = length[order]
+    lengths[0:-1:2] = start - begins[0:-1:2]
+    lengths[-1] = len(text) - begins[-1]
+    behind = np.cumsum(lengths)
+    places = np.repeat((begins - behind + lengths).astype(np.int32), lengths)
+    places += np.arange(len(places), dtype=np.int32)
+    return source[places].tobytes()
+
+
+def replaced_line(scan: Scan, line: int, text: str) -> Edits:
+    """A whole line exchanged."""
+    content = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
+    return Edits(scan.start[line : line + 1], scan.end[line : line + 1], np.array([len(content)]), content)
+
+
+def edited(
+    scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, habits: Habits, grids: Grids
+) -> tuple[Edits, Habits]:
+    """Plain lines, one behind the other but for blank ones, with new positions.
+
+    Args:
+        scan: the text.
+        lines: (lines,) which.
+        count: (lines,) how many pieces each becomes.
+        targets: (pieces, axes) their ends, mm and degrees; NaN in the columns of axes nobody writes.
+        said: what the output said so far; brought up to date.
+        habits: before the first of the lines.
+        grids: of the axes.
+
+    Returns:
+        The edits, and the habits behind the last line.
+    """
+    pieces = _Pieces(scan, lines, count, targets, said, grids)
+    of, words = pieces.of_word, pieces.words
+    look = _Look(words, habits.style)
+    second = np.diff(scan.first)[lines] > 1
+    first = pieces.first_word
+    letter = words.start[first] - 1
+    before = scan.text[
+        np.maximum(np.where(second, words.start[np.minimum(first + 1, len(words.start) - 1)] - 1, letter) - 1, 0)
+    ]
+    shown = second | pieces.headed
+    spaced = _last_said(np.where(shown, (before == _SPACE) | (before == 9), -1), habits.spaced).astype(bool)
+    lower = scan.text[letter] >= ord("a")
+    # Words there are: those that say another value than before.
+    steps = pieces.steps[of, words.axis]
+    same = np.abs(words.value - steps * grids.step[words.axis]) < SAME
+    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & look.plus)
+    new = np.flatnonzero(~same)
+    # Words there are not.
+    row, axis = np.nonzero(pieces.missing)
+    line = pieces.line[row]
+    last_word = pieces.last_word[line]
+    extra = row != pieces.head[line]
+    opens = extra & np.append(True, row[1:] != row[:-1])[: len(row)]
+    closes = extra & np.append(row[1:] != row[:-1], True)[-len(row) :] if len(row) else extra
+    word = np.concatenate([new, last_word])
+    letters = np.where(lower[line], grids.letters[axis] + 32, grids.own[axis]).astype(np.uint8)
+    text, length = _printed(
+        np.concatenate([steps[new], pieces.steps[row, axis]]),
+        np.concatenate([words.axis[new], axis]),
+        look.at(word),
+        grids,
+        np.concatenate([np.zeros(len(new), dtype=bool), spaced[line] & ~opens]),
+        np.concatenate([np.zeros(len(new), dtype=np.uint8), letters]),
+        np.concatenate(
+            [np.zeros((len(new), 2), dtype=np.uint8), np.where(closes[:, None], _ending(scan, lines)[line], 0)]
+        ),
+    )
+    behind = np.where(extra, scan.end[lines][line], words.end[last_word])
+    edits = Edits(np.concatenate([words.start[new], behind]), np.concatenate([words.end[new], behind]), length, text)
+    for i in range(len(grids.step)):
+        if np.any(words.axis == i) or np.any(axis == i):
+            said.value[i] = float(pieces.steps[-1, i] * grids.step[i])
+            said.stale[i] = False
+    return edits, Habits(look.last(), bool(spaced[-1]), bool(lower[-1]))
+
+
+@final
+class _Pieces:
+    """The pieces of some lines, and which words they need beside those that stand there."""
+
+    def __init__(
+        self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, grids: Grids
+    ) -> None:
+        begin, end = scan.first[lines[0]], scan.first[lines[-1] + 1]
+        all_words = scan.words
+        self.words = Words(**{name: getattr(all_words, name)[begin:end] for name in Words.__dataclass_fields__})
+        self.first_word = scan.first[lines] - begin
+        self.last_word = scan.first[lines + 1] - begin - 1
+        self.head = np.cumsum(count) - count
+        self.line = np.repeat(np.arange(len(lines)), count)
+        self.of_word = np.repeat(self.head, self.last_word - self.first_word + 1)
+        known = np.isfinite(targets[0])
+        with np.errstate(invalid="ignore"):
+            self.steps = np.where(known, np.rint(targets / grids.step), 0.0).astype(np.int64)
+        begins = [
+            _UNKNOWN if said.stale[i] or value != value else int(np.rint(value / grids.step[i]))
+            for i, value in enumerate(said.value)
+        ]
+        self.missing = np.empty(self.steps.shape, dtype=bool)
+        self.missing[0] = self.steps[0] != begins
+        np.not_equal(self.steps[1:], self.steps[:-1], out=self.missing[1:])
+        self.missing &= known
+        self.missing[self.of_word, self.words.axis] = False
+        # A word before the first axis word, whether or not it is one that moves.
+        letter = self.words.start[self.first_word] - 1
+        start = scan.start[lines]
+        self.headed = np.zeros(len(lines), dtype=bool)
+        at = start.copy()
+        for _ in range(int((letter - start).max(initial=0))):
+            within = at < letter
+            self.headed |= within & (scan.text[at] > _SPACE)
+            at += within
+            if np.all(self.headed | (at >= letter)):
+                break
+
+
+@final
+class _Look:
+    """The style in force behind every word (`twin.nc.text.style_of`)."""
+
+    def __init__(self, words: Words, style: Style) -> None:
+        zero = words.value == 0.0
+        tells = words.fraction > 0
+        round_ = ~tells & (words.point | ~zero)
+        point = np.where(round_, words.point, -1)
+        keep = np.where(round_, 0, -1)
+        padded = tells & words.padded
+        point[padded], keep[padded] = 0, words.fraction[padded]
+        lead = np.where(words.point & (words.whole == 0), 0, -1)
+        lead[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
+        plus = np.where(words.sign == _PLUS, 1, np.where(words.sign == _MINUS, -1, 0))
+        self.point = _last_said(point, style.point)
+        self.keep = _last_said(keep, style.keep)
+        self.lead = _last_said(lead, style.lead)
+        self.plus = _last_said(plus, style.plus).astype(bool)
+
+    def at(self, word: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Point, keep, lead and plus behind some words."""
+        return self.point[word].astype(bool), self.keep[word], self.lead[word].astype(bool), self.plus[word]
+
+    def last(self) -> Style:
+        """Behind the last word."""
+        return Style(bool(self.point[-1]), int(self.keep[-1]), bool(self.lead[-1]), bool(self.plus[-1]), False)
+
+
+def _last_said(values: np.ndarray, before: int) -> np.ndarray:
+    """(n,) of each the value, or where that is -1 the last one that is not."""
+    says = values >= 0
+    if says.all():
+        return values
+    if not says.any():
+        return np.full(len(values), before)
+    at = np.maximum.accumulate(np.where(says, np.arange(len(values)), -1))
+    return np.where(at >= 0, values[at], before)
+
+
+def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
+    """(lines, 2) the characters that end each line, 0 for none."""
+    end = scan.end[lines]
+    two = (scan.text[end - 1] == 10) & (scan.text[np.maximum(end - 2, 0)] == 13)
+    return np.stack([np.where(two, 13, 0), scan.text[end - 1]], axis=1).astype(np.uint8)
+
+
+def _printed(
+    steps: np.ndarray,
+    axis: np.ndarray,
+    look: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    grids: Grids,
+    spaced: np.ndarray,
+    letter: np.ndarray,
+    ending: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Words as `twin.nc.text.format_number` prints their numbers, all behind one another, and the length of each.
+
+    Args:
+        steps: (n,) values in least increments.
+        axis: (n,) of which axis.
+        look: of the numbers (`_Look.at`).
+        grids: of the axes.
+        spaced: (n,) whether a space comes first.
+        letter: (n,) then a letter, 0 for none.
+        ending: (n, 2) characters behind the number, 0 for none.
+    """
+    point, keep, lead, plus = look
+    decimals = grids.decimals[axis]
+    places = int(max(decimals.max(initial=0), keep.max(initial=0)))
+    size = np.abs(steps) * grids.scale[axis]
+    power = 10**decimals
+    whole = size // power
+    fraction = (size - whole * power) * 10 ** (places - decimals)
+    digits = len(str(int(whole.max(initial=0))))
+    text = np.empty((len(steps), digits + places + 6), dtype=np.uint8)
+    shown = np.empty(text.shape, dtype=bool)
+    text[:, 0], shown[:, 0] = _SPACE, spaced
+    text[:, 1], shown[:, 1] = letter, letter > 0
+    text[:, 2], shown[:, 2] = np.where(steps < 0, _MINUS, _PLUS), (steps < 0) | plus
+    no_zero = ~lead & (whole == 0) & (fraction > 0)
+    least = 1
+    for i in range(digits):
+        column = 2 + digits - i
+        shown[:, column] = whole >= least if i else ~no_zero
+        least *= 10
+    _digits(whole, text[:, 3 : 3 + digits])
+    wanted = np.array(keep)
+    _digits(fraction, text[:, 4 + digits : 4 + digits + places])
+    for i in range(places):
+        wanted[(text[:, 4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
+        # Later digits are looked at later, so the last that is not 0 decides.
+    for i in range(places):
+        shown[:, 4 + digits + i] = wanted > i
+    text[:, 3 + digits], shown[:, 3 + digits] = _POINT, (wanted > 0) | point
+    text[:, -2:], shown[:, -2:] = ending, ending > 0
+    return text[shown], shown.sum(axis=1)
+
+
+def _digits(number: np.ndarray, out: np.ndarray) -> None:
+    """The decimal digits of whole numbers, as characters, into the columns of an array."""
+    left = number
+    for column in range(out.shape[1] - 1, -1, -1):
+        rest = left // 10
+        out[:, column] = left - rest * 10 + _ZERO
+        left = rest

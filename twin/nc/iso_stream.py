@@ -1,0 +1,295 @@
+"""ISO programs in stretches: read, written and read back with the modal state carried from one to the next.
+
+What `twin.nc.iso.Iso` does with a whole program in memory, to the byte; runs of plain lines all at once (`twin.nc.scan`,
+`twin.nc.bulk`), every other line as there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin.nc.blocks import AxisWords, Left, Move, Notice, Rewrite
+from twin.nc.bulk import LARGEST_STEPS, Edits, Grids, Habits, NewPositions, assembled, edited, replaced_line
+from twin.nc.columns import MoveBuilder, MoveColumns
+from twin.nc.iso_plain import PlainInterpreter
+from twin.nc.iso_write import Writer
+from twin.nc.plain import iso_plain
+from twin.nc.scan import MOST_DIGITS, Scan, scan
+from twin.nc.text import BLANK, MM_PER_INCH, Style
+
+SHORTEST_RUN: Final = 12
+"""Lines: fewer are quicker one by one."""
+
+
+@final
+class Stretch:
+    """Whole lines of a program.
+
+    Args:
+        data: their bytes.
+        first: 0-based index of the first of them in the program.
+        names: axis names.
+
+    Attributes:
+        scan: its plain lines.
+        first: as given.
+    """
+
+    def __init__(self, data: bytes, first: int, names: tuple[str, ...]) -> None:
+        self.scan = scan(data, names)
+        self.first = first
+
+    def __len__(self) -> int:
+        return len(self.scan.start)
+
+    def text_of(self, line: int) -> str:
+        """The text of a line, by its index in the program."""
+        return self.scan.line(line - self.first)
+
+
+def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]:
+    """Stretches of lines, in order: those worth doing all at once, and every other line by itself.
+
+    Args:
+        bulk: (lines,) whether it can be done with its neighbours.
+        blank: (lines,) whether it says nothing.
+
+    Yields:
+        First line, the one behind the last, and whether to do them all at once.
+    """
+    stops = np.append(np.flatnonzero(~(bulk | blank)), len(bulk)).tolist()
+    at = 0
+    for stop in stops:
+        if stop - at >= SHORTEST_RUN:
+            yield at, stop, True
+        else:
+            yield from ((line, line + 1, False) for line in range(at, stop))
+        if stop < len(bulk):
+            yield stop, stop + 1, False
+        at = stop + 1
+
+
+@final
+class IsoReader:
+    """Reads a program stretch by stretch.
+
+    Args:
+        source: its name.
+        axes: axis words.
+        tcp: whether the control's kinematics are on from the start.
+
+    Attributes:
+        drills: whether a block came that a drilling cycle makes several moves of.
+    """
+
+    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
+        self._interpreter = PlainInterpreter(source, axes, tcp=tcp)
+        self._match = iso_plain(axes.names).pattern.fullmatch
+        self._notices = self._left = 0
+        self.drills = False
+
+    def read(self, stretch: Stretch) -> MoveColumns:
+        """The moves of the next stretch.
+
+        Raises:
+            InputError: as `twin.nc.blocks.Dialect.moves`.
+        """
+        found = MoveBuilder(self._interpreter.names)
+        scan, first = stretch.scan, stretch.first
+        for begin, end, together in runs(scan.plain, scan.blank):
+            at = begin
+            while at < end:
+                if together and self._run(stretch, at, end, found):
+                    break
+                self._line(first + at, scan.line(at), found)
+                at += 1
+        return found.moves()
+
+    def notices(self) -> list[Notice]:
+        """Those that came since they were last asked for."""
+        found = self._interpreter.notices[self._notices :]
+        self._notices += len(found)
+        return found
+
+    def left(self) -> list[Left]:
+        """What lines left in places unknown since that was last asked for."""
+        found = self._interpreter.left[self._left :]
+        self._left += len(found)
+        return found
+
+    def _line(self, line: int, text: str, found: MoveBuilder) -> None:
+        """One line as `twin.nc.iso.Iso` reads it."""
+        if text in BLANK:
+            return
+        match = self._match(text)
+        move = None if match is None else self._interpreter.plain(line, match)
+        if move is not None:
+            found.add(move)
+            return
+        block = self._interpreter.step(line, text)
+        if block is not None:
+            self.drills = self.drills or len(block.moves) > 1
+            for one in block.moves:
+                found.add(one)
+
+    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
+        """Plain lines all at once; whether the state allows that."""
+        state = self._interpreter
+        if not _settled(state):
+            return False
+        scan = stretch.scan
+        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        if not lines.size:
+            return True
+        motion = _motions(scan, lines, state.motion)
+        if motion is None:
+            return False
+        words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
+        axis, value = scan.words.axis[words], scan.words.value[words]
+        if state.inch:
+            value = np.where(axis < state.linear, value * MM_PER_INCH, value)
+        position = np.full((len(lines), len(state.names)), np.nan)
+        row = np.repeat(np.arange(len(lines)), np.diff(scan.first)[lines])
+        position[row, axis] = value
+        said = ~np.isnan(position)
+        named = said @ (1 << np.arange(len(state.names)))
+        filled(position, said, state.position)
+        found.extend(stretch.first + lines, motion == 0, state.tcp, named, position)
+        state.position = position[-1].tolist()
+        state.motion = int(motion[-1])
+        return True
+
+
+@final
+class IsoRewriter:
+    """Writes a program stretch by stretch.
+
+    Args:
+        source: its name.
+        axes: axis words.
+        newline: the line ending it uses.
+        style: of its numbers (`twin.nc.text.style_in`).
+        tcp: whether the control's kinematics are on at its first move.
+    """
+
+    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool) -> None:
+        self._interpreter = PlainInterpreter(source, axes, tcp=tcp)
+        self._writer = Writer(source, axes, newline, style, expand_cycles=False)
+        self._match = iso_plain(axes.names).pattern.fullmatch
+        self._grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
+
+    def write(self, stretch: Stretch, moves: MoveColumns, new: NewPositions) -> bytes:
+        """The next stretch with its moves replaced.
+
+        Args:
+            stretch: the stretch.
+            moves: its moves.
+            new: what replaces them.
+        """
+        scan = stretch.scan
+        at_line = moves.line - stretch.first
+        move_of = np.full(len(stretch), -1)
+        move_of[at_line] = np.arange(len(moves))
+        general = new.count == 0
+        general[list(moves.special)] = True
+        bulk = np.zeros(len(stretch), dtype=bool)
+        bulk[at_line] = ~general & self._countable(
+            moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))]
+        )
+        bulk &= scan.plain
+        edits: list[Edits] = []
+        for begin, end, together in runs(bulk, scan.blank):
+            at = begin
+            while at < end:
+                if together:
+                    edit = self._run(scan, at, end, move_of, moves, new)
+                    if edit is not None:
+                        edits.append(edit)
+                        break
+                text = scan.line(at)
+                written = self._line(stretch.first + at, text, int(move_of[at]), moves, new)
+                if written != text:
+                    edits.append(replaced_line(scan, at, written))
+                at += 1
+        return assembled(scan.text, edits) if edits else scan.data
+
+    def _countable(self, named: np.ndarray, positions: np.ndarray) -> bool:
+        """Whether values can be counted in steps, each axis having one in all rows, or in none and no word either."""
+        known = np.isfinite(positions)
+        everywhere = known.all(axis=0)
+        written = np.any(named[:, None] >> np.arange(known.shape[1]) & 1, axis=0)
+        if not self._grids.exact or not np.all(everywhere | ~(known.any(axis=0) | written)):
+            return False
+        return bool(np.all(np.abs(positions[known]) < LARGEST_STEPS * self._grids.step.min()))
+
+    def _line(self, line: int, text: str, which: int, moves: MoveColumns, new: NewPositions) -> str:
+        """One line as `twin.nc.iso.Iso` writes it."""
+        pieces = None
+        if which >= 0 and new.count[which]:
+            move: Move = moves[which]
+            part = slice(new.first[which], new.first[which] + new.count[which])
+            vectors = None if move.vector is None else new.vectors[part]
+            rewrite = Rewrite(move, new.positions[part], vectors)
+            pieces = {0: (rewrite, rewrite.positions.tolist())}
+        match = self._match(text)
+        if match is not None:
+            written = self._writer.plain(line, match, self._interpreter, pieces)
+            if written is not None:
+                return written
+        block = self._interpreter.step(line, text)
+        return text if block is None else self._writer.block(line, block, pieces)
+
+    def _run(
+        self, scan: Scan, begin: int, end: int, move_of: np.ndarray, moves: MoveColumns, new: NewPositions
+    ) -> Edits | None:
+        """Plain lines all at once; None (and nothing done) where the state does not allow that."""
+        state, writer = self._interpreter, self._writer
+        if not _settled(state) or state.inch or state.feed_mode == "93" or writer.style.keep > MOST_DIGITS:
+            return None
+        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        if not lines.size:
+            return None
+        motion = _motions(scan, lines, state.motion)
+        if motion is None or (scan.code[lines[0]] < 0 and writer.motion != motion[0]):
+            return None
+        which = move_of[lines]
+        habits = Habits(writer.style, writer.spaced, writer.lower)
+        edits, habits = edited(
+            scan, lines, new.count[which], new.positions[new.rows(which)], writer.said, habits, self._grids
+        )
+        writer.style, writer.spaced, writer.lower = habits.style, habits.spaced, habits.lower
+        coded = lines[scan.code[lines] >= 0]
+        if coded.size:
+            writer.wide = bool(scan.wide[coded[-1]])
+        writer.motion = state.motion = int(motion[-1])
+        state.position = moves.position[which[-1]].tolist()
+        return edits
+
+
+def _settled(state: PlainInterpreter) -> bool:
+    """Whether plain lines mean no more than they say."""
+    return state.cycle is None and state.offset == state.used_offset and not state.incremental and state.vector is None
+
+
+def _motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | None:
+    """(lines,) motion code in force on each; None if one is neither G0 nor G1."""
+    code = scan.code[lines].astype(np.int64)
+    if code[0] < 0:
+        if before not in (0, 1):
+            return None
+        code[0] = before
+    said = code >= 0
+    return np.asarray(code[np.maximum.accumulate(np.where(said, np.arange(len(code)), 0))])
+
+
+def filled(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+    """In every column of an array, put the last value said where none is; ``before``: what was said before its first row."""
+    if said.all():
+        return
+    values[0] = np.where(said[0], values[0], before)
+    at = np.where(said, np.arange(len(values))[:, None], 0)
+    np.maximum.accumulate(at, axis=0, out=at)
+    values[:] = np.take_along_axis(values, at, axis=0)
