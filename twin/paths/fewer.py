@@ -26,8 +26,9 @@ COMPENSATION: Final = (0.1, 1e-3)
 FIT: Final = (0.25, 0.5, 0.75)
 """What a curve may have of the path's share, tried in this order …"""
 ENOUGH: Final = 0.5
-"""… until blocks and control points together are no more than this share of the blocks there were. A curve must leave a polyline by
-half the height of its chords, so where those are high a curve needs more of the tolerance."""
+"""… until there are no more control points than this share of the blocks that come out, and of the two together than this share of the
+blocks there were. A curve must leave a polyline by half the height of its chords, and points by what they were rounded to: where that
+is much, a curve needs more of the tolerance."""
 POWERS: Final = (0.0, 0.5, 1.0)
 """Parameters tried: as the points come, as the root of the way between them, as the way. Points cut at equal steps of a curve's own
 parameter give it back (the cycloid at its cusps); points cut anyhow need the way."""
@@ -229,7 +230,7 @@ class Fewer:
             chord = apart(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
             figures = Figures(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
             best = (tip_words(self.space, found[0]) if posted else found[0]), pieces, figures
-            if cost <= ENOUGH * (len(words) - 1):
+            if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break
         return best
 
