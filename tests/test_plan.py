@@ -30,7 +30,7 @@ from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
-from twin.planning.candidates import candidates, safe_poses, setting_of
+from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
 from twin.planning.design import Aim, AtTool, Everything, Weakest, choose, covariance_of, gains
 from twin.planning.forecast import of_rows
 from twin.planning.information import Model
@@ -502,3 +502,14 @@ def test_one_slide(tmp_path: Path) -> None:
     made = plan(machine, own, minutes=45.0)
     assert made.forecast is not None and set(made.forecast.errors) == {f"E_{letter}X" for letter in "XYZABC"}
     assert "DRAWS NO SHAPES" in " ".join(made.notices())
+
+
+def test_a_short_plan_leaves_an_identification_room_for_the_machine(dmu50: Machine, calibration: Calibration) -> None:
+    """However few readings: as many positions as expected curves have functions, and two to object; then what is left is scatter."""
+    needed = max(len(curve.coefficients) for curve in calibration.curves.values())
+    assert levels_for(dmu50, 20, 3, calibration) == needed + 2
+    assert levels_for(dmu50, 20, 3, Calibration.zero(dmu50)) == 5
+    short = plan(dmu50, minutes=60.0, expected=calibration).table
+    data, _ = simulate(short, dmu50, calibration, LaserTracker(), np.random.default_rng(11))
+    found = identify(data, dmu50)
+    assert found.misfit.p_value > 1e-3 and len(found.set_aside) <= 1

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin.arrays import locked
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.measurement import Measurements
@@ -23,8 +24,10 @@ TRIES: Final = 8
 FEWEST: Final = 20
 PAID: Final = 3.0
 """Numbers read for every function of a curve: two thirds of them for stations, reflectors, and to object."""
-LEVELS: Final = 5
-"""At least: three functions, and two positions more to object."""
+BEYOND: Final = 2
+"""Positions more than functions, to object."""
+LEVELS: Final = 3 + BEYOND
+"""At least: three functions."""
 ROUND: Final = 1.0
 """mm and degrees: commands a person can read."""
 AT_AN_END: Final = 0.4
@@ -75,19 +78,25 @@ def safe_poses(
     return np.unique(np.array(found[:count]), axis=0)
 
 
-def levels_for(machine: Machine, readings: int, numbers: int) -> int | None:
+def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
     """Positions of each axis that a plan can afford: a curve gets as many functions as it has positions, and all have to be paid for.
+
+    Not fewer than the curves that are expected need: with fewer an evaluation could not write the machine down, and what it then
+    left out would be in no uncertainty.
 
     Args:
         machine: the machine.
         readings: how many there will be.
         numbers: read at each.
+        expected: the machine's errors, about.
 
     Returns:
         Levels, or None where there is no need to keep to any.
     """
-    functions = readings * numbers / (PAID * len(machine.motion_names))
-    return None if functions >= MOST else max(LEVELS, int(functions) + 2)
+    functions = int(readings * numbers / (PAID * len(machine.motion_names)))
+    needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
+    levels = max(LEVELS, functions + BEYOND, needed + BEYOND)
+    return None if levels >= MOST + BEYOND else levels
 
 
 def setting_of(kit: Kit) -> Setting:

@@ -71,7 +71,7 @@ def plan(
         tell("looking", 0.0)
         # A curve gets as many functions as its axis has positions: a short plan keeps to few.
         numbers = min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in own.instruments)
-        levels = levels_for(machine, filler.expected_points, numbers)
+        levels = levels_for(machine, filler.expected_points, numbers, sizes)
         every = candidates(machine, own, safe_poses(machine, own, filler.rng, levels=levels), filler.rng)
         stands = []
         for instrument in own.instruments:
