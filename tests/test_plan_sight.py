@@ -280,7 +280,7 @@ def test_a_plan_keeps_to_what_it_was_given(dmu50: Machine, made: Plan) -> None:
     for axis in range(5):
         assert {*table.approach[:, axis]} == {-1.0, 1.0}, dmu50.names[axis]
     assert np.all(np.diff(table.time_s) > 0.0) and np.isfinite(table.time_s).all()
-    assert 140.0 < made.minutes <= 144.0 and table.time_s[-1] == pytest.approx(60.0 * made.minutes, abs=0.1)
+    assert 0.95 * 144.0 < made.minutes <= 144.0 and table.time_s[-1] == pytest.approx(60.0 * made.minutes, abs=0.1)
     # No station is gone back to, and each goes through its points twice.
     changes = [name for i, name in enumerate(table.station) if i == 0 or name != table.station[i - 1]]
     assert len(changes) == len({*changes})
