@@ -50,11 +50,14 @@ class BudgetRow:
 
 def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray:
     """(poses, axes) commands spread evenly over the ranges, mm and degrees; an unlimited axis over one turn."""
-    rng = np.random.default_rng(seed)
-    lower = [0.0 if axis.lower is None else axis.lower for axis in machine.axes]
-    upper = [360.0 if axis.upper is None else axis.upper for axis in machine.axes]
-    cells = np.argsort(rng.random((poses, len(lower))), axis=0)  # a Latin hypercube: every slice of every axis once
-    return np.asarray(np.array(lower) + (cells + rng.random(cells.shape)) / poses * (np.array(upper) - np.array(lower)))
+    return latin_hypercube(np.array([axis.domain for axis in machine.axes]), poses, np.random.default_rng(seed))
+
+
+def latin_hypercube(ranges: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, k) points drawn over (k, 2) ranges: every one of ``count`` slices of every range once."""
+    lower, upper = ranges.T
+    cells = np.argsort(rng.random((count, len(ranges))), axis=0)
+    return np.asarray(lower + (cells + rng.random(cells.shape)) / count * (upper - lower))
 
 
 def drawn_sides(positions: np.ndarray) -> np.ndarray:

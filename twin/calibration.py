@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
 from twin.covariance import Covariance, not_a_covariance
-from twin.curves import BASES, Basis, basis_named, conversion
-from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
+from twin.curves import BASES, POWER, Basis, basis_named, conversion
+from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name, unit_of
 from twin.errors import InputError
 from twin.extension import effect_named, entry_of
 from twin.files import Place, line_of, load_yaml, write_whole
@@ -107,8 +107,7 @@ class Curve:
     def in_powers(self) -> Curve | None:
         """The same curve in powers of u; None if it is no polynomial."""
         count = len(self.coefficients)
-        power = next(basis for basis in BASES if not basis.periodic)
-        return None if conversion(_basis(self.basis), power, count, count) is None else self.written(power.name, count)
+        return None if conversion(_basis(self.basis), POWER, count, count) is None else self.written(POWER.name, count)
 
     def written(self, basis: str, count: int) -> Curve:
         """The same curve, with its covariance, as ``count`` coefficients of another basis.
@@ -357,7 +356,7 @@ class Calibration:
 
 def _added(curve: Curve | None, motion: ErrorMotion) -> Curve:
     """A curve with another over the same domain added, in the basis of the first."""
-    unit = "um" if split_name(motion.name)[0] < 3 else "urad"
+    unit = unit_of(motion.name)
     if curve is None:
         return Curve(motion.name, unit, motion.domain, motion.basis.name, motion.coefficients)
     if curve.domain != motion.domain:

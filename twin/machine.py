@@ -63,6 +63,11 @@ class Axis:
         return "mm" if self.linear else "deg"
 
     @property
+    def domain(self) -> tuple[float, float]:
+        """Its range, mm or degrees; one turn where it is unlimited."""
+        return (0.0, 360.0) if self.lower is None or self.upper is None else (self.lower, self.upper)
+
+    @property
     def scale(self) -> float:
         """Metres a millimetre, or radians a degree."""
         return MM if self.linear else DEG

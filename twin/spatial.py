@@ -252,6 +252,15 @@ def composed_approximately(first: Any, second: Any, terms: Literal[1, 2] = 2) ->
     return _row(total)
 
 
+def cross_matrix(vectors: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) matrices of ``v ×`` of (n, 3) vectors."""
+    found = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
+    found[:, 1, 0], found[:, 2, 0], found[:, 2, 1] = z, -y, x
+    return found
+
+
 def _sine(square: Any) -> Any:
     """Of t²: sin t / t."""
     if isinstance(square, ca.SX):

@@ -334,7 +334,7 @@ def _fitted(
         if axis.linear and name[2] in "XYZ" and name[2] != name[3]:
             slopes[name] = float(polynomial.polyfit(q, values, 1)[1])
             values = values - slopes[name] * q
-        domain = (0.0, 360.0) if axis.lower is None or axis.upper is None else (axis.lower, axis.upper)
+        domain = axis.domain
         degree = degrees.get(name, DEGREE)
         if not 0 <= degree < len(q):
             raise InputError(f"degree of {name}", expected=f"0 to {len(q) - 1}, for {len(q)} positions", value=degree)

@@ -20,10 +20,10 @@ from twin.calibration import Calibration
 from twin.curves import basis_named
 from twin.errors import InputError
 from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
-from twin.instruments.multi_axis import cross_matrix, turn
+from twin.instruments.multi_axis import turn
 from twin.instruments.multi_axis_solve import Displacement, measure
 from twin.machine import Machine
-from twin.spatial import rotation_exp
+from twin.spatial import cross_matrix, rotation_exp
 from twin.units import UM, URAD
 
 Spread = Literal["stated", "repeats"]

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from twin.calibration import Calibration
 from twin.channels import Conditions
+from twin.iso16907 import NAMES
 from twin.machine import Machine
 
 BAD_INPUT = 2
@@ -64,6 +65,10 @@ TimeOption = Annotated[
         help="For a warm-up: seconds on the clock of the measured table's time_s, which starts with the cold machine; held over "
         "the whole program, so take its middle. A machine warmed through: a large number.",
     ),
+]
+ScopeOption = Annotated[list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")]
+RotaryLimitOption = Annotated[
+    float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
 

@@ -18,6 +18,8 @@ from twin.cli.app import (
     ModeOption,
     OffsetOption,
     OriginOption,
+    RotaryLimitOption,
+    ScopeOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
@@ -29,7 +31,7 @@ from twin.compensation import Compensator, Options
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.iso16907 import NAMES, Scope
+from twin.iso16907 import Scope
 from twin.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program
 from twin.options import conditions, positive, setup
@@ -50,9 +52,7 @@ def compensate(
     output: Annotated[Path, typer.Option("--output", "-o", help="The compensated program.")],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
-    scope: Annotated[
-        list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")
-    ] = None,
+    scope: ScopeOption = None,
     mode: ModeOption = Mode.axis,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block.")
@@ -65,9 +65,7 @@ def compensate(
     method: Annotated[
         Method, typer.Option("--method", help="exact: the inverse with errors; thesis: the baseline.")
     ] = Method.exact,
-    rotary_limit: Annotated[
-        float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
-    ] = DEFAULT_ROTARY_LIMIT_DEG,
+    rotary_limit: RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
 ) -> None:

@@ -17,6 +17,8 @@ from twin.cli.app import (
     ModeOption,
     OffsetOption,
     OriginOption,
+    RotaryLimitOption,
+    ScopeOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
@@ -28,7 +30,7 @@ from twin.compensation import Options
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.iso16907 import NAMES, Scope
+from twin.iso16907 import Scope
 from twin.machine import Machine
 from twin.nc import find_program
 from twin.options import conditions, positive, setup
@@ -62,12 +64,8 @@ def path(
     work_offset: OffsetOption = None,
     work_origin: OriginOption = None,
     feed: Annotated[float | None, typer.Option("--feed", help="mm/min, for points: a program has its own.")] = None,
-    scope: Annotated[
-        list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")
-    ] = None,
-    rotary_limit: Annotated[
-        float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
-    ] = DEFAULT_ROTARY_LIMIT_DEG,
+    scope: ScopeOption = None,
+    rotary_limit: RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
     json_file: JsonOption = None,

@@ -175,7 +175,9 @@ def _mixed(n: int, i: int, k: int) -> int:
     return sum((-1) ** (k - j) * comb(i, j) * comb(n - i, k - j) for j in range(max(0, k - n + i), min(i, k) + 1))
 
 
-BASES: Final[tuple[Basis, ...]] = (Power(), Fourier(), Bernstein())
+POWER: Final = Power()
+FOURIER: Final = Fourier()
+BASES: Final[tuple[Basis, ...]] = (POWER, FOURIER, Bernstein())
 
 
 def basis_named(name: str) -> Basis | None:

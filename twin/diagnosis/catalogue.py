@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.calibration import Calibration
-from twin.curves import BASES
+from twin.curves import POWER
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, of_unit
 from twin.effects import (
@@ -28,12 +28,14 @@ from twin.effects import (
     ThermalGrowth,
     ZeroOffset,
     split_name,
+    unit_of,
 )
 from twin.extension import at_rest, base_vector, load_of, tool_base_frame
-from twin.identification.network import View, cross_matrix
+from twin.identification.network import View
 from twin.identification.unknowns import CurveSpace
 from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
+from twin.spatial import cross_matrix
 from twin.units import UM
 
 DEGREES: Final = 8
@@ -216,7 +218,7 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
             )
         )
     for name in machine.location_names:
-        unit = "um" if split_name(name)[0] < 3 else "urad"
+        unit = unit_of(name)
         found.append(
             _single(
                 "axis_location",
@@ -233,7 +235,6 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
 
 def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
     """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
-    power = next(basis for basis in BASES if not basis.periodic)
     index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
     found = []
     for axis in machine.axes:
@@ -251,7 +252,7 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
                 continue
             at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
             count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
-            space = CurveSpace(name, power, domain, 0, max(count, 1))
+            space = CurveSpace(name, POWER, domain, 0, max(count, 1))
             functions = space.functions(at)
             columns = tuple(
                 of_components({6 * index[axis.name, "motion"] + component: functions[:, k]}) for k in range(count)

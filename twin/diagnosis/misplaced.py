@@ -16,9 +16,10 @@ from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.signatures import LARGEST, Column, of_components
 from twin.effects import Effect, ErrorMotion, split_name
-from twin.identification.network import View, cross_matrix
+from twin.identification.network import View
 from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
+from twin.spatial import cross_matrix
 from twin.units import UM
 
 EFFECT: Final = "misplaced"

@@ -1,7 +1,7 @@
 """What makes a machine differ from its drawing, one small class an effect; a model is an ordered tuple of them."""
 
 from twin.effects.along import PitchError, Reversal, ZeroOffset
-from twin.effects.base import Effect, Frame, Parameter, assemble, split_name
+from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
 from twin.effects.error_motion import ErrorMotion
 from twin.effects.load import GravityCompliance
@@ -28,4 +28,5 @@ __all__ = [
     "ZeroOffset",
     "assemble",
     "split_name",
+    "unit_of",
 ]

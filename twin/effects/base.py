@@ -96,6 +96,11 @@ def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions:
     return total
 
 
+def unit_of(name: str) -> str:
+    """The unit of an ISO 230-1 name: ``um`` of a translation, ``urad`` of a rotation."""
+    return "um" if split_name(name)[0] < 3 else "urad"
+
+
 def split_name(name: str) -> tuple[int, bool, str]:
     """Take an ISO 230-1 name apart: component index in ``XYZABC``, whether it is of the average line, axis name.
 

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.arrays import locked
-from twin.curves import BASES, Basis
+from twin.curves import FOURIER, POWER, Basis
 from twin.determinability import UNSEEN, Determinability
 from twin.effects import split_name
 from twin.errors import InputError
@@ -80,7 +80,7 @@ def _identify(
     say: Say,
 ) -> Identification:
     reader = instrument_of(machine, data, instrument)
-    lengths_only = bool(np.isnan(reader.read(np.ones((1, 3)))[0, 1]))
+    lengths_only = reader.lengths_only
     say("placing the stations", 0.0)
     data, setup = fitting(machine, data, lengths_only=lengths_only)
     covariance = covariance_from_repeats(data, reader)[0] if spread == "repeats" else None
@@ -144,10 +144,8 @@ class _Attempt:
 
 def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool]) -> list[dict[str, Basis]]:
     """The bases worth trying: powers for travels, harmonics for full turns, either for part of a turn."""
-    power = next(basis for basis in BASES if not basis.periodic)
-    fourier = next(basis for basis in BASES if basis.periodic)
-    first = {axis.name: fourier if axis.lower is None else power for axis in machine.axes}
-    other = {axis.name: power if axis.linear else fourier for axis in machine.axes}
+    first: dict[str, Basis] = {axis.name: FOURIER if axis.lower is None else POWER for axis in machine.axes}
+    other: dict[str, Basis] = {axis.name: POWER if axis.linear else FOURIER for axis in machine.axes}
     moved = any(
         first[axis.name] is not other[axis.name]
         and np.ptp(data.positions[:, i]) > 0.0

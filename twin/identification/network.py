@@ -22,6 +22,7 @@ from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
+from twin.spatial import cross_matrix
 from twin.units import MM
 
 PIECE: Final = 1024
@@ -288,13 +289,4 @@ def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:
         kept = np.flatnonzero(pattern)
         inside = np.ix_(rows, kept, kept)
         found[inside] = np.linalg.inv(np.linalg.cholesky(covariance[inside]))
-    return found
-
-
-def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) matrices of ``v ×``."""
-    found = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
-    found[:, 1, 0], found[:, 2, 0], found[:, 2, 1] = z, -y, x
     return found

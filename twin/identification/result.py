@@ -12,7 +12,7 @@ from scipy import stats
 
 from twin.arrays import locked
 from twin.calibration import Calibration
-from twin.effects import split_name
+from twin.effects import split_name, unit_of
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
@@ -164,7 +164,7 @@ class Identification:
             )
         for name, number in (*self.calibration.squareness.items(), *self.calibration.location.items()):
             u_number = float(np.sqrt(self.calibration.covariance.of([name]).matrix[0, 0]))
-            unit = "um" if split_name(name)[0] < 3 else "urad"
+            unit = unit_of(name)
             found.append({"name": name, "unit": unit, "value": number, "u": u_number})
         return found
 

@@ -44,7 +44,7 @@ def instrument_of(machine: Machine, data: Measurements, given: Instrument | None
     only_x = bool(np.isnan(data.point_mm[:, 1:]).all())
     if given is None:
         return TrackingInterferometer() if only_x and not _is_coordinate(machine, data) else LaserTracker()
-    lengths = bool(np.isnan(given.read(np.ones((1, 3)))[0, 1]))
+    lengths = given.lengths_only
     if lengths and not only_x:
         raise InputError(
             f"{given.name} reads lengths only, and y_mm or z_mm is given",
@@ -235,7 +235,7 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
         text = (
             f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
         )
-        if not np.isnan(network.instrument.read(np.ones((1, 3)))[0, 1]) and size > 0.0:
+        if not network.instrument.lengths_only and size > 0.0:
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM
             text += f", {abs(along) * 1e3:.1f} of it along the beam"

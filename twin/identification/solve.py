@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.determinability import WEAKEST, Determinability, Spectrum, Unknown, decompose
-from twin.effects import split_name
+from twin.effects import unit_of
 from twin.identification.network import Network
 from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
@@ -85,10 +85,7 @@ def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
         unknowns: the machine's: µm and µrad.
         setup: stations and targets: metres and radians inside, mm and µrad outside.
     """
-    found = [
-        Unknown(_name(column, unknowns), "um" if split_name(column.entity)[0] < 3 else "urad", PLAUSIBLE)
-        for column in unknowns.columns
-    ]
+    found = [Unknown(_name(column, unknowns), unit_of(column.entity), PLAUSIBLE) for column in unknowns.columns]
     return (*found, *named_setup(setup))
 
 

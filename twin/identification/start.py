@@ -14,12 +14,11 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.errors import InputError
-from twin.identification.network import cross_matrix
 from twin.identification.setup import SetUp
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
-from twin.spatial import rotation_exp
+from twin.spatial import cross_matrix, rotation_exp
 from twin.units import MM
 
 FLOOR: Final = 1e-4

@@ -23,7 +23,7 @@ from twin.arrays import locked
 from twin.calibration import Calibration, Curve
 from twin.covariance import Covariance
 from twin.curves import Basis, of_legendre
-from twin.effects import AxisLocation, Squareness, split_name
+from twin.effects import AxisLocation, Squareness, split_name, unit_of
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
 from twin.measurement import CARRIERS, Measurements
@@ -243,7 +243,7 @@ class Unknowns:
                 block[:, self.index[Column(space.name, k)]] = written[:, k]
             if space.name in self.offsets:
                 block[:, self.index[Column(offset_name(space.name), 0)]] = written[:, 0]
-            unit = "um" if split_name(space.name)[0] < 3 else "urad"
+            unit = unit_of(space.name)
             own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
             curves[space.name] = Curve(space.name, unit, space.domain, space.basis.name, values, own)
@@ -293,7 +293,7 @@ def spaces_for(
     curves: list[CurveSpace] = []
     constants: list[str] = []
     for i, axis in enumerate(machine.axes):
-        domain = (0.0, 360.0) if axis.lower is None or axis.upper is None else (axis.lower, axis.upper)
+        domain = axis.domain
         distinct = distinct_positions(wrapped(positions[:, i], axis, domain))
         if len(distinct) < 2:
             continue

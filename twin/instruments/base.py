@@ -28,6 +28,11 @@ class Instrument(ABC):
     def covariance(self, points: np.ndarray) -> np.ndarray:
         """(n, 3, 3) covariance of the readings, m²; zero rows and columns where nothing is read."""
 
+    @property
+    def lengths_only(self) -> bool:
+        """Whether it reads a length and no coordinates."""
+        return bool(np.isnan(self.read(np.ones((1, 3)))[0, 1]))
+
     def noise(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """(n, 3) one draw of the reading's error, metres."""
         values, vectors = np.linalg.eigh(self.covariance(points))

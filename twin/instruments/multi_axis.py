@@ -23,7 +23,7 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.errors import InputError
-from twin.spatial import rotation_exp
+from twin.spatial import cross_matrix, rotation_exp
 
 STEEPEST: Final = np.cos(np.radians(30.0))
 """Cosine of incidence a layout must keep: beyond 45° the beam never comes back to its source's plane."""
@@ -266,13 +266,6 @@ def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     c = np.where(small, (1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0))) / 6.0, (t - np.sin(t)) / t**3)
     skew = cross_matrix(vectors)
     return np.asarray(rotation_exp(vectors)), np.eye(3) + b * skew + c * (skew @ skew)
-
-
-def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) matrices whose product with a vector is the cross product of (n, 3) vectors with it."""
-    x, y, z = vectors.T
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
 
 
 def across(vector: np.ndarray, *, planar: bool) -> str:

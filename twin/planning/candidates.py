@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin.arrays import locked
+from twin.budget import latin_hypercube
 from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.machine import Machine
@@ -54,8 +55,7 @@ def safe_poses(
     low, high = kit.ranges.T
     unlimited = np.array([axis.lower is None for axis in machine.axes])
     for _ in range(TRIES):
-        cells = (np.argsort(rng.random((count, len(low))), axis=0) + rng.random((count, len(low)))) / count
-        drawn = low + cells * (high - low)
+        drawn = latin_hypercube(kit.ranges, count, rng)
         ended = np.flatnonzero(rng.random(count) < AT_AN_END)
         axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
         for row, i in zip(ended, axis, strict=False):

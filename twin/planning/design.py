@@ -45,11 +45,12 @@ class AtTool(Aim):
     Args:
         derivatives: (n, k, f) by the coordinates.
         name: of the aim.
+        unit: of its value.
     """
 
-    def __init__(self, derivatives: np.ndarray, name: str = "tool") -> None:
+    def __init__(self, derivatives: np.ndarray, name: str = "tool", unit: str = "µm") -> None:
         self.name = name
-        self.unit = "µm" if name == "tool" else "µm and µrad"
+        self.unit = unit
         flat = derivatives.reshape(-1, derivatives.shape[-1])
         self._matrix = flat.T @ flat / len(derivatives)
 

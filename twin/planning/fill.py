@@ -15,7 +15,7 @@ from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning.design import Aim, Say, choose, covariance_of
 from twin.planning.kit import Kit
-from twin.planning.route import ALWAYS, Route, Session, route
+from twin.planning.route import Route, Session, route
 
 STATIONS: Final = 4
 """Stations of one plan at most: each more is set up, placed by the data, and paid for."""
@@ -247,7 +247,7 @@ class Filler:
             best.stations,
             np.random.default_rng(self.seed),
             session=session[rows],
-            sessions=best.readings.sessions or ALWAYS,
+            sessions=best.readings.sessions,
             first_round=self.first_round,
             clear=clear,
         )

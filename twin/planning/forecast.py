@@ -12,7 +12,7 @@ import numpy as np
 from twin.budget import volume
 from twin.calibration import Calibration
 from twin.determinability import UNSEEN, Determinability, Observability, determinability, observability
-from twin.effects import split_name
+from twin.effects import split_name, unit_of
 from twin.identification.solve import named
 from twin.identification.unknowns import offset_name
 from twin.instruments import Instrument
@@ -112,20 +112,6 @@ class Forecast:
                 found[name] = float(np.sqrt(self._of(self.model.unknowns.of(name))[0, 0]))
         return found
 
-    def restricted(self, names: Collection[str]) -> Forecast:
-        """The same for some errors only: to compare two plans by what both determine."""
-        kept = tuple(name for name in self.determined if name in names)
-        return Forecast(
-            self.model,
-            self.covariance,
-            self.readings,
-            kept,
-            self.hidden,
-            self.observability,
-            self.tool_length_mm,
-            self.positions,
-        )
-
     def to_text(self) -> str:
         """The account for people."""
         o = self.observability
@@ -139,7 +125,7 @@ class Forecast:
         ]
         by_axis: dict[str, list[str]] = {}
         for name, u in self.errors.items():
-            unit = "µm" if _unit(name) == "um" else "µrad"
+            unit = "µm" if unit_of(name) == "um" else "µrad"
             by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2f} {unit}")
         lines += [f"  {', '.join(found)}" for found in by_axis.values()] or ["  none is determined"]
         lines += [
@@ -157,7 +143,7 @@ class Forecast:
         o = self.observability
         return {
             "readings": self.readings,
-            "errors": [{"name": name, "unit": _unit(name), "u": u} for name, u in self.errors.items()],
+            "errors": [{"name": name, "unit": unit_of(name), "u": u} for name, u in self.errors.items()],
             "tool_point": {
                 "tool_length_mm": self.tool_length_mm,
                 "u_rms_um": self.tool_um,
@@ -282,7 +268,3 @@ def hidden_by(model: Model, told: Determinability) -> tuple[Hidden, ...]:
 def length_of(machine: Machine, tool_length_mm: float | None) -> float:
     """As given, else the machine file's, else 100 mm: at the nose itself a turn about it would look harmless."""
     return tool_length_mm if tool_length_mm is not None else machine.tool_length_mm or 100.0
-
-
-def _unit(name: str) -> str:
-    return "um" if split_name(name)[0] < 3 else "urad"

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.calibration import Calibration, Curve
-from twin.curves import BASES
+from twin.curves import FOURIER, POWER, Basis
 from twin.effects import split_name
 from twin.identification.network import PIECE, Network
 from twin.identification.remainder import FALL
@@ -90,10 +90,10 @@ class Model:
             expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
             offsets: names of the curves that may have a constant, of those that can (`Unknowns`); all of them if None.
         """
-        power = next(basis for basis in BASES if not basis.periodic)
-        fourier = next(basis for basis in BASES if basis.periodic)
-        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == fourier.name}
-        bases = {axis.name: fourier if axis.lower is None or axis.name in turning else power for axis in machine.axes}
+        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == FOURIER.name}
+        bases: dict[str, Basis] = {
+            axis.name: FOURIER if axis.lower is None or axis.name in turning else POWER for axis in machine.axes
+        }
         spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
         told = as_told(plan, known)
         unknowns = Unknowns(
@@ -220,7 +220,7 @@ def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
 
 def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
     """Where stations and targets are, and which of it the plan tells an evaluation."""
-    told = SetUp.told(plan, lengths_only=bool(np.isnan(instrument.read(np.ones((1, 3)))[0, 1])))
+    told = SetUp.told(plan, lengths_only=instrument.lengths_only)
     return replace(
         told,
         rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in told.stations])),

@@ -261,7 +261,7 @@ def bundled_kit(name: str | Path) -> Path:
 
 def whole_ranges(machine: Machine) -> np.ndarray:
     """(axes, 2) mm and degrees; a turn of an unlimited axis."""
-    return np.array([[0.0, 360.0] if a.lower is None or a.upper is None else [a.lower, a.upper] for a in machine.axes])
+    return np.array([axis.domain for axis in machine.axes])
 
 
 def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:

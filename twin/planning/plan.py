@@ -187,4 +187,4 @@ def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float
             expected="an error that some reading depends on: known places of the targets, more of them, other stations",
             value=" ".join(names),
         )
-    return AtTool((own[wanted] @ seen)[None], "errors")
+    return AtTool((own[wanted] @ seen)[None], "errors", "µm and µrad")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -135,13 +136,17 @@ class Plan:
         """Whether every point can be reached from the one before by a straight move."""
         return not self.route.blocked
 
+    @cached_property
+    def _clearance(self) -> Clearance:
+        return Clearance(self.machine, self.kit)
+
     def notices(self) -> list[str]:
         """What whoever carries it out must know."""
         found = [
             "approach_… is the side each axis comes from: run over by more than any reversal and come back",
             "planned_… say about where things go, and no evaluation takes that for known; place_… and station_… count as exactly known",
         ]
-        if Clearance(self.machine, self.kit).known:
+        if self._clearance.known:
             found.append(
                 "poses and straight moves keep what the URDF draws of the tool side, reflectors included, clear of the work side; it "
                 "knows no holders, clamps or workpiece: dry-run it"

@@ -30,7 +30,7 @@ from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning.candidates import candidates, safe_poses, setting_of
-from twin.planning.design import Aim, Say, covariance_of
+from twin.planning.design import AtTool, Say, covariance_of
 from twin.planning.fill import Filler, Readings
 from twin.planning.information import as_told, setup_of
 from twin.planning.kit import Kit
@@ -87,28 +87,6 @@ class Named:
     def text(self) -> str:
         """Effect and where."""
         return f"{self.effect} {self.where}"
-
-
-@final
-class _Both(Aim):
-    """The sum of two causes' variances, each over the square of the size that is meant."""
-
-    name = "separate"
-    unit = "of the sizes meant"
-
-    def __init__(self, first: slice, second: slice, total: int, sizes: tuple[float, float]) -> None:
-        self._matrix = np.zeros((total, total))
-        for part, size in ((first, sizes[0]), (second, sizes[1])):
-            at = np.arange(part.start, part.stop)
-            self._matrix[at, at] = 1.0 / size**2
-
-    def weight(self, covariance: np.ndarray) -> np.ndarray:
-        """See `Aim.weight`."""
-        return self._matrix
-
-    def value(self, covariance: np.ndarray) -> float:
-        """See `Aim.value`."""
-        return float(np.sqrt(np.sum(self._matrix * covariance)))
 
 
 def separate(
@@ -301,14 +279,16 @@ def _readings(
     if after is not None:
         prior[setup:, setup:] += _told_already(machine, instrument, after, calibration, causes, doubt)
     ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
-    parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
     sizes = tuple(
         _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
         for one, cell in zip(causes, cells, strict=True)
     )
     # Where nothing is said of a size, both count alike: in the size that is plausible.
     safe = (sizes[0], sizes[1]) if all(size == size and size > 0.0 for size in sizes) else (1.0, 1.0)
-    aim = _Both(parts[0], parts[1], total, safe)
+    both = np.zeros((total, total))
+    for (begin, end), size in zip(pairwise(ends), safe, strict=True):
+        both[range(begin, end), range(begin, end)] = 1.0 / size
+    aim = AtTool(both[None], "separate", "of the sizes meant")
     return Readings(instrument, every, session, sessions, prior, whole.reshape(len(every), 3, total), aim)
 
 
