@@ -16,50 +16,56 @@ from twin.identification.solve import named_setup
 ITSELF: Final = "itself"
 
 
-def looks_like(problem: Problem, forms: Sequence[Form], signature: np.ndarray) -> dict[tuple[str, str], str]:
+def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str], str]:
     """A sentence for every candidate that none of its forms shows.
 
     Args:
         problem: the data.
         forms: of those candidates, all of them.
-        signature: (3n, columns) of the pool they belong to.
     """
+    every = list(dict.fromkeys((form.key, column) for form in forms for column in form.cell.columns))
+    if not every:
+        return {}
+    found = problem.products([column for _, column in every])
+    # Beside the set-up there is next to nothing of them; what there was before is what the basis has of it, too.
+    sizes_of = np.sqrt(np.maximum(np.diag(found.gram), 0.0) + np.sum(found.basis**2, axis=0))
     strongest: dict[tuple[str, str], tuple[float, int]] = {}
-    for form in forms:
-        for column in form.columns:
-            size = float(np.linalg.norm(signature[:, column]))
-            if size > strongest.get(form.key, (-1.0, 0))[0]:
-                strongest[form.key] = size, int(column)
+    for i, ((key, _), size) in enumerate(zip(every, sizes_of.tolist(), strict=True)):
+        if size > strongest.get(key, (-1.0, 0))[0]:
+            strongest[key] = size, i
+    own = [i for _, i in strongest.values()]
     setup = named_setup(problem.setup)
-    count = len(setup)
-    rows = len(signature)
-    doubt = problem.nuisance.shape[1] - count
-    whole = np.zeros((rows + len(problem.prior), doubt + count + len(strongest)))
-    whole[:, :doubt] = np.concatenate([problem.nuisance, problem.prior])[:, count:]
-    whole[:rows, doubt : doubt + count] = problem.nuisance[:, :count]
-    whole[:rows, doubt + count :] = signature[:, [column for _, column in strongest.values()]]
+    count, doubt = len(setup), len(problem.prior)
+    # All of it in the directions of the basis, and what of the causes is beside them.
+    values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])
+    beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    whole = np.zeros((len(problem.back) + len(own), doubt + count + len(own)))
+    whole[: len(problem.back)] = np.concatenate(
+        [problem.back[:, count:], problem.back[:, :count], found.basis[:, own]], axis=1
+    )
+    whole[len(problem.back) :, doubt + count :] = beside
     # Triangular, the calibration's doubt first: below it stands what that doubt does not take up, and every choice among its columns
     # is a factor of theirs.
     left = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
     # Columns are in plausible sizes; of the cause one is a millimetre or milliradian at its largest.
     sizes = np.array([*(one.plausible * one.factor for one in setup), 1.0])
     unknowns = [*setup, Unknown(ITSELF, "", 1.0)]
-    found = {}
+    said = {}
     for k, (key, (size, _)) in enumerate(strongest.items()):
         if size**2 <= SEEN:
-            found[key] = "nothing that was moved shows it"
+            said[key] = "nothing that was moved shows it"
             continue
         if float(np.linalg.norm(left[:, count + k])) ** 2 <= SEEN:
-            found[key] = "the calibration itself is not known well enough"
+            said[key] = "the calibration itself is not known well enough"
             continue
         columns = np.array([*range(count), count + k])
         told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(SEEN)))
         direction = told.moving(ITSELF)
         if direction is None:
-            found[key] = "stations, targets and the calibration's own doubt together take it up"
+            said[key] = "stations, targets and the calibration's own doubt together take it up"
             continue
         first, *others = direction.moves
         # What makes up for it is the opposite of what it looks like.
         same = ", ".join(f"{move.name} {-move.value / first.value:+.3g} {move.unit}" for move in others)
-        found[key] = f"{LARGEST * 1e-3:g} mm or mrad of it looks like {same}"
-    return found
+        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it looks like {same}"
+    return said

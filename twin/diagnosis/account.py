@@ -25,6 +25,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained, readable_unit
 from twin.diagnosis.search import Selection, chosen, whole
+from twin.diagnosis.signatures import Column
 from twin.diagnosis.surrogates import EFFECT, depends_on, whatever
 from twin.effects import Effect
 from twin.kinematics import Kinematics
@@ -190,25 +191,27 @@ def _of_patterns(problem: Problem, pool: Pool, forms: Sequence[Form]) -> list[Fo
     unnamed = [form for form in forms if form.candidate.effect == EFFECT]
     gone: list[Form] = []
     for pattern in unnamed:
-        raw = problem.signature(whatever(pattern.candidate, problem.network.machine, problem.network.data))
+        any_smooth = whatever(pattern.candidate, problem.network.machine, problem.network.data)
         others = [form for form in forms if form is not pattern and form not in gone]
         own = pool.scores(others, [pattern.index])[0, 0]
         for form in [one for one in others if one.candidate.effect != EFFECT]:
             rest = [one for one in others if one is not form]
             if pool.scores([*rest, pattern], [form.index])[0, 0] < PART * own:
-                beside = np.concatenate([raw, *(problem.signature(one.cell.columns) for one in rest)], axis=1)
-                explained, dof = _beside(problem, problem.signature(form.cell.columns), beside)
+                beside = [*any_smooth, *(column for one in rest for column in one.cell.columns)]
+                explained, dof = _beside(problem, form.cell.columns, beside)
                 if dof == 0 or explained < pool.cost(form, float(dof)):
                     gone.append(form)
     return gone
 
 
-def _beside(problem: Problem, columns: np.ndarray, others: np.ndarray) -> tuple[float, int]:
+def _beside(problem: Problem, columns: Sequence[Column], others: Sequence[Column]) -> tuple[float, int]:
     """What some columns explain that others do not, and along how many directions that are seen."""
-    inverse, _ = pseudo(problem.inner(others, others))
-    cross = problem.inner(others, columns)
-    gram = problem.inner(columns, columns) - cross.T @ inverse @ cross
-    slope = problem.along(columns) - cross.T @ (inverse @ problem.along(others))
+    found = problem.products([*columns, *others])
+    own, beside = slice(0, len(columns)), slice(len(columns), None)
+    inverse, _ = pseudo(found.gram[beside, beside])
+    cross = found.gram[beside, own]
+    gram = found.gram[own, own] - cross.T @ inverse @ cross
+    slope = found.slope[own] - cross.T @ (inverse @ found.slope[beside])
     left, root = pseudo(gram)
     return float(slope @ left @ slope), root.shape[1]
 
@@ -409,7 +412,7 @@ def _unidentifiable(problem: Problem, pool: Pool, known: Catalogue) -> dict[tupl
     for form, score in zip(pool.forms, pool.scores([], everything), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
     hidden = [candidate.key for candidate in known.candidates if not seen.get(candidate.key, True)]
-    why = looks_like(problem, [form for form in pool.forms if form.key in set(hidden)], pool.signature)
+    why = looks_like(problem, [form for form in pool.forms if form.key in set(hidden)])
     return {key: why[key] for key in hidden}
 
 
@@ -481,16 +484,17 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
     for k in range(int(fold.max()) + 1):
         rows = fold[group] == k
         held = np.repeat(rows, 3)
-        part = problem.without(held)
+        part = problem.without(rows)
         if part is None:
             return nothing
         small = pool.on(part)
         # What has no name is modelled by nothing, and foretells nothing.
         forms = [form for form in chosen(small, starts=1).forms if form.candidate.effect != EFFECT]
-        plain = problem.following(problem.residual, ~held)[held]
+        plain = part.following(problem.residual)[held]
         # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
         columns, values = small.fitted(forms)
-        better = problem.following(problem.residual - pool.signature[:, columns] @ values, ~held)[held]
+        signature = problem.signature([pool.products.columns[i] for i in columns])
+        better = part.following(problem.residual - signature @ values)[held]
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         found = [_squares(problem, plain, held), _squares(problem, better, held), read]
         np.add.at(table, group[rows], np.stack(found, axis=1))

@@ -11,7 +11,18 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.curves import POWER
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
-from twin.diagnosis.signatures import LARGEST, Column, of_components, of_effect, of_unit
+from twin.diagnosis.functions import Functions, Rows, given
+from twin.diagnosis.signatures import (
+    LARGEST,
+    Column,
+    Field,
+    Part,
+    first_component,
+    of_components,
+    of_effect,
+    of_units,
+    of_values,
+)
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -31,11 +42,9 @@ from twin.effects import (
     unit_of,
 )
 from twin.extension import at_rest, base_vector, load_of, tool_base_frame
-from twin.identification.network import View
 from twin.identification.unknowns import CurveSpace
 from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
-from twin.spatial import cross_matrix
 from twin.units import UM
 
 DEGREES: Final = 8
@@ -189,16 +198,40 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     shortest = max(SHORTEST_PERIOD, 2.0 * span / max(len(np.unique(np.round(q, 3))) - 1, 1))
     # Half the resolution of the span a step; the best is refined afterwards.
     frequencies = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
-    cells = []
-    for f in frequencies:
-        columns = tuple(of_unit(PitchError(axis, 1.0, 1.0 / f, phase), machine, state) for phase in (0.0, np.pi / 2.0))
-        cells.append(Cell(columns, {"period": float(1.0 / f)}))
+    # As `PitchError` has it, for all periods at once.
+    count = len(frequencies)
+    functions, at = _waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
+    along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
+    cells = [
+        Cell(
+            tuple(of_components([(i, functions, n, part) for i, part in along]) for n in (k, count + k)),
+            {"period": float(1.0 / f)},
+        )
+        for k, f in enumerate(frequencies)
+    ]
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
         return (PitchError(axis, float(np.hypot(*values)), fixed["period"], float(np.arctan2(values[1], values[0]))),)
 
     names = (("sin", "um"), ("cos", "um"))
     return Candidate("pitch_error", axis.name, "machine", names, tuple(cells), max(len(cells), 1.0), build)
+
+
+def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
+    """Sines of evenly spaced frequencies (radians a mm), and after them their cosines.
+
+    Each is a coarse wave turned on by a fine one: a product in place of two functions to be worked out.
+    """
+    fine = max(int(np.ceil(np.sqrt(count))), 1)
+    coarse = -(-count // fine)
+
+    def values(rows: Rows) -> np.ndarray:
+        at = q[rows, None]
+        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))
+        every = (few[:, :, None] * np.exp(1j * at * step * np.arange(fine))[:, None, :]).reshape(len(at), -1)[:, :count]
+        return np.concatenate([every.imag, every.real], axis=1)
+
+    return Functions(len(q), 2 * count, values)
 
 
 def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
@@ -235,7 +268,6 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
 
 def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
     """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
-    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
     found = []
     for axis in machine.axes:
         q, along = state[axis.name], int(np.argmax(np.abs(axis.direction)))
@@ -253,10 +285,6 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
             at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
             count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
             space = CurveSpace(name, POWER, domain, 0, max(count, 1))
-            functions = space.functions(at)
-            columns = tuple(
-                of_components({6 * index[axis.name, "motion"] + component: functions[:, k]}) for k in range(count)
-            )
             effect = (
                 "error_motion"
                 if not axis.linear
@@ -273,6 +301,9 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
                 shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
                 shapes[ITSELF] = of_curve(space, curve)
             patterns = {stops: shape for stops, shape in shapes.items() if shape is not None}
+            functions = _shaped(space, at, tuple(patterns.values()))
+            at_frame = first_component(machine, axis.name) + component
+            columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
 
             def build(
                 values: np.ndarray,
@@ -296,15 +327,39 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
                 for first in (0, own)
             )
             if cells:
-                at_frame = 6 * index[axis.name, "motion"] + component
-                short = tuple(
-                    Cell((of_components({at_frame: functions @ shape}),), {"stops": stops})
-                    for stops, shape in patterns.items()
-                )
+                short = tuple(Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns))
                 tests = float(count - own + min(len(short), 2))
                 names = tuple((f"g{k}", "um" if component < 3 else "urad") for k in range(count))
                 found.append(Candidate(effect, name, "machine", names, (*cells, *short), tests, build, space))
     return found
+
+
+def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
+    """A curve's orthonormal functions, and after them sums of these.
+
+    Args:
+        space: the functions.
+        at: (n,) positions.
+        patterns: (count,) coefficients of each sum.
+    """
+    sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
+
+    def values(rows: Rows) -> np.ndarray:
+        found = space.functions(at[rows])
+        return np.concatenate([found, found @ sums], axis=1)
+
+    return Functions(len(at), space.count + sums.shape[1], values)
+
+
+def _harmonic(angle: np.ndarray, orders: int) -> Functions:
+    """Cosines of the orders from 1 on, and after them their sines."""
+    order = np.arange(1, orders + 1)
+
+    def values(rows: Rows) -> np.ndarray:
+        found = angle[rows, None] * order
+        return np.concatenate([np.cos(found), np.sin(found)], axis=1)
+
+    return Functions(len(angle), 2 * orders, values)
 
 
 def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
@@ -314,11 +369,15 @@ def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -
         if axis.linear or len(distinct) < 4:
             continue
         most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 60 else ORDERS)
-        for letter in "XYZABC":
+        functions, at = _harmonic(np.radians(state[axis.name]), most), first_component(machine, axis.name)
+        for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
-            unit = "um" if letter in "XYZ" else "urad"
+            unit = unit_of(name)
             cells = tuple(
-                Cell(tuple(of_effect(Harmonic(name, n, 1.0, 1.0), machine, state)), {"order": float(n)})
+                Cell(
+                    tuple(of_components([(at + component, functions, k, 1.0)]) for k in (n - 1, most + n - 1)),
+                    {"order": float(n)},
+                )
                 for n in range(1, most + 1)
             )
 
@@ -381,13 +440,9 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
             missing.append(("thermal_drift", direction, "time_s"))
             continue
         span = max(float(np.ptp(state["time_s"])), 1.0)
-        cells = tuple(
-            Cell(
-                (of_unit(ThermalDrift(frame, direction, vector, 1.0, tau), machine, state),),
-                {"time_constant": float(tau)},
-            )
-            for tau in np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS)
-        )
+        constants = np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS).tolist()
+        units = of_units([ThermalDrift(frame, direction, vector, 1.0, tau) for tau in constants], machine, state)
+        cells = tuple(Cell((unit,), {"time_constant": tau}) for tau, unit in zip(constants, units, strict=True))
 
         def build(
             values: np.ndarray,
@@ -426,18 +481,15 @@ def _instrument(
     found = []
     n = len(data)
 
-    def reading(
-        columns: Sequence[Callable[[View], np.ndarray]], mask: np.ndarray, scales: Sequence[float]
-    ) -> tuple[Column, ...]:
-        return tuple(Column(_masked(c, mask), scale) for c, scale in zip(columns, scales, strict=True))
+    def reading(fields: Sequence[Field], mask: np.ndarray, weight: float, scale: float = LARGEST) -> tuple[Column, ...]:
+        function = given(mask[:, None].astype(float))
+        return tuple(Column((Part(field, function, 0, weight),), scale) for field in fields)
 
-    shift = [lambda view, i=i: view.by_seen[:, :, i] * UM for i in range(3)]
-    turn = [lambda view, i=i: -(view.by_seen @ cross_matrix(view.seen))[:, :, i] * UM for i in range(3)]
+    frame: list[Field] = [(name, i) for name in ("station", "station turn") for i in range(3)]
     six = tuple([(f"shift_{a}", "um") for a in "xyz"] + [(f"turn_{a}", "urad") for a in "xyz"])
     rounds = list(dict.fromkeys(data.round))
     stations = list(dict.fromkeys(data.station))
     number = np.array([rounds.index(name) for name in data.round])
-    everything = np.ones(n)
     for k in range(1, len(rounds)):
         later = (number >= k).astype(float)
         if len(stations) == 1:
@@ -447,7 +499,7 @@ def _instrument(
                     f"round {rounds[k]}",
                     "instrument",
                     six,
-                    (Cell(reading([*shift, *turn], later, [LARGEST] * 6)),),
+                    (Cell(reading(frame, later, UM)),),
                     1.0,
                 )
             )
@@ -462,7 +514,7 @@ def _instrument(
                             where,
                             "instrument",
                             six,
-                            (Cell(reading([*shift, *turn], mask, [LARGEST] * 6)),),
+                            (Cell(reading(frame, mask, UM)),),
                             1.0,
                         )
                     )
@@ -470,7 +522,6 @@ def _instrument(
             of = data.target == target
             mask = later * of
             if 0 < mask.sum() < np.count_nonzero(of):
-                columns = [lambda view, i=i: view.by_place[:, :, i] * UM for i in range(3)]
                 names = tuple((f"shift_{a}", "um") for a in "xyz")
                 found.append(
                     Candidate(
@@ -478,18 +529,17 @@ def _instrument(
                         f"{target} from round {rounds[k]}",
                         "instrument",
                         names,
-                        (Cell(reading(columns, mask, [LARGEST] * 3)),),
+                        (Cell(reading([("place", i) for i in range(3)], mask, UM)),),
                         1.0,
                     )
                 )
-    scale = [lambda view: np.einsum("nij,nj->ni", view.by_seen, view.seen) * 1e-6]
     found.append(
         Candidate(
             "refraction_scale",
             "—",
             "instrument",
             (("scale", "ppm"),),
-            (Cell(reading(scale, everything, [100.0])),),
+            (Cell(reading([("length", 0)], np.ones(n), 1e-6, 100.0)),),
             1.0,
         )
     )
@@ -497,15 +547,13 @@ def _instrument(
         hours = (state["time_s"] - state["time_s"].min()) / 3600.0
         for name in stations:
             mask = hours * (data.station == name)
-            columns = [lambda view, i=i: -view.by_base[:, :, i] * UM for i in range(3)]
-            names = tuple((f"rate_{a}", "um/h") for a in "xyz")
-            top = LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
-            found.append(
-                Candidate("station_drift", name, "instrument", names, (Cell(reading(columns, mask, [top] * 3)),), 1.0)
+            shift = reading(
+                [("base", i) for i in range(3)], mask, -UM, LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
             )
+            names = tuple((f"rate_{a}", "um/h") for a in "xyz")
+            found.append(Candidate("station_drift", name, "instrument", names, (Cell(shift),), 1.0))
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
-    index = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
     for i, axis in enumerate(machine.axes):
         reported = data.readback[:, i]
         if np.all(np.isnan(reported)):
@@ -514,13 +562,9 @@ def _instrument(
         off = np.where(np.isfinite(reported), (reported - data.positions[:, i]) * axis.scale / UM, 0.0)
         if np.abs(off).max() < 1e-3:
             continue
-        start = 6 * index[axis.name, "motion"] + (0 if axis.linear else 3)
+        start = first_component(machine, axis.name) + (0 if axis.linear else 3)
         parts = {start + k: off * part for k, part in enumerate(axis.direction) if part != 0.0}
         found.append(
-            Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_components(parts),)),), 1.0)
+            Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_values(parts),)),), 1.0)
         )
     return found
-
-
-def _masked(column: Callable[[View], np.ndarray], mask: np.ndarray) -> Callable[[View], np.ndarray]:
-    return lambda view: column(view) * mask[view.rows, None]

@@ -120,13 +120,12 @@ def _still_bad(placed: Readings) -> np.ndarray:
 
 def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np.ndarray:
     """(n,) rows too far off once the causes that the other rows show are taken out of all."""
-    held = np.repeat(bad, 3)
-    part = whole.without(held) if np.any(bad) else whole
+    part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
     forms = glimpse(pool.on(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
-    return outliers(placed.network, whole.following(left, ~held).reshape(-1, 3))[0]
+    return outliers(placed.network, part.following(left).reshape(-1, 3))[0]
 
 
 class Searcher:

@@ -15,7 +15,7 @@ from twin.diagnosis.misfit import more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.signatures import of_effect, of_unit
+from twin.diagnosis.signatures import Column, of_effect, of_unit
 from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
 from twin.measurement import state_of
 
@@ -75,7 +75,7 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
     loose: dict[int, np.ndarray] = {}
     for k, found in enumerate(effects):
         if found and isinstance(found[0], ThermalDrift):
-            others = [problem.signature(form.cell.columns) for form in forms if form is not forms[k]]
+            others = [column for form in forms if form is not forms[k] for column in form.cell.columns]
             drift, moments = _creep(problem, forms[k], found[0], others)
             effects[k] = (drift,)
             if moments is not None:
@@ -165,7 +165,7 @@ def _wald(values: np.ndarray, covariance: np.ndarray, count: float) -> tuple[flo
 
 
 def _creep(
-    problem: Problem, form: Form, effect: ThermalDrift, others: Sequence[np.ndarray]
+    problem: Problem, form: Form, effect: ThermalDrift, others: Sequence[Column]
 ) -> tuple[ThermalDrift, np.ndarray | None]:
     """The most likely drift, and how far amplitude and time constant may be from it; None where the data pin them down.
 
@@ -176,21 +176,19 @@ def _creep(
         problem: the data.
         form: whose time constants were tried.
         effect: with any numbers.
-        others: signatures of the other causes.
+        others: columns of the other causes.
     """
     machine = problem.network.machine
     state = state_of(problem.network.data, machine)
     tried = [cell.fixed["time_constant"] for cell in form.candidate.cells]
     constants = np.geomspace(min(tried), max(tried), CONSTANTS)
-    signature = np.stack(
-        [of_unit(effect.changed(1.0, tau), machine, state).reading(problem.view).reshape(-1) for tau in constants],
-        axis=1,
-    )
-    beside = np.concatenate([np.zeros((len(signature), 0)), *others], axis=1)
-    inverse, _ = pseudo(problem.inner(beside, beside)) if beside.shape[1] else (np.zeros((0, 0)), None)
-    cross = problem.inner(beside, signature)
-    weight = np.maximum(np.diag(problem.inner(signature, signature) - cross.T @ inverse @ cross), 1e-300)
-    amplitude = (problem.along(signature) - cross.T @ (inverse @ problem.along(beside))) / weight
+    units = [Column(of_unit(effect.changed(1.0, tau), machine, state).parts, 1.0) for tau in constants]
+    found_of = problem.products([*units, *others])
+    own, beside = slice(0, CONSTANTS), slice(CONSTANTS, None)
+    inverse, _ = pseudo(found_of.gram[beside, beside]) if others else (np.zeros((0, 0)), None)
+    cross = found_of.gram[beside, own]
+    weight = np.maximum(np.diag(found_of.gram[own, own] - cross.T @ inverse @ cross), 1e-300)
+    amplitude = (found_of.slope[own] - cross.T @ (inverse @ found_of.slope[beside])) / weight
     gain = amplitude**2 * weight
     best = int(np.argmax(gain))
     share = np.exp((gain - gain[best]) / 2.0)

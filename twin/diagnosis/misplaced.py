@@ -14,12 +14,11 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Candidate, Cell
-from twin.diagnosis.signatures import LARGEST, Column, of_components
+from twin.diagnosis.functions import Functions, given
+from twin.diagnosis.signatures import Column, Part, first_component, of_components, of_values, scaled_to
 from twin.effects import Effect, ErrorMotion, split_name
-from twin.identification.network import View
 from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
-from twin.spatial import cross_matrix
 from twin.units import UM
 
 EFFECT: Final = "misplaced"
@@ -29,30 +28,40 @@ BASE: Final = "the base"
 def misplaced(machine: Machine, data: Measurements, calibration: Calibration) -> list[Candidate]:
     """Every curve as another component, every axis's curves at another joint and before the chain, and what is exchanged."""
     state = state_of(data, machine)
-    index = {frame.axis: 6 * i for i, frame in enumerate(machine.frames) if frame.role == "motion"}
+    index = {axis.name: first_component(machine, axis.name) for axis in machine.axes}
     motions = [effect for effect in calibration.effects if isinstance(effect, ErrorMotion)]
+    if not motions:
+        return []
+    curves = given(np.stack([np.broadcast_to(_values(motion, state), len(data)) for motion in motions], axis=1))
     found = []
-    for motion in motions:
+    for k, motion in enumerate(motions):
         component, _, name = split_name(motion.name)
-        values = _values(motion, state)
         for other, letter in enumerate(DIRECTIONS):
             if other != component and (other < 3) == _kind(motion):
-                parts = {index[name] + component: -values, index[name] + other: values}
+                parts = [(index[name] + component, curves, k, -1.0), (index[name] + other, curves, k, 1.0)]
                 where = f"{motion.name} as E_{letter}{name}"
                 found.append(_one(where, of_components(parts), _renamed(motion, f"E_{letter}{name}", calibration)))
-    for one, other_motion in combinations(motions, 2):
+    for (k, one), (n, other_motion) in combinations(enumerate(motions), 2):
         if one.frame == other_motion.frame and _kind(one) == _kind(other_motion):
-            found.append(_swapped_names(one, other_motion, state, index))
+            at = index[one.frame.axis]
+            places = [at + split_name(motion.name)[0] for motion in (one, other_motion)]
+            parts = [
+                (i, curves, c, sign)
+                for i, way in zip(places, (1.0, -1.0), strict=True)
+                for c, sign in ((n, way), (k, -way))
+            ]
+            found.append(_swapped_names(one, other_motion, of_components(parts)))
     for axis in machine.axes:
-        own = {split_name(m.name)[0]: _values(m, state) for m in motions if m.frame.axis == axis.name}
+        own = {split_name(m.name)[0]: k for k, m in enumerate(motions) if m.frame.axis == axis.name}
         if not own:
             continue
-        taken = {index[axis.name] + i: -values for i, values in own.items()}
+        taken = [(index[axis.name] + i, curves, k, -1.0) for i, k in own.items()]
         for other_axis in machine.axes:
             if other_axis.name != axis.name and other_axis.side == axis.side:
-                placed = taken | {index[other_axis.name] + i: values for i, values in own.items()}
-                found.append(_one(f"{axis.name} at {other_axis.name}", of_components(placed)))
-        found.append(_one(f"{axis.name} at {BASE}", _before_the_chain(taken, own, data.carrier == axis.side)))
+                placed = [(index[other_axis.name] + i, curves, k, 1.0) for i, k in own.items()]
+                found.append(_one(f"{axis.name} at {other_axis.name}", of_components([*taken, *placed])))
+        before = _before_the_chain(own, curves, data.carrier == axis.side)
+        found.append(_one(f"{axis.name} at {BASE}", scaled_to([*of_components(taken).parts, *before])))
     for a, b in combinations(machine.axes, 2):
         column = _swapped_axes(a, b, motions, state, index) if a.side == b.side and a.linear == b.linear else None
         if column is not None:
@@ -65,11 +74,8 @@ def _kind(motion: ErrorMotion) -> bool:
     return split_name(motion.name)[0] < 3
 
 
-def _swapped_names(a: ErrorMotion, b: ErrorMotion, state: Mapping[str, Any], index: Mapping[str, int]) -> Candidate:
+def _swapped_names(a: ErrorMotion, b: ErrorMotion, column: Column) -> Candidate:
     """Two curves of one axis, each under the other's name."""
-    difference = _values(b, state) - _values(a, state)
-    at = index[a.frame.axis]
-    parts = {at + split_name(a.name)[0]: difference, at + split_name(b.name)[0]: -difference}
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
         share = float(values[0])
@@ -77,7 +83,7 @@ def _swapped_names(a: ErrorMotion, b: ErrorMotion, state: Mapping[str, Any], ind
 
     alike = a.basis.nested or len(a.coefficients) == len(b.coefficients)
     same = a.basis == b.basis and a.domain == b.domain and alike
-    return _one(f"{a.name} and {b.name} exchanged", of_components(parts), build if same else None)
+    return _one(f"{a.name} and {b.name} exchanged", column, build if same else None)
 
 
 def _less(motion: ErrorMotion, other: ErrorMotion, share: float) -> ErrorMotion:
@@ -104,7 +110,7 @@ def _swapped_axes(
                 if not motion.basis.periodic and (q.min() < low or q.max() > high):
                     return None
                 parts[at] = parts.get(at, 0.0) + _values(motion, {**state, other.name: q})
-    return of_components(parts) if parts else None
+    return of_values(parts) if parts else None
 
 
 def _scaled(motion: ErrorMotion, name: str, factor: float) -> ErrorMotion:
@@ -139,18 +145,13 @@ def _renamed(
     return build
 
 
-def _before_the_chain(taken: Mapping[int, np.ndarray], own: Mapping[int, np.ndarray], carried: np.ndarray) -> Column:
-    """The axis's errors as a shift and a turn about the base frame's origin of all that its side carries."""
-    away = of_components(taken)
-    largest = max(float(np.abs(values).max(initial=0.0)) for values in own.values())
+def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.ndarray) -> list[Part]:
+    """An axis's errors as a shift and a turn about the base frame's origin of all that its side carries.
 
-    def reading(view: View) -> np.ndarray:
-        found = away.reading(view)
-        mask = carried[view.rows]
-        turned = -cross_matrix(view.points)
-        for i, values in own.items():
-            moved = view.by_base[:, :, i] if i < 3 else np.einsum("nij,nj->ni", view.by_base, turned[:, :, i - 3])
-            found += moved * (values[view.rows] * mask * UM)[:, None]
-        return found
-
-    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
+    Args:
+        own: component → which curve it is.
+        curves: all of them.
+        carried: (n,) whether a reading's target is.
+    """
+    masked = Functions(curves.points, curves.count, lambda rows: curves.values(rows) * carried[rows, None])
+    return [Part(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]

@@ -99,13 +99,8 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarra
         return None
     found = estimate(problem, forms)
     left = problem.residual - found.signature.sum(axis=1)
-    whole = np.concatenate([problem.nuisance, problem.prior])
-    right = np.concatenate([left, np.zeros(len(problem.prior))])
-    size = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
-    moved = np.linalg.lstsq(whole / size, right, rcond=1e-9)[0] / size
-    moved = moved[: len(problem.setup)] * problem.setup.plausible
     effects = [effect for own in found.effects for effect in own]
-    return _moves(problem, effects, moved, plan)
+    return _moves(problem, effects, problem.followed(left), plan)
 
 
 def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Any) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy import special, stats
 
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
+from twin.diagnosis.products import Products
 from twin.diagnosis.signatures import Column
 
 ALARMS: Final = 0.04
@@ -36,6 +37,10 @@ SEEN: Final = 25.0
 """Noncentrality at the largest plausible size below which the data do not see a direction at all."""
 DOUBT: Final = 9.21
 """Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
+SAMPLED: Final = 4096
+"""Points that are enough to see how forms go with one another."""
+BATCH: Final = 48
+"""Columns whose inner products with all others are worked out in one pass, at least."""
 NONE: Final = np.zeros(0, dtype=int)
 
 
@@ -84,7 +89,8 @@ class Pool:
     ) -> None:
         self.dof = dof
         self.level = ALARMS
-        self._tried: dict[int, tuple[Form, np.ndarray]] = {}
+        self._latest = np.zeros(len(forms))
+        self._tried: dict[int, Form] = {}
         self._all_costs = np.zeros((0, 0))
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         at: dict[Column, int] = {}
@@ -92,12 +98,11 @@ class Pool:
         for index, (candidate, cell, price) in enumerate(forms):
             columns = np.array([at.setdefault(column, len(at)) for column in cell.columns])
             self.forms.append(Form(candidate, cell, columns, price, index))
-        self.signature = problem.signature(list(at))
         self.key_of = _numbered([form.key for form in self.forms])
         self.slot_of = _numbered([form.slot for form in self.forms])
         self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
-        self._raw = self._blocks(self.signature)
+        self.products = Products(problem, list(at), self._columns)
         self._project(problem)
         self.calibrate()
 
@@ -108,15 +113,24 @@ class Pool:
         proportional to p.
         """
         problem, rng = self.problem, np.random.default_rng(SEED)
-        own = problem.nuisance[:, problem.prior.any(axis=0)]
-        read = problem.network.read.reshape(-1)
-        silent = rng.standard_normal((len(problem.residual), SILENT)) * read[:, None]
-        silent += own @ rng.standard_normal((own.shape[1], SILENT))
-        silent -= problem.basis @ (problem.basis.T @ silent)
-        slope = self.signature.T @ silent
+        count = len(problem.view.rows)
+        points, products, root = np.arange(count), self.products, problem.root
+        if count > SAMPLED:
+            # How forms go with one another, some of the points show as well.
+            points = np.sort(rng.choice(count, SAMPLED, replace=False))
+            products = Products(problem, self.products.columns, self._columns, points)
+            root = problem.orthonormal_on(points)
+        basis = problem.rows(points).reshape(-1, problem.basis.shape[1])
+        read = problem.network.read[points].reshape(-1)
+        silent = rng.standard_normal((len(read), SILENT)) * read[:, None]
+        silent += basis @ (problem.doubt @ rng.standard_normal((problem.doubt.shape[1], SILENT)))
+        silent -= basis @ (root @ (root.T @ (basis.T @ silent)))
+        more = count / len(points)
+        slope = products.along(silent, points) * np.sqrt(more)
         scale = rng.chisquare(self.dof, SILENT) / self.dof if np.isfinite(self.dof) else np.ones(SILENT)
         least = np.zeros(SILENT)
-        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+        inner = [more * own for own in self._beside(products, root)]
+        for rows, columns, blocks in zip(self._rows, self._columns, inner, strict=True):
             values, vectors = np.linalg.eigh(blocks)
             seen = _seen(values, np.einsum("nii->ni", blocks).max(axis=1))
             root = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
@@ -145,41 +159,41 @@ class Pool:
         return cost(dof, form.price, self.level, self.dof)
 
     def _project(self, problem: Problem) -> None:
-        self._within = problem.basis.T @ self.signature
-        self._inner = [raw - within for raw, within in zip(self._raw, self._blocks(self._within), strict=True)]
+        self._within = problem.root.T @ self.products.by_basis
+        self._inner = self._beside(self.products, problem.root)
         # Inner products with all columns of those that were asked for, a row each, and which row is whose.
-        self._cross = np.zeros((0, self.signature.shape[1]))
-        self._row = np.full(self.signature.shape[1], -1)
+        self._cross = np.zeros((0, self._within.shape[1]))
+        self._row = np.full(self._within.shape[1], -1)
         self.judge(problem)
+
+    def _beside(self, products: Products, root: np.ndarray) -> list[np.ndarray]:
+        """Inner products within each form, by width, (forms, w, w), beside the set-up."""
+        within = (root.T @ products.by_basis).T
+        lost = [within[columns] for columns in self._columns]
+        return [raw - own @ own.transpose(0, 2, 1) for raw, own in zip(products.within, lost, strict=True)]
 
     def judge(self, problem: Problem) -> None:
         """Take the residual of a problem whose set-up and rows are the same; what was forbidden or refined for another is forgotten."""
         self.problem = problem
-        self.slope = self.signature.T @ problem.projected
-        for form, own in self._tried.values():
-            self._put(form, own)
+        self.products.judge(problem.residual)
+        for form in self._tried.values():
+            self._put(form)
         self._tried = {}
+        self._sloped()
         self._costs = self._all_costs
         self._scans = {}
 
-    def _blocks(self, rows: np.ndarray) -> list[np.ndarray]:
-        """Inner products within each form, by width: (forms, w, w)."""
-        found = []
-        for columns in self._columns:
-            blocks = np.empty((len(columns), columns.shape[1], columns.shape[1]))
-            for k, own in enumerate(columns):
-                part = rows[:, _run(own)]
-                blocks[k] = part.T @ part
-            found.append(blocks)
-        return found
+    def _sloped(self) -> None:
+        """What is left of the residual beside the set-up, with every column."""
+        right = self.problem.root.T @ self.problem.along_basis
+        self.slope = self.products.by_residual - self._within.T @ right
 
     def on(self, part: Problem) -> Pool:
-        """The same forms on other rows of the same data: what is held out is zero in its basis and residual."""
+        """The same forms on a part of the same data."""
         other = copy(self)
         other._tried = {}
         other.forms = list(self.forms)
-        out = self._blocks(self.signature[_run(part.held)])
-        other._raw = [raw - gone for raw, gone in zip(self._raw, out, strict=True)]
+        other.products = self.products.less(part.held) if len(part.held) else self.products
         other._project(part)
         return other
 
@@ -190,20 +204,17 @@ class Pool:
             form: of this pool.
             cell: with as many columns.
         """
-        self._tried.setdefault(form.index, (self.forms[form.index], np.array(self.signature[:, form.columns])))
-        self._put(replace(form, cell=cell), self.problem.signature(cell.columns))
-
-    def _put(self, form: Form, own: np.ndarray) -> None:
-        self.forms[form.index] = form
-        self.signature[:, form.columns] = own
-        self._within[:, form.columns] = within = self.problem.basis.T @ own
-        kind = next(k for k, rows in enumerate(self._rows) if form.index in rows)
-        at = int(np.searchsorted(self._rows[kind], form.index))
-        self._raw[kind][at] = own.T @ own
-        self._inner[kind][at] = own.T @ own - within.T @ within
-        self.slope[form.columns] = own.T @ self.problem.projected
-        self._cross, self._row = self._cross[:0], np.full_like(self._row, -1)
+        self._tried.setdefault(form.index, self.forms[form.index])
+        self._put(replace(form, cell=cell))
+        self._sloped()
         self._scans = {}
+
+    def _put(self, form: Form) -> None:
+        self.forms[form.index] = form
+        self.products.replace(form.columns, form.cell.columns)
+        self._within = self.problem.root.T @ self.products.by_basis
+        self._inner = self._beside(self.products, self.problem.root)
+        self._cross, self._row = self._cross[:0], np.full_like(self._row, -1)
 
     def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
         """The columns of some forms, and how much of each (plausible sizes)."""
@@ -247,6 +258,7 @@ class Pool:
         for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
             lost = factor[columns]
             explained[rows], dof[rows] = _explained(blocks, blocks - lost @ lost.transpose(0, 2, 1), slope[columns])
+        self._latest = explained - self._costs[np.arange(len(dof)), dof]
         self._scans[key] = explained, dof
         return explained, dof
 
@@ -285,14 +297,25 @@ class Pool:
 
     def _with(self, columns: np.ndarray) -> np.ndarray:
         """(columns, all) inner products."""
-        fresh = columns[self._row[columns] < 0]
-        if len(fresh):
-            own = self.signature[:, fresh]
-            own[self.problem.held] = 0.0
-            found = own.T @ self.signature - self._within[:, fresh].T @ self._within
+        if np.any(self._row[columns] < 0):
+            fresh = self._with_likely(columns[self._row[columns] < 0])
+            found = self.products.cross(fresh) - self._within[:, fresh].T @ self._within
             self._row[fresh] = len(self._cross) + np.arange(len(fresh))
             self._cross = np.concatenate([self._cross, found])
         return self._cross[self._row[columns]]
+
+    def _with_likely(self, columns: np.ndarray) -> np.ndarray:
+        """Columns, and those that are likely to be asked for next: a pass over the data costs more than what is done in it."""
+        found = dict.fromkeys(columns.tolist())
+        # Where all that is asked for is at hand, only what is so, too.
+        cheap = self.products.at_hand
+        here = bool(cheap[columns].all())
+        for i in np.argsort(-self._latest, kind="stable"):
+            if len(found) >= BATCH:
+                break
+            own = self.forms[int(i)].columns
+            found |= dict.fromkeys(own[(self._row[own] < 0) & (cheap[own] if here else True)].tolist())
+        return np.sort(np.array(list(found), dtype=int))
 
     def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
         """(all, r) what is taken from inner products by forms that are in (factor · factorᵀ), and the slope left."""
@@ -376,14 +399,6 @@ def together(forms: Sequence[Form]) -> np.ndarray:
     """The columns of some forms, each once, in order."""
     found = [form.columns for form in forms]
     return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
-
-
-def _run(columns: np.ndarray) -> slice | np.ndarray:
-    """Indices that follow one another as a slice: a view instead of a copy."""
-    if len(columns) == 0:
-        return columns
-    first, last = int(columns[0]), int(columns[-1])
-    return slice(first, last + 1) if last - first == len(columns) - 1 else columns
 
 
 def pseudo(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,26 +1,52 @@
 """The readings after everything the set-up and the fitted geometry can absorb has been projected out.
 
 Whitened residual r and signatures S are judged by what remains of them beside the set-up's derivatives B (and the calibration's own
-uncertainty, as directions with unit prior variance): xᵀMy = xᵀy − (Qᵀx)ᵀ(Qᵀy), Q the part in the readings of an orthonormal basis of
-[B, J·L; 0, 1].
+uncertainty, as directions with unit prior variance): xᵀMy = xᵀy − (Uᵀx)ᵀ(Uᵀy), U the part in the readings of an orthonormal basis of
+[B, J·L; 0, 1]. With some points taken out, what is left of the basis is orthonormal again after a factor: UᵀU + PᵀP = 1 less what was
+taken out, P the other part of the basis.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
 from twin.calibration import Calibration
+from twin.diagnosis.functions import Rows, pieces
 from twin.diagnosis.signatures import Column, of_effect
+from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.measurement import state_of
 
 TOLD_APART: Final = 1e-9
 """Relative size of a set-up direction below which it is no direction of its own."""
+LOST: Final = 1e-12
+"""Share of a direction in the points that are left below which they do not hold it."""
+
+
+@final
+@dataclass(frozen=True)
+class Inner:
+    """Inner products of k columns.
+
+    Attributes:
+        gram: (k, k) beside the set-up and the calibration's doubt.
+        slope: (k,) with the residual, likewise.
+        basis: (directions, k) with the basis itself.
+        raw: (k, k) nothing projected out.
+        with_residual: (k,) with the residual, nothing projected out.
+    """
+
+    gram: np.ndarray
+    slope: np.ndarray
+    basis: np.ndarray
+    raw: np.ndarray
+    with_residual: np.ndarray
 
 
 @final
@@ -36,67 +62,76 @@ class Problem:
     def __init__(self, network: Network, setup: SetUp, calibration: Calibration | None) -> None:
         self.network = network
         self.setup = setup
-        n = len(network.data)
-        self.view: View = network.view(np.zeros(0), setup, np.arange(n))
+        self.view: View = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
-        by_setup = np.zeros((n, 3, len(setup)))
-        network.by_setup(self.view, setup, by_setup)
-        raw = by_setup.reshape(3 * n, -1) * setup.plausible
-        own = self._uncertain(calibration)
-        self.nuisance = np.concatenate([raw, own], axis=1)
-        self.prior = np.concatenate([np.zeros((own.shape[1], raw.shape[1])), np.eye(own.shape[1])], axis=1)
-        self.basis = _basis(self.nuisance, self.prior)
+        doubt, root = self._uncertain(calibration)
+        self.prior = np.concatenate([np.zeros((root.shape[1], len(setup))), np.eye(root.shape[1])], axis=1)
+        self.basis, self.back = self._orthonormal(doubt, root)
+        self.root = np.eye(self.basis.shape[1])
         self.held: np.ndarray = np.zeros(0, dtype=int)
-        self.absorbed = self.basis.shape[1] - own.shape[1]
+        self.absorbed = self.basis.shape[1] - root.shape[1]
         self.judge(self.residual)
         self.readings = int(np.count_nonzero(network.read))
 
-    def without(self, held: np.ndarray) -> Problem | None:
-        """The same with some rows taken out (zero); None if a station or target would be lost.
+    def without(self, points: np.ndarray) -> Problem | None:
+        """The same with some points taken out; None if a station, a target or a doubt would be lost.
 
         Args:
-            held: (3n,) rows to take out.
+            points: (n,) booleans, those to take out.
         """
         part = copy(self)
-        keep = np.where(held, 0.0, 1.0)
-        part.held = np.flatnonzero(held)
-        part.nuisance = self.nuisance * keep[:, None]
-        if np.any((np.linalg.norm(part.nuisance, axis=0) == 0.0) & (np.linalg.norm(self.nuisance, axis=0) > 0.0)):
+        part.held = np.flatnonzero(points)
+        gone = self._gram(part.held)
+        size = np.einsum("ij,ij->j", self.back, self.back) - np.sum(self.prior**2, axis=0)
+        left = size - np.einsum("ki,kl,li->i", self.back, gone, self.back)
+        if np.any((left <= LOST * size) & (size > 0.0)):
             return None
-        part.basis = _basis(part.nuisance, self.prior)
-        part.judge(self.residual * keep)
+        part.root = _root(np.eye(len(gone)) - gone)
+        part.judge(self.residual)
         return part
+
+    def orthonormal_on(self, points: np.ndarray) -> np.ndarray:
+        """(directions, k) factor that makes the basis orthonormal again where only some points (their numbers) count."""
+        own = self.prior @ np.linalg.pinv(self.back, rcond=TOLD_APART)
+        return _root(own.T @ own + self._gram(points))
 
     def judge(self, residual: np.ndarray) -> None:
         """Another (3n,) whitened residual at the same set-up."""
         self.residual = residual
+        self.along_basis = self.basis.T @ self._kept(residual)
         self.projected = self.project(residual)
-        self.chi2 = float(residual @ self.projected)
+        self.chi2 = float(self.residual @ self.projected)
 
     def project(self, residual: np.ndarray) -> np.ndarray:
         """A (3n,) residual beside the set-up and the calibration's doubt; rows that are held out are zero."""
-        residual = self._kept(residual)
-        return np.asarray(residual - self.basis @ (self.basis.T @ residual))
+        return self._kept(self.following(residual))
 
-    def following(self, residual: np.ndarray, counted: np.ndarray) -> np.ndarray:
-        """A (3n,) residual once the set-up has been fitted to some of its rows.
+    def following(self, residual: np.ndarray) -> np.ndarray:
+        """A (3n,) whitened residual once the set-up has been fitted to the rows that are not held out; all rows of it."""
+        return np.asarray(residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self._kept(residual)))))
 
-        Args:
-            residual: whitened.
-            counted: (3n,) rows that the set-up follows.
-        """
-        train = np.concatenate([self.nuisance[counted], self.prior])
-        right = np.concatenate([residual[counted], np.zeros(len(self.prior))])
-        scale = np.maximum(np.linalg.norm(train, axis=0), 1e-300)
-        solved = np.linalg.lstsq(train / scale, right, rcond=1e-9)[0] / scale
-        return np.asarray(residual - self.nuisance @ solved)
+    def followed(self, residual: np.ndarray) -> np.ndarray:
+        """(set-up,) its unknowns as a (3n,) residual moves them, metres and radians; the smallest where they can be chosen."""
+        size = np.maximum(np.linalg.norm(self.back, axis=0), 1e-300)
+        moved = np.linalg.lstsq(self.back / size, self.basis.T @ residual, rcond=1e-9)[0] / size
+        return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
     def _kept(self, rows: np.ndarray) -> np.ndarray:
         if len(self.held) == 0:
             return rows
         found = np.array(rows)
-        found[self.held] = 0.0
+        found.reshape(len(self.view.rows), 3, -1)[self.held] = 0.0
         return found
+
+    @property
+    def nuisance(self) -> np.ndarray:
+        """(3n, k) derivatives by the set-up (plausible sizes), and one standard deviation of each direction of the doubt."""
+        return np.asarray(self.basis @ self.back)
+
+    @property
+    def doubt(self) -> np.ndarray:
+        """(directions, k) the latter of these, of the basis."""
+        return np.asarray(self.back[:, len(self.setup) :])
 
     @property
     def dof(self) -> int:
@@ -106,42 +141,105 @@ class Problem:
     def signature(self, columns: Sequence[Column]) -> np.ndarray:
         """(3n, columns) whitened, in plausible sizes; each column in one piece."""
         found = np.empty((len(columns), len(self.residual)))
-        for k, column in enumerate(columns):
-            np.multiply(column.reading(self.view).reshape(-1), column.scale, out=found[k])
+        own = Signatures(self.view, columns)
+        for rows in pieces(len(self.view.rows)):
+            found[:, 3 * rows.start : 3 * rows.stop] = _flat(own.at(Block(self.view, rows))).T
         return found.T
+
+    def products(self, columns: Sequence[Column]) -> Inner:
+        """What there is to know of some columns, without ever holding them at all points."""
+        own = Signatures(self.view, columns)
+        keep = np.ones(len(self.view.rows), dtype=bool)
+        keep[self.held] = False
+        residual = self.residual.reshape(-1, 3)
+
+        def with_others(block: Block) -> np.ndarray:
+            return np.concatenate([own.at(block), self.rows(block.rows), residual[block.rows, :, None]], axis=2)
+
+        whole = own.along(with_others, None if keep.all() else np.flatnonzero(keep))
+        k = len(columns)
+        raw, basis, slope = whole[:, :k], whole[:, k:-1].T, whole[:, -1]
+        within = self.root.T @ basis
+        return Inner(raw - within.T @ within, slope - within.T @ (self.root.T @ self.along_basis), basis, raw, slope)
+
+    def rows(self, points: Rows) -> np.ndarray:
+        """(points, 3, directions) the basis at some points."""
+        return np.asarray(self.basis.reshape(len(self.view.rows), 3, -1)[points])
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """aᵀMb of signatures."""
-        a = self._kept(a)
-        return np.asarray(a.T @ b - (self.basis.T @ a).T @ (self.basis.T @ b))
+        a, b = self._kept(a), self._kept(b)
+        return np.asarray(a.T @ b - (self.root.T @ (self.basis.T @ a)).T @ (self.root.T @ (self.basis.T @ b)))
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """aᵀMr; the data's residual, or another that is projected already."""
         return np.asarray(a.T @ (self.projected if residual is None else residual))
 
-    def _uncertain(self, calibration: Calibration | None) -> np.ndarray:
-        """(3n, k) what one standard deviation of each direction of the calibration's covariance does."""
-        n = len(self.network.data)
+    def _gram(self, points: np.ndarray) -> np.ndarray:
+        """(directions, directions) of the basis on some points."""
+        found = np.zeros((self.basis.shape[1], self.basis.shape[1]))
+        for run in pieces(len(points)):
+            rows = self.rows(points[run]).reshape(-1, self.basis.shape[1])
+            found += rows.T @ rows
+        return found
+
+    def _orthonormal(self, doubt: Sequence[Column], root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The readings' part of an orthonormal basis of what set-up and doubt can do, and their derivatives in terms of it."""
+        n, size = len(self.view.rows), self.prior.shape[1]
+        whole = np.zeros((3 * n, size))
+        own = Signatures(self.view, [Column(one.parts, 1.0) for one in doubt])
+        triangle = self.prior
+        for run in pieces(n):
+            rows = slice(3 * run.start, 3 * run.stop)
+            by_setup = np.zeros((run.stop - run.start, 3, len(self.setup)))
+            self.network.by_setup(self.view.part(run), self.setup, by_setup)
+            whole[rows, : len(self.setup)] = by_setup.reshape(-1, len(self.setup)) * self.setup.plausible
+            if doubt:
+                whole[rows, len(self.setup) :] = _flat(own.at(Block(self.view, run))) @ root
+            triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, whole[rows]]), mode="r"))
+        _, values, vectors = np.linalg.svd(triangle, full_matrices=False)
+        kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
+        factor, back = vectors[kept].T / values[kept], values[kept, None] * vectors[kept]
+        # Twice: what rounding leaves of the angles between weak directions is straightened by the second factor.
+        beside = self.prior @ factor
+        square = beside.T @ beside
+        for run in pieces(n):
+            rows = slice(3 * run.start, 3 * run.stop)
+            found = whole[rows] @ factor
+            whole[rows, : found.shape[1]] = found
+            square += found.T @ found
+        lower = np.linalg.cholesky(square)
+        basis = whole[:, : factor.shape[1]]
+        for run in pieces(n):
+            rows = slice(3 * run.start, 3 * run.stop)
+            basis[rows] = np.linalg.solve(lower, basis[rows].T).T
+        return basis, np.asarray(lower.T @ back)
+
+    def _uncertain(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
+        """Columns of the calibration's parameters, and what one standard deviation of each direction of its covariance is of them."""
         if calibration is None or not calibration.covariance.names:
-            return np.zeros((3 * n, 0))
+            return [], np.zeros((0, 0))
         covariance = calibration.covariance
         known = set(covariance.names)
         machine = self.network.machine
         state = state_of(self.network.data, machine)
-        found: dict[str, np.ndarray] = {}
+        found: dict[str, Column] = {}
         for effect in calibration.effects:
             names = [parameter.name for parameter in effect.parameters]
             if names[0] in known:
-                for name, column in zip(names, of_effect(effect, machine, state), strict=True):
-                    found[name] = column.reading(self.view).reshape(-1)
+                found |= dict(zip(names, of_effect(effect, machine, state), strict=True))
         values, vectors = np.linalg.eigh(covariance.matrix)
         strong = values > 1e-12 * max(float(values[-1]), 1e-300)
-        root = vectors[:, strong] * np.sqrt(values[strong])
-        return np.asarray(np.stack([found[name] for name in covariance.names], axis=1) @ root)
+        return [found[name] for name in covariance.names], vectors[:, strong] * np.sqrt(values[strong])
 
 
-def _basis(nuisance: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """The readings' part of an orthonormal basis of what the set-up and the calibration's doubt can do."""
-    u, values, _ = np.linalg.svd(np.concatenate([nuisance, prior]), full_matrices=False)
-    kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
-    return np.asarray(u[: len(nuisance), kept])
+def _flat(found: np.ndarray) -> np.ndarray:
+    """(3·points, columns) of (points, 3, columns)."""
+    return found.reshape(3 * len(found), found.shape[2])
+
+
+def _root(gram: np.ndarray) -> np.ndarray:
+    """R with R Rᵀ the inverse, over the directions that are there."""
+    values, vectors = np.linalg.eigh(gram)
+    there = values > LOST
+    return np.asarray(vectors[:, there] / np.sqrt(values[there]))

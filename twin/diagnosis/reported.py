@@ -63,7 +63,7 @@ def reported(
                     share=0.0,
                     equivalent=(),
                     evidence=f"{text}, and the measurement follows the commands: they were read before {axis.name} had settled",
-                    pattern_um=locked(pattern_um(pool.signature[:, form.columns[0]] / scale)),
+                    pattern_um=locked(pattern_um(pool.problem.signature(form.cell.columns)[:, 0] / scale)),
                 )
             )
         elif abs(share - 1.0) < COMPATIBLE * u and abs(share) < COMPATIBLE * u:

@@ -1,24 +1,88 @@
 """What each candidate cause would do to the readings: whitened, in plausible sizes, before anything is projected out.
 
-A machine's effect acts in error frames, so its signature is a reading's derivative by one component times a function of the state; an
-instrument's effect acts on the reading itself. Both come out as (n, 3, columns).
+A signature is a sum of products: the derivative of the reading by something that can move (an error component, the target in the base
+frame, the point in its station's frame) times a function of the state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 
+from twin.diagnosis.functions import Functions, Rows, given, of_state, pieces
 from twin.effects import Effect
 from twin.identification.network import View
 from twin.machine import Machine
+from twin.spatial import cross_matrix
 from twin.units import UM
 
 LARGEST: Final = 1000.0
 """µm or µrad: how much an effect may do at most anywhere; a column is scaled to it."""
+
+Field = tuple[str, int]
+"""What moves, and along or about which of its directions."""
+
+_FIELDS: Final[Mapping[str, Callable[[View, Rows], np.ndarray]]] = {
+    # Of every error frame, six components each.
+    "error": lambda view, rows: view.by_error[rows],
+    # The target, along an axis of the base frame and about one through its origin.
+    "base": lambda view, rows: view.by_base[rows],
+    "base turn": lambda view, rows: -(view.by_base[rows] @ cross_matrix(view.points[rows])),
+    # The point in its station's frame, likewise.
+    "station": lambda view, rows: view.by_seen[rows],
+    "station turn": lambda view, rows: -(view.by_seen[rows] @ cross_matrix(view.seen[rows])),
+    # The target on its carrier.
+    "place": lambda view, rows: view.by_place[rows],
+    # All lengths from the station.
+    "length": lambda view, rows: view.by_seen[rows] @ view.seen[rows][:, :, None],
+}
+
+
+@final
+class Fields:
+    """Derivatives of some readings, each worked out once.
+
+    Args:
+        view: of all readings.
+        rows: some of them.
+    """
+
+    def __init__(self, view: View, rows: Rows) -> None:
+        self._view = view
+        self._rows = rows
+        self._found: dict[str, np.ndarray] = {}
+
+    def __getitem__(self, field: Field) -> np.ndarray:
+        """(rows, 3) whitened, a metre or radian of it."""
+        name, direction = field
+        return np.asarray(self.of(name)[:, :, direction])
+
+    def of(self, name: str) -> np.ndarray:
+        """(rows, 3, directions) all of one kind."""
+        if name not in self._found:
+            self._found[name] = _FIELDS[name](self._view, self._rows)
+        return self._found[name]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One product of a signature.
+
+    Attributes:
+        field: what moves.
+        functions: of the state.
+        index: of the function among them.
+        weight: metres or radians a unit of it.
+    """
+
+    field: Field
+    functions: Functions
+    index: int
+    weight: float
 
 
 @final
@@ -27,12 +91,20 @@ class Column:
     """One column of a signature.
 
     Attributes:
-        reading: view → (n, 3) whitened, a unit of the parameter.
+        parts: which add up, a unit of the parameter.
         scale: units of the parameter that make it as large as plausible.
     """
 
-    reading: Callable[[View], np.ndarray]
+    parts: tuple[Part, ...]
     scale: float
+
+    def reading(self, view: View) -> np.ndarray:
+        """(rows, 3) whitened, a unit of the parameter, of all that a view has."""
+        fields = Fields(view, slice(None))
+        found = np.zeros((len(view.rows), 3))
+        for part in self.parts:
+            found += fields[part.field] * (part.weight * part.functions.values(view.rows)[:, part.index, None])
+        return found
 
 
 def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> list[Column]:
@@ -43,41 +115,69 @@ def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> lis
         machine: the machine.
         state: positions and channels of all points.
     """
-    at = _first_component(effect, machine)
-    return [of_components({at + i: v for i, v in shape.items()}) for shape in effect.derivatives(state)]
+    return _of_shapes(effect, machine, state, effect.derivatives)
 
 
 def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
     """The column of a machine's effect that is proportional to its first parameter, which is one: cheaper than all its derivatives."""
-    at = _first_component(effect, machine)
-    return of_components({at + i: values for i, values in effect.components(state).items()})
+    return of_units([effect], machine, state)[0]
 
 
-def _first_component(effect: Effect, machine: Machine) -> int:
-    """Index of the first error component of the frame an effect acts in."""
-    frame = effect.frame
-    return 6 * next(i for i, one in enumerate(machine.frames) if (one.axis, one.role) == (frame.axis, frame.role))
+def of_units(effects: Sequence[Effect], machine: Machine, state: Mapping[str, Any]) -> list[Column]:
+    """The same of several effects in one frame, whose functions are worked out together."""
+    return _of_shapes(effects[0], machine, state, lambda some: [effect.components(some) for effect in effects])
 
 
-def of_components(parts: Mapping[int, np.ndarray]) -> Column:
-    """A column from functions of the state in error components (µm or µrad a unit)."""
-    fixed = {at: np.asarray(values, dtype=float) for at, values in parts.items()}
-    largest = max((float(np.abs(values).max(initial=0.0)) for values in fixed.values()), default=0.0)
-
-    def reading(view: View) -> np.ndarray:
-        found = np.zeros((len(view.rows), 3))
-        for at, values in fixed.items():
-            found += view.by_error[:, :, at] * (values[view.rows, None] * UM)
-        return found
-
-    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
+def _of_shapes(
+    effect: Effect,
+    machine: Machine,
+    state: Mapping[str, Any],
+    shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]],
+) -> list[Column]:
+    at = first_component(machine, effect.frame.axis, effect.frame.role)
+    functions, each = of_state(state, shapes)
+    return [of_components([(at + i, functions, k, 1.0) for i, k in own]) for own in each]
 
 
-def of_base(direction: int, values: np.ndarray) -> Column:
-    """A shift of the target along a direction of the base, ``values`` µm a unit."""
-    largest = float(np.abs(values).max(initial=0.0))
+def first_component(machine: Machine, axis: str, role: str = "motion") -> int:
+    """Index of the first error component of a frame."""
+    return 6 * next(i for i, one in enumerate(machine.frames) if (one.axis, one.role) == (axis, role))
 
-    def reading(view: View) -> np.ndarray:
-        return view.by_base[:, :, direction] * (values[view.rows, None] * UM)
 
-    return Column(reading, LARGEST / largest if largest > 0.0 else 1.0)
+def of_components(parts: Sequence[tuple[int, Functions, int, float]]) -> Column:
+    """A column from functions of the state in error components.
+
+    Args:
+        parts: component, functions, which of them, and µm or µrad a unit of it.
+    """
+    return scaled_to([Part(("error", at), functions, k, weight * UM) for at, functions, k, weight in parts])
+
+
+def of_base(direction: int, functions: Functions, index: int) -> Column:
+    """A shift of the target along a direction of the base, µm a unit of a function."""
+    return scaled_to([Part(("base", direction), functions, index, UM)])
+
+
+def of_values(parts: Mapping[int, np.ndarray]) -> Column:
+    """A column from (n,) values in error components, µm or µrad a unit."""
+    functions = given(np.stack([np.asarray(values, dtype=float) for values in parts.values()], axis=1))
+    return of_components([(at, functions, k, 1.0) for k, at in enumerate(parts)])
+
+
+def scaled_to(parts: Sequence[Part]) -> Column:
+    """Scaled so that what moves most moves by `LARGEST`, µm or µrad, where it does so most."""
+    alike: dict[tuple[Field, Functions], list[Part]] = {}
+    for part in parts:
+        alike.setdefault((part.field, part.functions), []).append(part)
+    largest = max((_largest(functions, own) for (_, functions), own in alike.items()), default=0.0) / UM
+    return Column(tuple(parts), float(LARGEST / largest) if largest > 0.0 else 1.0)
+
+
+def _largest(functions: Functions, parts: Sequence[Part]) -> float:
+    """Of the sum of some parts that move the same."""
+    if len(parts) == 1:
+        return float(abs(parts[0].weight) * functions.largest[parts[0].index])
+    weights = np.zeros(functions.count)
+    for part in parts:
+        weights[part.index] += part.weight
+    return max(float(np.abs(functions.values(rows) @ weights).max()) for rows in pieces(functions.points))

@@ -6,10 +6,9 @@ one the table gives), taken at the reading itself so that it does not move with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Final, TypeVar, final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Final, final
 
 import numpy as np
 from scipy.linalg.lapack import dtpqrt
@@ -22,13 +21,12 @@ from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.observation import Observation
+from twin.shares import side_by_side
 from twin.spatial import cross_matrix
 from twin.units import MM
 
 PIECE: Final = 1024
 """Points worked on at a time."""
-WORKERS: Final = 2
-"""Factorisations side by side; a fixed number, so that the result does not depend on the machine."""
 PANEL: Final = 32
 """Columns of a block of the factorisation: of no consequence but time."""
 
@@ -82,6 +80,10 @@ class View:
     by_error: np.ndarray
     by_place: np.ndarray
 
+    def part(self, some: slice | np.ndarray) -> View:
+        """Of some of these points."""
+        return View(*(getattr(self, field.name)[some] for field in fields(self)))
+
 
 @final
 class Network:
@@ -134,14 +136,13 @@ class Network:
 
     def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[Piece]:
         """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
-        for start in range(0, len(self.data), PIECE):
-            yield self.piece(theta, setup, np.arange(start, min(start + PIECE, len(self.data))))
+        for rows in pieces_of(self):
+            yield self.piece(theta, setup, rows)
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
         """(n, 3) whitened residuals, zero where nothing was read."""
         found = np.zeros((len(self.data), 3))
-        for start in range(0, len(self.data), PIECE):
-            rows = np.arange(start, min(start + PIECE, len(self.data)))
+        for rows in pieces_of(self):
             found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.difference(theta, setup, rows))
         return found
 
@@ -219,6 +220,12 @@ class Network:
                 into[of, :, where] = view.by_place[of]
 
 
+def pieces_of(network: Network) -> list[np.ndarray]:
+    """All rows, `PIECE` at a time."""
+    points = len(network.data)
+    return [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
+
+
 def triangle(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
     """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
 
@@ -239,28 +246,10 @@ def triangle(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarr
             found = _on_top(found, both.reshape(size, -1).T)
         return found
 
-    whole, *others = side_by_side(len(network.data), factor)
+    whole, *others = side_by_side(pieces_of(network), factor)
     for part in others:
         whole = _on_top(whole, np.asfortranarray(np.triu(part)))
     return np.triu(whole)
-
-
-Part = TypeVar("Part")
-
-
-def side_by_side(points: int, work: Callable[[Sequence[np.ndarray]], Part]) -> list[Part]:
-    """Some work on all points in pieces, `WORKERS` shares of them at a time: what each share gave.
-
-    Args:
-        points: how many there are.
-        work: pieces (rows each) → what they give; called from several threads.
-    """
-    pieces = [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
-    shares = [pieces[i::WORKERS] for i in range(min(WORKERS, len(pieces)))]
-    if len(shares) == 1:
-        return [work(shares[0])]
-    with ThreadPoolExecutor(len(shares)) as pool:
-        return list(pool.map(work, shares))
 
 
 def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:

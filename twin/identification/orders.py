@@ -20,10 +20,11 @@ from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpstrf
 
 from twin.arrays import locked
-from twin.identification.network import Network, side_by_side
+from twin.identification.network import Network, pieces_of
 from twin.identification.solve import Solution, free_directions
 from twin.identification.unknowns import PLAUSIBLE, CurveSpace
 from twin.measurement import Measurements
+from twin.shares import side_by_side
 
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8
@@ -260,7 +261,7 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
                 normal[cell] += rows @ rows.T
         return normal
 
-    normal = np.sum(side_by_side(len(network.data), summed), axis=0)
+    normal = np.sum(side_by_side(pieces_of(network), summed), axis=0)
     normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
     return normal, count.reshape(folds.rounds, folds.poses + 1)

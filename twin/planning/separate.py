@@ -271,7 +271,7 @@ def _readings(
     """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
     problem = _problem(machine, kit, instrument, every, calibration)
     columns = [problem.signature(cell.columns) for _, cell in cells]
-    setup, doubt = problem.nuisance.shape[1] - len(problem.prior), len(problem.prior)
+    setup, doubt = len(problem.setup), len(problem.prior)
     whole = np.concatenate([problem.nuisance, *columns], axis=1)
     total = whole.shape[1]
     # `twin diagnose` holds a set-up by nothing: where on its carrier a target sits, angles of the machine alone may have to tell.
@@ -322,8 +322,8 @@ def _told_already(
         calibration,
     )
     columns = [problem.signature(_cell(one, machine, kept, calibration)[1].columns) for one in causes]
-    own = problem.nuisance[:, : problem.nuisance.shape[1] - doubt]
-    rest = np.concatenate([problem.nuisance[:, problem.nuisance.shape[1] - doubt :], *columns], axis=1)
+    own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
+    rest = np.concatenate([doubts, *columns], axis=1)
     # Not all of a set-up need show: a frame and everything that was read in it may move together.
     basis, strength, _ = np.linalg.svd(own, full_matrices=False)
     basis = basis[:, strength > TOLD_APART * strength[0]]

@@ -1,0 +1,283 @@
+"""Signatures of many columns, a run of points at a time: never are all of them there at all points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.diagnosis.functions import Functions, Rows, pieces
+from twin.diagnosis.signatures import Column, Field, Fields
+from twin.identification.network import View
+from twin.shares import side_by_side
+
+FEW: Final = 64
+"""Products of two functions that are worked out at a time."""
+KEPT: Final = 2**25
+"""Function values (256 MB) up to which they are kept from one pass to the next."""
+
+
+@final
+@dataclass(frozen=True)
+class _Paired:
+    """Inner products that two sets of functions have a part in.
+
+    Attributes:
+        first: (p,) of the products of two functions, which of the first set.
+        second: (p,) which of the second.
+        fields: pairs of derivatives that they are multiplied by.
+        entries: which inner product, which product of functions, which pair of derivatives, weight; (e,) each.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    fields: tuple[tuple[Field, Field], ...]
+    entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@final
+class Block:
+    """Some points: their derivatives, and functions of their state, each worked out once.
+
+    Args:
+        view: of all points.
+        rows: which points.
+    """
+
+    def __init__(self, view: View, rows: Rows) -> None:
+        self.rows = rows
+        self.fields = Fields(view, rows)
+        self._values: dict[Functions, np.ndarray | None] = {}
+
+    def values(self, functions: Functions) -> np.ndarray | None:
+        """(points, count), or None where they are all zero."""
+        if functions not in self._values:
+            nowhere = functions.where is not None and not functions.where[self.rows].any()
+            self._values[functions] = None if nowhere else functions.values(self.rows)
+        return self._values[functions]
+
+
+@final
+class Signatures:
+    """Signatures of some columns in plausible sizes, (columns, points, 3) if they were ever all there.
+
+    Args:
+        view: the readings.
+        columns: of them.
+    """
+
+    def __init__(self, view: View, columns: Sequence[Column]) -> None:
+        self.view = view
+        self.columns = list(columns)
+        self._kept: dict[int, Block] = {}
+        self._asked: tuple[Sequence[np.ndarray], _Codes, Mapping[tuple[Functions, Functions], _Paired]] | None = None
+        self._arrange()
+
+    def replace(self, at: Sequence[int], columns: Sequence[Column]) -> None:
+        """Other columns in the place of some."""
+        for i, column in zip(at, columns, strict=True):
+            self.columns[i] = column
+        self._arrange()
+
+    def along(self, vectors: Callable[[Block], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
+        """(columns, r) inner products with (points, 3, r) vectors.
+
+        Args:
+            vectors: some of the points → (points, 3, r).
+            rows: the points that count; all if None.
+        """
+
+        def share(own: Sequence[int]) -> np.ndarray:
+            total: dict[Functions, Any] = {}
+            for run in own:
+                block = self._block(run, runs)
+                right = vectors(block)
+                projected: dict[str, np.ndarray] = {}
+                for functions, wanted in self._wanted.items():
+                    values = block.values(functions)
+                    if values is None:
+                        continue
+                    for name, _ in wanted:
+                        if name not in projected:
+                            projected[name] = block.fields.of(name).transpose(0, 2, 1) @ right
+                    # Side by side: the functions, which are most of it, are then read once.
+                    beside = [projected[name][:, direction] for name, direction in wanted]
+                    found = (beside[0] if len(beside) == 1 else np.concatenate(beside, axis=1)).T @ values
+                    total[functions] = total.get(functions, 0.0) + found
+            found = np.zeros((len(self.columns), right.shape[2]))
+            for functions, values in total.items():
+                of = self._wanted[functions].values()
+                for (columns, index, weight), own_values in zip(of, np.split(values, len(of)), strict=True):
+                    np.add.at(found, columns, weight[:, None] * own_values.T[index])
+            return found
+
+        runs = self._runs_of(rows)
+        return np.asarray(sum(side_by_side(range(len(runs)), share)))
+
+    def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
+        """Inner products within groups of columns: (groups, w, w) of each (groups, w).
+
+        Two products of a derivative and a function make the product of two functions times that of two derivatives; what has the same
+        functions has these once.
+
+        Args:
+            groups: numbers of columns, those of equally wide groups together.
+            rows: the points that count; all if None.
+        """
+        if self._asked is None or self._asked[0] is not groups:
+            codes = _codes(groups, len(self.columns))
+            self._asked = groups, codes, self._paired(codes[0][codes[1]])
+        _, (pairs, lower, places, twins), needed = self._asked
+
+        def share(own: Sequence[int]) -> np.ndarray:
+            total: dict[tuple[Functions, Functions], np.ndarray] = {}
+            for run in own:
+                block = self._block(run, runs)
+                turned: dict[Functions, np.ndarray] = {}
+                dots: dict[tuple[Field, Field], np.ndarray] = {}
+                for (a, b), wanted in needed.items():
+                    of_a, of_b = block.values(a), block.values(b)
+                    if of_a is None or of_b is None:
+                        continue
+                    for functions, of in ((a, of_a), (b, of_b)):
+                        if functions not in turned:
+                            turned[functions] = np.ascontiguousarray(of.T)
+                    for one, other in wanted.fields:
+                        if (one, other) not in dots:
+                            dots[one, other] = np.einsum("bi,bi->b", block.fields[one], block.fields[other])
+                    weights = np.stack([dots[both] for both in wanted.fields], axis=1)
+                    if (a, b) not in total:
+                        total[a, b] = np.zeros((len(wanted.first), len(wanted.fields)))
+                    # A few at a time: what the processor still has at hand is not fetched again.
+                    for few in pieces(len(wanted.first), FEW):
+                        products = turned[a][wanted.first[few]] * turned[b][wanted.second[few]]
+                        total[a, b][few] += products @ weights
+            found = np.zeros(len(pairs))
+            own_of = np.flatnonzero(lower)
+            for both, values in total.items():
+                place, product, field, weight = needed[both].entries
+                np.add.at(found, own_of[place], weight * values[product, field])
+            return found
+
+        runs = self._runs_of(rows)
+        values = np.asarray(sum(side_by_side(range(len(runs)), share)))
+        # The other way round they are the same.
+        values[~lower] = values[twins]
+        return [values[own] for own in places]
+
+    def _paired(self, pairs: np.ndarray) -> Mapping[tuple[Functions, Functions], _Paired]:
+        """What the inner products of pairs of columns (codes: first · columns + second) are sums of."""
+        lists: dict[tuple[Functions, Functions], list[tuple[int, int, int, Field, Field, float]]] = {}
+        for place, code in enumerate(pairs.tolist()):
+            one, other = (self.columns[i] for i in divmod(code, len(self.columns)))
+            scale = one.scale * other.scale
+            for p in one.parts:
+                for q in other.parts:
+                    own = lists.setdefault((p.functions, q.functions), [])
+                    own.append((place, p.index, q.index, p.field, q.field, scale * p.weight * q.weight))
+        found = {}
+        for both, own in lists.items():
+            products: dict[tuple[int, int], int] = {}
+            fields: dict[tuple[Field, Field], int] = {}
+            entries = [
+                (place, products.setdefault((k, n), len(products)), fields.setdefault((f, g), len(fields)), weight)
+                for place, k, n, f, g, weight in own
+            ]
+            columns = [np.array(values) for values in zip(*entries, strict=True)]
+            first, second = (np.array(values) for values in zip(*products, strict=True))
+            found[both] = _Paired(first, second, tuple(fields), (columns[0], columns[1], columns[2], columns[3]))
+        return found
+
+    def at(self, block: Block, columns: Sequence[int] | None = None) -> np.ndarray:
+        """(points, 3, columns) signatures at some points, of some columns or all."""
+        wanted = self._wanted if columns is None else self._arranged(columns)
+        count = len(self.view.residual[block.rows])
+        found = np.zeros((len(self.columns) if columns is None else len(columns), count, 3))
+        for functions, of in wanted.items():
+            values = block.values(functions)
+            if values is None:
+                continue
+            for field, (at, index, weight) in of.items():
+                part = (values[:, index] * weight).T[:, :, None] * block.fields[field]
+                if len(set(at.tolist())) == len(at):
+                    found[at] += part
+                else:
+                    # A column may be several functions of one set.
+                    np.add.at(found, at, part)
+        return found.transpose(1, 2, 0)
+
+    def _block(self, run: int, runs: Sequence[np.ndarray]) -> Block:
+        """One of some runs; kept from one pass to the next if it is one of all points and they are few."""
+        if runs is not self._runs or not self._keep:
+            return Block(self.view, runs[run])
+        if run not in self._kept:
+            self._kept[run] = Block(self.view, runs[run])
+        return self._kept[run]
+
+    def _arrange(self) -> None:
+        self._asked = None
+        self._wanted = self._arranged(range(len(self.columns)))
+        size = sum(functions.count for functions in self._wanted) * len(self.view.rows)
+        self._keep = size <= KEPT
+        self._runs = self._run_together(np.arange(len(self.view.rows)))
+
+    def _runs_of(self, rows: np.ndarray | None) -> list[np.ndarray]:
+        return self._runs if rows is None else self._run_together(rows)
+
+    def _run_together(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Points in runs; those at which the same functions are zero come together, so that these are passed over there."""
+        wheres = [functions.where for functions in self._wanted if functions.where is not None]
+        alike = (
+            np.unique(np.stack([where[rows] for where in wheres], axis=1), axis=0, return_inverse=True)[1]
+            if wheres
+            else None
+        )
+        order = rows if alike is None else rows[np.argsort(alike.reshape(-1), kind="stable")]
+        return [order[run] for run in pieces(len(order))]
+
+    def _arranged(
+        self, columns: Sequence[int]
+    ) -> Mapping[Functions, Mapping[Field, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        """By functions and field: places of columns among those asked for, numbers of functions, and weights."""
+        lists: dict[Functions, dict[Field, list[tuple[int, int, float]]]] = {}
+        for place, i in enumerate(columns):
+            column = self.columns[i]
+            for part in column.parts:
+                own = lists.setdefault(part.functions, {}).setdefault(part.field, [])
+                own.append((place, part.index, part.weight * column.scale))
+        return {
+            functions: {
+                field: (
+                    np.array([one[0] for one in own]),
+                    np.array([one[1] for one in own]),
+                    np.array([one[2] for one in own]),
+                )
+                for field, own in of.items()
+            }
+            for functions, of in lists.items()
+        }
+
+
+_Codes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
+
+
+def _codes(groups: Sequence[np.ndarray], count: int) -> _Codes:
+    """Pairs of columns within groups, each once.
+
+    Args:
+        groups: (groups, w) numbers of columns each.
+        count: columns.
+
+    Returns:
+        The pairs (first · count + second), whether the first is not after the second, of each array of groups the places of its
+        (groups, w, w) pairs among them, and for those the other way round the place of the pair they are the same as.
+    """
+    codes = [columns[:, :, None] * count + columns[:, None, :] for columns in groups]
+    pairs, places = np.unique(np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, codes)]), return_inverse=True)
+    lower = pairs // count <= pairs % count
+    twins = np.searchsorted(pairs, pairs[~lower] % count * count + pairs[~lower] // count)
+    ends = np.cumsum([code.size for code in codes])[:-1]
+    own = [place.reshape(code.shape) for place, code in zip(np.split(places, ends), codes, strict=True)]
+    return pairs, lower, own, twins
