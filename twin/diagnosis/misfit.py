@@ -73,7 +73,7 @@ def widened(problem: Problem, columns: np.ndarray, left: np.ndarray, inverse: np
     count = int(group.max()) + 1
     if count < FEW:
         return inverse, float("inf")
-    own = np.stack([problem.project(column) for column in columns.T], axis=1)
+    own = problem.project(columns)
     rest = problem.project(left)
     scores = np.zeros((count, columns.shape[1]))
     np.add.at(scores, np.repeat(group, 3), own * rest[:, None])

@@ -14,7 +14,7 @@ from twin.identification.network import View
 from twin.shares import side_by_side
 
 FEW: Final = 64
-"""Products of two functions that are worked out at a time."""
+"""Vectors, or products of two functions, that are worked on at a time: what the processor has at hand is not fetched again."""
 KEPT: Final = 2**25
 """Function values (256 MB) up to which they are kept from one pass to the next."""
 
@@ -90,27 +90,29 @@ class Signatures:
         """
 
         def share(own: Sequence[int]) -> np.ndarray:
-            total: dict[Functions, Any] = {}
+            total: dict[tuple[Functions, int], Any] = {}
             for run in own:
                 block = self._block(run, runs)
                 right = vectors(block)
-                projected: dict[str, np.ndarray] = {}
-                for functions, wanted in self._wanted.items():
-                    values = block.values(functions)
-                    if values is None:
-                        continue
-                    for name, _ in wanted:
-                        if name not in projected:
-                            projected[name] = block.fields.of(name).transpose(0, 2, 1) @ right
-                    # Side by side: the functions, which are most of it, are then read once.
-                    beside = [projected[name][:, direction] for name, direction in wanted]
-                    found = (beside[0] if len(beside) == 1 else np.concatenate(beside, axis=1)).T @ values
-                    total[functions] = total.get(functions, 0.0) + found
+                for few in pieces(right.shape[2], FEW):
+                    projected: dict[str, np.ndarray] = {}
+                    for functions, wanted in self._wanted.items():
+                        values = block.values(functions)
+                        if values is None:
+                            continue
+                        for name, _ in wanted:
+                            if name not in projected:
+                                projected[name] = block.fields.of(name).transpose(0, 2, 1) @ right[:, :, few]
+                        # Side by side: the functions, which are most of it, are then read once.
+                        beside = [projected[name][:, direction] for name, direction in wanted]
+                        found = (beside[0] if len(beside) == 1 else np.concatenate(beside, axis=1)).T @ values
+                        total[functions, few.start] = total.get((functions, few.start), 0.0) + found
             found = np.zeros((len(self.columns), right.shape[2]))
-            for functions, values in total.items():
+            for (functions, start), values in total.items():
                 of = self._wanted[functions].values()
                 for (columns, index, weight), own_values in zip(of, np.split(values, len(of)), strict=True):
-                    np.add.at(found, columns, weight[:, None] * own_values.T[index])
+                    part = found[:, start : start + len(own_values)]
+                    np.add.at(part, columns, weight[:, None] * own_values.T[index])
             return found
 
         runs = self._runs_of(rows)
@@ -150,7 +152,6 @@ class Signatures:
                     weights = np.stack([dots[both] for both in wanted.fields], axis=1)
                     if (a, b) not in total:
                         total[a, b] = np.zeros((len(wanted.first), len(wanted.fields)))
-                    # A few at a time: what the processor still has at hand is not fetched again.
                     for few in pieces(len(wanted.first), FEW):
                         products = turned[a][wanted.first[few]] * turned[b][wanted.second[few]]
                         total[a, b][few] += products @ weights

@@ -177,10 +177,15 @@ class Unknowns:
         """
         by_axis = {axis.name: positions[:, i] for i, axis in enumerate(self.machine.axes)}
         found: list[list[tuple[int, np.ndarray]]] = []
+        # The six curves of an axis have the same functions, as a rule: held once.
+        known: dict[tuple[str, str, tuple[float, float], int], np.ndarray] = {}
         for curve in self.curves:
             component, _, axis_name = split_name(curve.name)
-            values = curve.functions(wrapped(by_axis[axis_name], self.machine.by_name[axis_name], curve.domain)) * UM
-            at = 6 * self._frames[axis_name, "motion"] + component
+            key = axis_name, curve.basis.name, curve.domain, curve.count
+            if key not in known:
+                axis = self.machine.by_name[axis_name]
+                known[key] = curve.functions(wrapped(by_axis[axis_name], axis, curve.domain)) * UM
+            values, at = known[key], 6 * self._frames[axis_name, "motion"] + component
             found += [[(at, values[:, k])] for k in range(curve.first, curve.count)]
         for name in self.constants:
             effect = self._constant(name, 0.0)
