@@ -351,8 +351,7 @@ def _flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibratio
     )
     if "stops" in form.cell.fixed:
         wide = form
-    columns, values = pool.fitted([wide, *(one for one in forms if one is not form)])
-    inverse, _ = pseudo(pool.among(columns))
+    columns, values, inverse = pool.fitted([wide, *(one for one in forms if one is not form)])
     own = np.searchsorted(columns, wide.columns)
     scale = np.array([column.scale for column in wide.cell.columns])
     if "stops" in form.cell.fixed:
@@ -492,7 +491,7 @@ def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, 
         forms = [form for form in chosen(small, starts=1).forms if form.candidate.effect != EFFECT]
         plain = part.following(problem.residual)[held]
         # Nothing along what the training rounds do not see: it would be noise times a lever on the round held out.
-        columns, values = small.fitted(forms)
+        columns, values, _ = small.fitted(forms)
         signature = problem.signature([pool.products.columns[i] for i in columns])
         better = part.following(problem.residual - signature @ values)[held]
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)

@@ -41,7 +41,6 @@ SAMPLED: Final = 4096
 """Points that are enough to see how forms go with one another."""
 BATCH: Final = 48
 """Columns whose inner products with all others are worked out in one pass, at least."""
-NONE: Final = np.zeros(0, dtype=int)
 
 
 @final
@@ -90,6 +89,8 @@ class Pool:
         self.dof = dof
         self.level = ALARMS
         self._latest = np.zeros(len(forms))
+        self._asked: set[int] = set()
+        self._likely: set[int] = set()
         self._tried: dict[int, Form] = {}
         self._all_costs = np.zeros((0, 0))
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
@@ -102,6 +103,8 @@ class Pool:
         self.slot_of = _numbered([form.slot for form in self.forms])
         self._columns = [np.stack([form.columns for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
+        # Where the inner products within each form are.
+        self._place = {int(i): (kind, k) for kind, rows in enumerate(self._rows) for k, i in enumerate(rows)}
         self.products = Products(problem, list(at), self._columns)
         self._project(problem)
         self.calibrate()
@@ -192,6 +195,7 @@ class Pool:
         """The same forms on a part of the same data."""
         other = copy(self)
         other._tried = {}
+        other._asked, other._likely = set(), self._asked
         other.forms = list(self.forms)
         other.products = self.products.less(part.held) if len(part.held) else self.products
         other._project(part)
@@ -216,36 +220,46 @@ class Pool:
         self._inner = self._beside(self.products, self.problem.root)
         self._cross, self._row = self._cross[:0], np.full_like(self._row, -1)
 
-    def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """The columns of some forms, and how much of each (plausible sizes)."""
+    def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The columns of some forms, how much of each (plausible sizes), and the covariance of that."""
         columns = together(forms)
         if len(columns) == 0:
-            return columns, np.zeros(0)
-        inverse, _ = pseudo(self.among(columns))
-        return columns, inverse @ self.slope[columns]
+            return columns, np.zeros(0), np.zeros((0, 0))
+        inverse, _ = pseudo(self.gram(forms))
+        return columns, inverse @ self.slope[columns], inverse
 
     def explained_by(self, forms: Sequence[Form]) -> float:
         """What some forms explain together."""
-        columns, values = self.fitted(forms)
+        columns, values, _ = self.fitted(forms)
         return float(self.slope[columns] @ values)
 
-    def among(self, columns: np.ndarray) -> np.ndarray:
-        """Inner products of some columns."""
-        self._with(columns)
-        return np.asarray(self._cross[np.ix_(self._row[columns], columns)])
+    def gram(self, forms: Sequence[Form]) -> np.ndarray:
+        """Inner products of the columns of some forms (`together`)."""
+        columns = together(forms)
+        known = self._row[columns] >= 0
+        fresh = [form for form in forms if np.any(self._row[form.columns] < 0)]
+        if len(fresh) > 1:
+            # One that is new has those with the others in their rows, and its own from the beginning.
+            self._with(together(fresh[1:]))
+            return self.gram(forms)
+        found = np.zeros((len(columns), len(columns)))
+        for form in fresh:
+            at = np.searchsorted(columns, form.columns)
+            kind, place = self._place[form.index]
+            found[np.ix_(at, at)] = self._inner[kind][place]
+        rows = self._cross[np.ix_(self._row[columns[known]], columns)]
+        found[known], found[:, known] = rows, rows.T
+        return found
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Whether what a form can do beside some others is done by a larger set already."""
-        alone = self._left(form.columns, together(others))
-        left = self._left(form.columns, together(larger))
+        alone = self._left(form, others)
+        left = self._left(form, larger)
         return bool(np.trace(left) < 1e-3 * np.trace(alone))
 
     def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
         """Whether a form would have to be ten times as large as what shows of it beside others, and more so than a cause."""
-        left, own = (
-            float(np.trace(self._left(one.columns, together(others))) / np.trace(self._left(one.columns, NONE)))
-            for one in (form, cause)
-        )
+        left, own = (float(np.trace(self._left(one, others)) / np.trace(self._left(one, ()))) for one in (form, cause))
         return left < 1e-2 * min(own, 1.0)
 
     def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
@@ -279,7 +293,7 @@ class Pool:
         columns = together(forms)
         if len(columns) == 0:
             return 0.0
-        gram = self.among(columns)
+        gram = self.gram(forms)
         # A unit on the diagonal is far below what counts as seen, and makes the inverse exist.
         inverse = np.linalg.inv(gram + np.eye(len(columns)))
         total = self.explained_by(forms) - FURTHER * (len(forms) - 1)
@@ -305,16 +319,22 @@ class Pool:
         return self._cross[self._row[columns]]
 
     def _with_likely(self, columns: np.ndarray) -> np.ndarray:
-        """Columns, and those that are likely to be asked for next: a pass over the data costs more than what is done in it."""
-        found = dict.fromkeys(columns.tolist())
-        # Where all that is asked for is at hand, only what is so, too.
+        """Columns, and those that are likely to be asked for next: a pass over the data costs more than what is done in it.
+
+        On a part of the data those that all of them were asked for; else the best form of each candidate, the best first.
+        """
+        self._asked |= set(columns.tolist())
+        found = dict.fromkeys([*columns.tolist(), *(self._likely - self._asked)])
         cheap = self.products.at_hand
         here = bool(cheap[columns].all())
-        for i in np.argsort(-self._latest, kind="stable"):
-            if len(found) >= BATCH:
+        seen: set[int] = set()
+        for i in np.argsort(-self._latest, kind="stable").tolist():
+            if len(found) >= BATCH or self._latest[i] <= 0.0:
                 break
-            own = self.forms[int(i)].columns
-            found |= dict.fromkeys(own[(self._row[own] < 0) & (cheap[own] if here else True)].tolist())
+            key, own = int(self.key_of[i]), self.forms[i].columns
+            if key not in seen and (not here or cheap[own].all()):
+                found |= dict.fromkeys(own[self._row[own] < 0].tolist())
+            seen.add(key)
         return np.sort(np.array(list(found), dtype=int))
 
     def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
@@ -326,13 +346,15 @@ class Pool:
         inverse, root = pseudo(cross[:, columns])
         return cross.T @ root, self.slope - (inverse @ self.slope[columns]) @ cross
 
-    def _left(self, columns: np.ndarray, others: np.ndarray) -> np.ndarray:
-        block = self.among(columns)
+    def _left(self, form: Form, others: Sequence[Form]) -> np.ndarray:
+        kind, place = self._place[form.index]
+        block = self._inner[kind][place]
         if len(others) == 0:
             return np.asarray(block)
-        cross = self._with(others)
-        inverse, _ = pseudo(cross[:, others])
-        return np.asarray(block - cross[:, columns].T @ inverse @ cross[:, columns])
+        columns = together(others)
+        cross = self._with(columns)
+        inverse, _ = pseudo(cross[:, columns])
+        return np.asarray(block - cross[:, form.columns].T @ inverse @ cross[:, form.columns])
 
 
 def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from twin.arrays import locked
-from twin.diagnosis.pool import Form, Pool, pseudo
+from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import Cause, Quantity
 from twin.measurement import Measurements
 
@@ -42,8 +42,7 @@ def reported(
         axis = machine.by_name[form.candidate.where]
         off = largest_off(data, machine.names.index(axis.name))
         text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
-        columns, values = pool.fitted([form, *forms])
-        inverse, _ = pseudo(pool.among(columns))
+        columns, values, inverse = pool.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
         if pool.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:

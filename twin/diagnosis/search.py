@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.misplaced import EFFECT as MISPLACED
-from twin.diagnosis.pool import DOUBT, FURTHER, Form, Pool, pseudo
+from twin.diagnosis.pool import DOUBT, FURTHER, Form, Pool
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
@@ -122,8 +122,7 @@ def whole(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     """
     if form.candidate.effect not in WHOLE:
         return True
-    columns, values = pool.fitted(forms)
-    inverse, _ = pseudo(pool.among(columns))
+    columns, values, inverse = pool.fitted(forms)
     at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
     return bool(abs(values[at] * scale - 1.0) <= max(ROUGHLY, 3.0 * scale * float(np.sqrt(inverse[at, at]))))
 
