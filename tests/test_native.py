@@ -26,7 +26,7 @@ from twin.effects.along import Reversal
 from twin.inverse import Inverse, Solution, Status
 from twin.kinematics import Kinematics, Poses
 from twin.machine import Machine
-from twin.native import compiler, in_use, loading, solver, store
+from twin.native import Taken, compiler, in_use, loading, solver, store
 from twin.native.compiler import Compiler, CompilerError
 from twin.native.problem import Outcome
 from twin.native.tape import Tape, UnknownOperationError
@@ -297,6 +297,28 @@ def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: p
     # Metres and cosines of at most one, some hundred roundings one after the other.
     assert np.nanmax(np.abs(found[0] - truth)) <= 1e-14
     assert np.nanmax(np.abs(found[1] - np.delete(truth, [11, 13], axis=0))) <= 1e-14
+
+
+@pytest.mark.parametrize(
+    "rows, switch", [(3, "0"), (1000, "0"), (batch.MANY, "0"), pytest.param(loading.PORTION + 9, "1", marks=compiled)]
+)
+@pytest.mark.usefixtures("eager")
+def test_rows_taken_from_a_table(rows: int, switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same bits as with the rows written out, whichever way they go; beside rows of one's own and one value for all."""
+    monkeypatch.setenv(loading.SWITCH, switch)
+    x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z")
+    function = batch.BatchFunction(ca.Function("f", [x, y, z], [ca.sin(x) * z, x[0] * y + x[1]]))
+    rng = np.random.default_rng(35)
+    taken = Taken(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
+    own, shared = rng.normal(size=(rows, 2)), np.array([1.7])
+    found, truth = function(taken, own, shared), function(taken.written(), own, shared)
+    assert (function._fast._library is not None) == (switch == "1")
+    assert all(np.array_equal(a, b) for a, b in zip(found, truth, strict=True))
+    table = taken.table.copy()
+    table[5, 1] = 3e5  # an angle too large for the C++
+    far = Taken(table, taken.line)
+    found, truth = function(far, own, shared), function(far.written(), own, shared)
+    assert found[0] == pytest.approx(truth[0], abs=1e-15) and found[1] == pytest.approx(truth[1], rel=1e-15)
 
 
 def test_a_function_with_an_operation_not_known_here() -> None:

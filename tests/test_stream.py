@@ -28,8 +28,9 @@ SUMS = 1e-9
 """The same numbers summed in another order; thousands of them lose some digits of sixteen."""
 SOLVER = 1e-9
 """µm and µrad: the noise of a pose's arithmetic (1e-16 of a metre), which differs with its place in a batch."""
-STRETCHES = [(30, 1), (200, 1), (3000, 12)]
-"""Bytes, of lines of some 30, and the fewest lines done at once: borders before and behind every line, and inside runs."""
+STRETCHES = [(30, 1, 1), (200, 1, 1), (200, 1, 17), (3000, 12, 10**6)]
+"""Bytes read at once, of lines of some 30, the fewest lines edited at once, and the fewest solved at once: borders before and behind
+every line, and inside runs; parts of one stretch, of several, and of all."""
 
 
 def alike(one: Any, other: Any, place: str = "") -> None:
@@ -52,26 +53,29 @@ def alike(one: Any, other: Any, place: str = "") -> None:
 def both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """Compensate a program in one piece and in stretches of some bytes; what comes out must be the same, and is returned.
 
-    Stretches come with the fewest lines that are done all at once.
+    Stretches come with the fewest lines that are edited and solved all at once.
     """
 
-    def run(text: str | bytes, compensator: Compensator, *stretches: tuple[int, int]) -> str:
+    def cut(size: int, shortest: int, lines: int) -> None:
+        monkeypatch.setattr(stream, "STRETCH_BYTES", size)
+        monkeypatch.setattr(iso_stream, "SHORTEST_RUN", shortest)
+        monkeypatch.setattr(stream, "PART_LINES", lines)
+
+    def run(text: str | bytes, compensator: Compensator, *stretches: tuple[int, int, int]) -> str:
         source, output = tmp_path / "p.nc", tmp_path / "out.nc"
         source.write_bytes(text.encode("latin-1") if isinstance(text, str) else text)
         try:
             whole = compensator.compensate(*read_program(source))
         except InputError as error:
-            for size, shortest in stretches:
-                monkeypatch.setattr(stream, "STRETCH_BYTES", size)
-                monkeypatch.setattr(iso_stream, "SHORTEST_RUN", shortest)
+            for one in stretches:
+                cut(*one)
                 with pytest.raises(InputError) as refused:
                     compensator.compensate_file(source, output)
                 assert str(refused.value) == str(error)
             assert [path.name for path in tmp_path.iterdir()] == ["p.nc"]
             return f"refused: {error}"
-        for size, shortest in stretches:
-            monkeypatch.setattr(stream, "STRETCH_BYTES", size)
-            monkeypatch.setattr(iso_stream, "SHORTEST_RUN", shortest)
+        for one in stretches:
+            cut(*one)
             report = compensator.compensate_file(source, output)
             assert output.read_bytes() == whole.text.encode("latin-1")
             alike(report.to_dict(), whole.report.to_dict())
@@ -108,6 +112,13 @@ PROGRAMS = {
     + "G1 Y400\nX20\nG1 C300\nG1 X100 Y50 Z-300 B70 C20\n" * 3,
     "arcs": HEAD + "G17\n" + "G2 X300 Y225 I25 J0\nG1 X250\nX255 Y226\nG3 X250 Y225 R80\nX251\nG1 X252\nG0 Z-90\n" * 4,
     "numbers and comments": HEAD + "".join(f"N{i} G01 X{i}. Y{i}.50 (c)\nN{i} X{i}.5Z-{i}\n\n" for i in range(10, 40)),
+    "comments on lines of their own": HEAD
+    + "".join(
+        f"G1 X{200 + i}.5 Y{100 + i / 8}\n{note}\n"
+        for note in ("(X1)", " ; G1 X2", "N20 (Z3)", "n30;Y4", "%", "%PM X5", "( )\t", "N40", "(\xe9)", ";", "(a)(b)")
+        for i in range(9)
+    )
+    + curve(10),
     "returns alone": (HEAD + curve(30)).replace("\n", "\r"),
     "returns and newlines": (HEAD + curve(30)).replace("\n", "\r\n"),
     "no ending": (HEAD + curve(30)).rstrip("\n"),
@@ -149,8 +160,8 @@ def test_the_same_in_stretches(name: str, usual: Compensator, both: Callable[...
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 11])
 def test_borders_inside_words(size: int, usual: Compensator, both: Callable[..., str]) -> None:
     """Reading so few bytes at once ends inside words and between return and newline."""
-    both((HEAD + curve(8)).replace("\n", "\r\n"), usual, (size, 1))
-    both("\r".join(["G21 G90", "", "G0 X250 Y225 Z-100 B30 C10", "G1 X251", "X252\r\n\rX253"]), usual, (size, 1))
+    both((HEAD + curve(8)).replace("\n", "\r\n"), usual, (size, 1, 1))
+    both("\r".join(["G21 G90", "", "G0 X250 Y225 Z-100 B30 C10", "G1 X251", "X252\r\n\rX253"]), usual, (size, 1, 1))
 
 
 @pytest.mark.parametrize(
@@ -170,7 +181,7 @@ def test_whatever_the_options(
     compensator = Compensator(dmu50, calibration, Options(tool_length_mm=LENGTH, **options))
     text = "G21 G90\nG0 X10 Y20 Z60 B30 C10\n" if options.get("tcp") else HEAD
     moves = "".join(f"G1 X{i} Y{i / 2} Z{60 + i / 10} B{20 + i / 4} C{10 + i}\n" for i in range(30))
-    assert "refused" not in both(text + (moves if options.get("tcp") else curve(40)), compensator, (200, 1))
+    assert "refused" not in both(text + (moves if options.get("tcp") else curve(40)), compensator, (200, 1, 1))
 
 
 def test_machines_of_another_build(both: Callable[..., str]) -> None:
@@ -178,13 +189,13 @@ def test_machines_of_another_build(both: Callable[..., str]) -> None:
     errors = random_calibration(machine, np.random.default_rng(1), size=30.0)
     compensator = Compensator(machine, errors, Options(tool_length_mm=50.0))
     moves = "".join(f"G1 X{i} Y{i / 2} Z{-20 - i / 10} B{i / 4} C{10 + i}\n" for i in range(40))
-    both("G21 G90\nG0 X0 Y0 Z0 B0 C0\n" + moves, compensator, (200, 1))
+    both("G21 G90\nG0 X0 Y0 Z0 B0 C0\n" + moves, compensator, (200, 1, 1))
 
 
 def test_nothing_to_correct_changes_nothing(dmu50: Machine, both: Callable[..., str]) -> None:
     compensator = Compensator(dmu50, Calibration.zero(dmu50), Options(tool_length_mm=LENGTH))
     text = HEAD + curve(40) + "/G1 X3\nG2 X4 R9\n"
-    assert both(text, compensator, (200, 1)) == text
+    assert both(text, compensator, (200, 1, 1)) == text
 
 
 @pytest.mark.parametrize(
@@ -199,19 +210,19 @@ def test_programs_of_others(name: str, programs: Path, both: Callable[..., str])
     machine = Machine.load("xyzbc_trunnion")
     errors = random_calibration(machine, np.random.default_rng(1), size=30.0)
     data = (programs / name).read_bytes()
-    both(data, Compensator(machine, errors, Options(tool_length_mm=50.0)), (20_000, 12))
+    both(data, Compensator(machine, errors, Options(tool_length_mm=50.0)), (20_000, 12, 600))
 
 
 def test_samples(usual: Compensator, both: Callable[..., str]) -> None:
     for path in sorted(SAMPLES.glob("*.nc")):
-        both(path.read_bytes(), usual, (3000, 12))
+        both(path.read_bytes(), usual, (3000, 12, 200))
 
 
 def test_shares_over_a_program_longer_than_the_sample(
     dmu50: Machine, calibration: Calibration, usual: Compensator, both: Callable[..., str], tmp_path: Path
 ) -> None:
     """Blocks drawn from a program whose length is not known yet are those drawn from the whole, and stand for it."""
-    both(HEAD + curve(3000), usual, (40_000, 12))
+    both(HEAD + curve(3000), usual, (40_000, 12, 1000))
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(3000))
     result = usual.compensate(*read_program(source))
@@ -234,6 +245,7 @@ def test_an_interrupt_leaves_nothing(
 ) -> None:
     """In the middle of the work: no output, no trace of it, and what was there before still is."""
     monkeypatch.setattr(stream, "STRETCH_BYTES", 2000)
+    monkeypatch.setattr(stream, "PART_LINES", 50)
     source, output = tmp_path / "p.nc", tmp_path / "out.nc"
     source.write_text(HEAD + curve(1000))
     output.write_text("before")
@@ -254,6 +266,7 @@ def test_an_interrupt_leaves_nothing(
 def test_an_error_comes_before_a_later_one(usual: Compensator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading is ahead of solving; what is said is still the first thing that is wrong."""
     monkeypatch.setattr(stream, "STRETCH_BYTES", 2000)
+    monkeypatch.setattr(stream, "PART_LINES", 50)
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(100) + "G1 X1.2.3\n" + curve(100) + "G81 X1\n")
     with pytest.raises(InputError, match=r"p\.nc:106: X has no number"):

@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin.native import RowFunction
+from twin.native import RowFunction, Taken
 
 MANY: Final = 4096
 """Rows in a call from which CasADi's own evaluation is not the fastest (`twin.native.rows`)."""
@@ -46,24 +46,24 @@ class BatchFunction:
     def _fast(self) -> RowFunction:
         return RowFunction(self._function)
 
-    def __call__(self, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
+    def __call__(self, *inputs: np.ndarray | Taken) -> tuple[np.ndarray, ...]:
         """Evaluate all rows.
 
         Args:
-            inputs: (rows, entries) each, or (entries,) for one value shared by all rows.
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows; or rows taken from a table.
 
         Returns:
             One (rows, entries) array an output.
         """
-        rows = max((array.shape[0] for array in inputs if array.ndim == 2), default=1)
+        rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
         given = [
-            np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
+            array if isinstance(array, Taken) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
         if rows >= MANY and self._fast(given, outputs):
             return outputs
-        columns = [np.ascontiguousarray(array) for array in given]
+        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in given]
         start = 0
         while start < rows:
             left = rows - start

@@ -42,8 +42,8 @@ class Status(Enum):
     SINGULAR = "singular"
 
 
-_STATUS: Final = np.array([None, None, None], dtype=object)
-_STATUS[[CONVERGED, OUT_OF_RANGE, SINGULAR]] = [Status.CONVERGED, Status.OUT_OF_RANGE, Status.SINGULAR]
+_CODE: Final = {Status.CONVERGED: CONVERGED, Status.OUT_OF_RANGE: OUT_OF_RANGE, Status.SINGULAR: SINGULAR}
+_STATUS: Final = np.array(sorted(_CODE, key=lambda status: _CODE[status]), dtype=object)
 
 
 @final
@@ -53,23 +53,30 @@ class Solution:
 
     Attributes:
         positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
-        status: (n,) `Status` objects: ``singular`` means the point is reached and the orientation is not, within what the
-            rotary axes may move; ``out of range`` that a command leaves an axis's range or a curve's domain, or that nothing
-            was found.
+        code: (n,) what became of each, as of `twin.native`.
         point_residual_mm: (n,) distance left at the point.
         orientation_residual_rad: (n,) angle left between tool axis and target.
         iterations: most Newton steps taken by any pose.
     """
 
     positions: np.ndarray
-    status: np.ndarray
+    code: np.ndarray
     point_residual_mm: np.ndarray
     orientation_residual_rad: np.ndarray
     iterations: int
 
+    @property
+    def status(self) -> np.ndarray:
+        """(n,) `Status` objects.
+
+        ``singular`` means the point is reached and the orientation is not, within what the rotary axes may move; ``out of range`` that
+        a command leaves an axis's range or a curve's domain, or that nothing was found.
+        """
+        return locked(_STATUS[self.code])
+
     def where(self, status: Status) -> np.ndarray:
         """(n,) whether each pose has that status."""
-        return np.array([found is status for found in self.status], dtype=bool)
+        return np.asarray(self.code == _CODE[status])
 
 
 @final
@@ -149,7 +156,7 @@ class Inverse:
         )
         return Solution(
             locked(found.positions),
-            locked(_STATUS[found.code]),
+            locked(found.code),
             locked(found.distance),
             locked(found.apart),
             found.iterations,

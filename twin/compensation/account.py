@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, final
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.arrays import every, lengths
+from twin.arrays import every
 from twin.channels import TIME, Listening
 from twin.compensation.bench import Aim, Bench
+from twin.compensation.comparison import Commands
 from twin.compensation.correction import Corrections, CorrectionTally
-from twin.compensation.pieces import Pieces, Rows
+from twin.compensation.interpolation import interpolated
+from twin.compensation.pieces import Pieces, Rows, Ways
 from twin.compensation.report import ClassShare, DeviationTally, LineNote, Report, ReversalNote
 from twin.kinematics import angle_between_rad
 from twin.nc.blocks import Notice
+from twin.uncertainty import ToolUncertainty
 
 WARM_UP_S: Final = 600.0
 """Over which it is said how far a warm-up goes on."""
-BLOCKS: Final = 16_384
+ENDS: Final = 16_384
 """Whose uncertainty is taken at once: 36 numbers for every end."""
+STRAIGHT_MM: Final = 1.0
+STRAIGHT_DEG: Final = 0.3
+"""How far from a straight line axes may be for their uncertainty to be taken along it: over so little, that of a curve changes by less
+than a hundredth but at the very ends of its domain."""
+SAME_SIDE: Final = 0.01
+"""The same of the sides that axes come from, +1 and −1."""
 CLASS_POSES: Final = 5000
 """Poses at which the shares of the classes are taken: a share needs no more, the total is over all."""
 LEAST_SHARE: Final = 1e-9
@@ -50,7 +59,7 @@ class Account:
         self._before, self._after = DeviationTally(), DeviationTally()
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._sample = _Sample()
-        self._rounding_um = self._solver_um = 0.0
+        self._left_um = {"rounding": 0.0, "solver": 0.0}
         self._largest = np.zeros(len(bench.machine.axes))
         self._split = self._added = self._rewritten = 0
         self.idle = False
@@ -74,18 +83,15 @@ class Account:
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= context))
         ways = pieces.ways(rows, rows.printed, as_run=True)
-        # The side an axis comes from depends on all that was before, so with reversals all of it is looked at together.
-        portions = [dense] if self.bench.lost.axes else pieces.portions(dense)
         whole, rows = rows, rows.where(slice(int(np.searchsorted(rows.motion, context)), None))
-        ends = rows
-        for portion in portions or [dense]:
-            of, fraction, local = pieces.samples(portion)
-            inside = pieces.path_commands(of, local, ways)[0]
-            self._simulate(pieces, ends, legs[of], fraction, inside, lines, context)
-            ends = rows.where(slice(0, 0))
+        place = np.mod((self._motions - context + np.arange(len(lines))) * GOLDEN, 1.0)
+        for seen in self._seen(pieces, rows, ways, dense):
+            self._compare(seen, lines, place)
         good = ~rows.untouched & ~rows.clamped
-        self._rounding_um = max(self._rounding_um, self._left_at_ends(rows, rows.commands, good))
-        self._solver_um = max(self._solver_um, self._left_at_ends(rows, rows.exact, good))
+        meant = Commands(rows.nominal)
+        for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
+            left_um = self.aim.compared.distance_mm(meant, Commands(given), rows.approach)[good] * 1e3
+            self._left_um[name] = max(self._left_um[name], float(left_um.max(initial=0.0)))
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
         count = pieces.count(whole)[context:]
@@ -95,11 +101,7 @@ class Account:
         self.idle = pieces.idle
         self._all_tcp &= bool(pieces.tcp[context:].all())
         self._any_tcp |= bool(pieces.tcp[context:].any())
-        known = self.aim.at_point.parameters or (self.aim.at_axis is not None and self.aim.at_axis.parameters)
-        step = BLOCKS if known else len(lines)
-        for first in range(context, len(lines), step):
-            bounds = np.searchsorted(rows.motion, [first, first + step])
-            self._correct(rows.where(slice(*bounds)), lines)
+        self._correct(rows, lines)
         self._note_range(rows, lines)
         self._note_orientation(rows, lines)
         self._note_not_met(pieces, whole, context, lines)
@@ -142,8 +144,8 @@ class Account:
             },
             before=self._before.deviation(),
             after=self._after.deviation(),
-            rounding_um=self._rounding_um,
-            solver_um=self._solver_um,
+            rounding_um=self._left_um["rounding"],
+            solver_um=self._left_um["solver"],
             classes=self._classes(),
             out_of_range=tuple(self._out_of_range.values()),
             orientation_left=tuple(
@@ -160,57 +162,54 @@ class Account:
 
     # --- what is added ---------------------------------------------------------------------------------------------------
 
-    def _simulate(
-        self,
-        pieces: Pieces,
-        rows: Rows,
-        dense: np.ndarray,
-        fraction: np.ndarray,
-        within: np.ndarray,
-        lines: np.ndarray,
-        context: int,
-    ) -> None:
-        """Ends of pieces, and dense points inside them: ``dense`` motion, ``fraction`` of it, commands ``within``."""
-        full, nominal = self.bench.full, self.bench.space.nominal
-        words = np.concatenate([rows.words, pieces.words_at(dense, fraction)])
-        motion = np.concatenate([rows.motion, dense])
-        before = self.bench.space.commands(words, pieces.tcp[motion])
-        after = (
-            before if pieces.idle else np.concatenate([rows.commands, within])
-        )  # written unchanged: its arcs are arcs
-        before_from = after_from = np.zeros(before.shape)
+    def _seen(self, pieces: Pieces, rows: Rows, ways: Ways, dense: np.ndarray) -> Iterator[_Seen]:
+        """Ends of pieces, then the dense points inside those of some legs."""
+        # Written unchanged: its arcs are arcs.
+        ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
         if self.bench.lost.axes:
-            order = np.lexsort(
-                (np.append(rows.taken, np.zeros(len(dense))), np.append(rows.fraction, fraction), motion)
-            )
-            before_from, after_from = (
-                self._sides(pieces, motion, before, order),
-                self._sides(pieces, motion, after, order),
-            )
-        keep = every(np.isfinite(after)) & every(np.isfinite(before))
-        keep &= every(~full.outside_domain(before)) & every(~full.outside_domain(after))
-        keep[: len(rows.taken)] &= ~rows.taken  # a move that takes up a reversal has no place of its own to be at
+            yield self._sided(pieces, rows, ends, ways, dense)
+            return
+        yield _Seen(rows.motion, *ends, counts=~rows.taken)
+        for portion in pieces.portions(dense):
+            samples = pieces.samples(portion)
+            meant = pieces.meant(samples)
+            given = meant if pieces.idle else pieces.given(samples, ways)
+            yield _Seen(pieces.legs.motion[samples.leg][samples.piece], meant, given)
+
+    def _sided(
+        self, pieces: Pieces, rows: Rows, ends: tuple[Commands, Commands], ways: Ways, dense: np.ndarray
+    ) -> _Seen:
+        """Both at once with the sides axes come from, which depend on all that was before."""
+        samples = pieces.samples(dense)
+        meant = pieces.meant(samples)
+        inside = meant, meant if pieces.idle else pieces.given(samples, ways)
+        motion = np.concatenate([rows.motion, pieces.legs.motion[samples.leg][samples.piece]])
+        fraction = np.concatenate([rows.fraction, pieces.fractions(samples)])
+        taken = np.concatenate([rows.taken, np.zeros(len(samples.piece), dtype=bool)])
+        order = np.lexsort((taken, fraction, motion))
+        commands, sides = [], []
+        for end, between in zip(ends, inside, strict=True):
+            both = np.concatenate([end.written(), between.written()])
+            side = np.zeros(both.shape)
+            side[order] = self.bench.lost.sides(pieces.path, motion[order], both[order])
+            commands.append(Commands(both))
+            sides.append(side)
+        # A move that takes up a reversal has no place of its own to be at.
+        return _Seen(motion, commands[0], commands[1], sides[0], sides[1], counts=~taken)
+
+    def _compare(self, seen: _Seen, lines: np.ndarray, place: np.ndarray) -> None:
+        """Re-simulate places, as meant and as given; of motions their ``lines``, and ``place`` in the sample."""
+        before = self.bench.compared.poses(seen.meant, seen.meant, seen.meant_from)
+        after = self.bench.compared.poses(seen.meant, seen.given, seen.given_from)
+        keep = before.known & after.known
+        if seen.counts is not None:
+            keep &= seen.counts
+        of = lines[seen.motion]
         if not keep.all():
-            before, after, motion = before[keep], after[keep], motion[keep]
-            before_from, after_from = before_from[keep], after_from[keep]
-        meant = nominal.forward(before)
-        self._before.add(full.forward(before, before_from), meant, lines[motion])
-        self._after.add(full.forward(after, after_from), meant, lines[motion])
-        self._sample.add(self._motions - context + motion, before, before_from, after, after_from)
-
-    def _sides(self, pieces: Pieces, motion: np.ndarray, commands: np.ndarray, order: np.ndarray) -> np.ndarray:
-        """(n, axes) the side each axis comes from, where the machine makes one of it; ``order``: as they are executed."""
-        found = np.zeros(commands.shape)
-        found[order] = self.bench.lost.sides(pieces.path, motion[order], commands[order])
-        return found
-
-    def _left_at_ends(self, rows: Rows, commands: np.ndarray, good: np.ndarray) -> float:
-        """Largest distance (µm) between point and target at piece ends, of what the scope corrects.
-
-        Unchecked: a command within rounding of a limit may lie just beyond it before it is printed.
-        """
-        point = self.aim.point.reached(commands[good] * self.bench.machine.scale, rows.approach[good])[1]
-        return float((lengths(point * 1e3 - rows.target.point_mm[good]) * 1e3).max(initial=0.0))
+            before, after, of = before.where(keep), after.where(keep), of[keep]
+        self._before.add(before, of)
+        self._after.add(after, of)
+        self._sample.add(place, seen, keep)
 
     def _correct(self, rows: Rows, lines: np.ndarray) -> None:
         """How far the tool was moved at the block ends, and how well the calibration knows that it had to be.
@@ -218,32 +217,29 @@ class Account:
         By the machine as drawn from the meant commands to the given ones; the calibration's uncertainty, of what is in scope, at
         the meant ones: there and at the given ones it is the same to a thousandth.
         """
-        nominal, aim = self.bench.space.nominal, self.aim
+        aim = self.aim
         given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is accounted for by itself
-        keep = ~rows.untouched & ~rows.taken & every(np.isfinite(given))
+        moved = self.bench.corrected_by.poses(Commands(rows.nominal), Commands(given))
+        keep = ~rows.untouched & ~rows.taken & moved.known
         keep &= every(~self.bench.full.outside_domain(rows.nominal))
         if not np.any(keep):
             return
-        meant, motion, sides = rows.nominal[keep], rows.motion[keep], rows.approach[keep]
-        reached, target = nominal.forward(given[keep]), rows.target
+        if not keep.all():
+            rows, moved = rows.where(keep), moved.where(keep)
+        of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
-            size = lengths(reached.point_mm - target.point_mm[keep]) * 1e3
-            expanded, standard = _unknown(len(size))
-            if aim.at_point.parameters:
-                at_point = aim.at_point.at(meant, sides)
-                expanded, standard = at_point.expanded_um, at_point.standard_um
-            self._point.add(lines[motion], motion, size, expanded, standard, aim.at_point)
-        turned = ~rows.singular[keep]  # the others are listed as what cannot be corrected
+            at_point = _known(aim.at_point, rows)
+            self._point.add(
+                of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0, 0], at_point[:, 0, 1:], aim.at_point
+            )
+        turned = ~rows.singular  # the others are listed as what cannot be corrected
         asked = aim.scope.orientation and self.bench.thesis is None
         if asked and aim.at_axis is not None and np.any(turned):
-            size = angle_between_rad(reached.axis, target.axis[keep])[turned] * 1e6
-            expanded, standard = _unknown(len(size))
-            if aim.at_axis.parameters:
-                same = at_point if aim.at_axis is aim.at_point else None
-                at_axis = (aim.at_axis.at(meant, sides) if same is None else same).where(turned)
-                expanded, standard = at_axis.axis_expanded_urad, at_axis.standard_urad
-            self._axis.add(lines[motion[turned]], motion[turned], size, expanded, standard, aim.at_axis)
+            same = at_point if aim.at_axis is aim.at_point else None
+            at_axis = (_known(aim.at_axis, rows) if same is None else same)[turned]
+            size = moved.angle_rad[turned] * 1e6
+            self._axis.add(of[turned], rows.motion[turned], size, at_axis[:, 1, 0], at_axis[:, 1, 1:], aim.at_axis)
 
     def _note_range(self, rows: Rows, lines: np.ndarray) -> None:
         for row in np.flatnonzero(rows.untouched | rows.clamped):
@@ -396,6 +392,24 @@ class Account:
         return tuple(shares)
 
 
+class _Seen(NamedTuple):
+    """Places on the way.
+
+    Attributes:
+        motion: (n,) which motion each is on.
+        meant, given: commands as meant and as given.
+        meant_from, given_from: (n, axes) sides axes come from there, where the machine makes one of it.
+        counts: (n,) whether it is a place to be at; None: all.
+    """
+
+    motion: np.ndarray
+    meant: Commands
+    given: Commands
+    meant_from: np.ndarray | None = None
+    given_from: np.ndarray | None = None
+    counts: np.ndarray | None = None
+
+
 @final
 class _Sample:
     """Some of the poses, spread over all of a program whose end is not in sight: those of a share of its blocks."""
@@ -405,9 +419,14 @@ class _Sample:
         self._parts: list[tuple[np.ndarray, ...]] = []
         self._count = 0
 
-    def add(self, block: np.ndarray, *poses: np.ndarray) -> None:
-        """Take what falls to the share of (n, axes) arrays; ``block``: (n,) number of each one's block."""
-        self._take((np.mod(block * GOLDEN, 1.0), *poses))
+    def add(self, place: np.ndarray, seen: _Seen, keep: np.ndarray) -> None:
+        """Take what falls to the share of some places; ``place``: (motions,) from 0 to 1 where each motion's block is in it."""
+        which = np.flatnonzero((place < self._share)[seen.motion] & keep)
+        poses = []
+        for commands, sides in ((seen.meant, seen.meant_from), (seen.given, seen.given_from)):
+            written = commands.written(which)
+            poses += [written, np.zeros(written.shape) if sides is None else sides[which]]
+        self._take((place[seen.motion[which]], *poses))
         while (
             self._count > CLASS_POSES
             and self._share > LEAST_SHARE
@@ -428,9 +447,22 @@ class _Sample:
         return tuple(np.concatenate(arrays) for arrays in list(zip(*self._parts, strict=True))[1:])
 
 
-def _unknown(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(count,) and (count, 3) uncertainties that nothing is known of."""
-    return np.full(count, np.nan), np.full((count, 3), np.nan)
+def _known(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
+    """(rows, 2, 4) U of the point and its standard uncertainties, µm; of the axis and the rotation, µrad; NaN if nothing is known."""
+    if not tool.parameters:
+        return np.full((len(rows.motion), 2, 4), np.nan)
+
+    def some(which: np.ndarray) -> np.ndarray:
+        found = tool.at(rows.nominal[which], rows.approach[which])
+        point = np.column_stack([found.expanded_um, found.standard_um])
+        return np.stack([point, np.column_stack([found.axis_expanded_urad, found.standard_urad])], axis=1)
+
+    def values(which: np.ndarray) -> np.ndarray:
+        return np.concatenate([some(which[first : first + ENDS]) for first in range(0, len(which), ENDS)])
+
+    axes = tool.kinematics.machine.axes
+    near = [STRAIGHT_MM if axis.linear else STRAIGHT_DEG for axis in axes]
+    return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
 
 
 def _rms(values: np.ndarray) -> float:

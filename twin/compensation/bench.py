@@ -12,6 +12,7 @@ import numpy as np
 from twin.approach import LostMotion
 from twin.calibration import Calibration
 from twin.channels import Conditions
+from twin.compensation.comparison import Comparison
 from twin.compensation.thesis import ThesisMethod
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
 from twin.iso16907 import BASIC, Scope, acts_as, iso_class
@@ -63,6 +64,8 @@ class Bench:
         space: words to commands on the machine as drawn.
         full: the machine with all its errors.
         lost: its reversals.
+        compared: what the machine with all its errors does, beside what was meant.
+        corrected_by: what commands move the tool by on the machine as drawn, beside the meant ones.
         thesis: the baseline, where it is asked for.
         machine_increment: (axes,) least increments in command order.
         increment: (axes,) the same in the order of the words.
@@ -81,6 +84,8 @@ class Bench:
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.full = self._with(calibration)
         self.lost = LostMotion(calibration)
+        self.compared = Comparison(self.full, self.space.nominal)
+        self.corrected_by = Comparison(self.space.nominal, self.space.nominal)
         self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
         self.machine_increment = np.array([axis.increment for axis in machine.axes])
         self.increment = self.machine_increment[self.space.order]
@@ -156,6 +161,11 @@ class Aim:
         return self._bench.limited(lambda name: self.scope.at_point(name, self._bench.machine))
 
     @cached_property
+    def compared(self) -> Comparison:
+        """What the machine with those alone does, beside what was meant."""
+        return Comparison(self.point, self._bench.space.nominal)
+
+    @cached_property
     def point_inverse(self) -> Inverse:
         """Commands that reach a point with those."""
         return Inverse(self.point)
@@ -172,6 +182,11 @@ class Aim:
         if self.orientation is None:
             return None
         return Inverse(self.orientation, rotary_limit_deg=self._bench.options.rotary_limit_deg)
+
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to correct."""
+        return self.point.calibration.empty and self.orientation is None and self._bench.thesis is None
 
     @cached_property
     def at_point(self) -> ToolUncertainty:

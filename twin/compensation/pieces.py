@@ -17,8 +17,9 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.arrays import every, lengths
+from twin.arrays import every
 from twin.compensation.bench import Aim, Bench, Progress
+from twin.compensation.comparison import Commands
 from twin.compensation.legs import Legs, turning_points
 from twin.inverse import Status
 from twin.kinematics import Poses
@@ -93,6 +94,22 @@ class Ways(NamedTuple):
     first: np.ndarray
 
 
+class Samples(NamedTuple):
+    """Dense points inside the pieces of legs.
+
+    Attributes:
+        leg: (pieces,) which leg each piece is of.
+        number: (pieces,) which piece of it.
+        piece: (n,) which of the pieces each point is in.
+        within: (n,) at which fraction of it.
+    """
+
+    leg: np.ndarray
+    number: np.ndarray
+    piece: np.ndarray
+    within: np.ndarray
+
+
 @final
 class Pieces:
     """One program, or a stretch of it, cut into pieces, and the commands for their ends.
@@ -139,8 +156,7 @@ class Pieces:
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
         self.interpolated &= ~self.bench.outside(self.space.commands(self.start, self.tcp))
         # Nothing to correct: arcs stay arcs, and the program is written as it came.
-        nothing = self.point.calibration.empty and self.orientation is None
-        self.idle = nothing and not posted and bench.thesis is None
+        self.idle = aim.idle and not posted
         motions = path.motions
         turning = turning_points(bench, motions, np.flatnonzero(self.interpolated), self.lost.axes)
         self.legs = Legs.of(len(motions), turning)
@@ -405,31 +421,67 @@ class Pieces:
 
     # --- re-simulation -----------------------------------------------------------------------------------------------
 
-    def samples(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Dense points inside the pieces of legs of interpolated motions.
-
-        Returns:
-            (n,) leg, (n,) fraction of the motion, and (n, 2) piece of the leg and fraction within the piece.
-        """
+    def samples(self, legs: np.ndarray) -> Samples:
+        """Dense points inside the pieces of legs of interpolated motions."""
         pieces = self.legs.count[legs]
-        count = self._samples(legs)
-        each = count // np.maximum(pieces, 1)
-        of = np.repeat(legs, count)
-        index = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
-        within = (index % np.repeat(each, count) + 0.5) / np.repeat(each, count)
-        piece = index // np.repeat(each, count)
-        share = (piece + within) / np.repeat(pieces, count)
-        return of, self.legs.at(of, share), np.stack([piece, within], axis=1)
+        leg, number = _counted(legs, pieces)
+        points = np.repeat(self._each(legs), pieces)
+        piece, point = _counted(np.arange(len(leg)), points)
+        return Samples(leg, number, piece, (point + 0.5) / points[piece])
 
-    def _samples(self, legs: np.ndarray) -> np.ndarray:
-        """(legs,) how many dense points each has: as many in every piece."""
-        motions = self.legs.motion[legs]
-        size = np.abs(self.end[motions] - self.start[motions])
-        linear, turned = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
-        spacing = np.maximum(linear / SAMPLE_SPACING[0], turned / SAMPLE_SPACING[1])
-        spacing *= self.legs.end[legs] - self.legs.begin[legs]
-        pieces = self.legs.count[legs]
-        return np.asarray(pieces * np.maximum(SAMPLES_A_PIECE, np.ceil(spacing / np.maximum(pieces, 1))).astype(int))
+    def _each(self, legs: np.ndarray) -> np.ndarray:
+        """(legs,) how many dense points every piece of each leg has."""
+        share = self.legs.end[legs] - self.legs.begin[legs]
+        pieces = np.maximum(self.legs.count[legs], 1)
+        points = np.ceil(self._spacings[self.legs.motion[legs]] * share / pieces)
+        return np.maximum(SAMPLES_A_PIECE, points).astype(int)
+
+    @cached_property
+    def _spacings(self) -> np.ndarray:
+        """(motions,) how many of the largest distances between samples each is long."""
+        return spacings(self.start, self.end)
+
+    def fractions(self, samples: Samples) -> np.ndarray:
+        """(n,) of the motion that each point is at."""
+        first, last = self._fractions(samples)
+        return np.asarray(first[samples.piece] + samples.within * (last - first)[samples.piece])
+
+    def _fractions(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """(pieces,) and (pieces,) of the motion that each piece begins and ends at."""
+        share = 1.0 / self.legs.count[samples.leg]
+        begin, end = (self.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
+        return begin, end
+
+    def meant(self, samples: Samples) -> Commands:
+        """Commands that the control makes of the program as it came."""
+        motion = self.legs.motion[samples.leg]
+        first, last = self._fractions(samples)
+        if np.all(self.straight[motion]):
+            begin, way = (words.take(motion, axis=0) for words in self._ways)
+            if np.any(first != 0.0) or np.any(last != 1.0):
+                begin, way = begin + first[:, None] * way, (last - first)[:, None] * way
+            return self._on_lines(begin, way, samples, self.tcp[motion])
+        of = motion[samples.piece]
+        words = self.words_at(of, self.fractions(samples))
+        return Commands(self.space.commands(words, self.tcp[of]))
+
+    def given(self, samples: Samples, ways: Ways) -> Commands:
+        """Commands where pieces go those ways."""
+        row = self.rows_of(samples, ways)
+        tcp = self.tcp_out[self.legs.motion[samples.leg]]
+        return self._on_lines(ways.begin.take(row, axis=0), ways.way.take(row, axis=0), samples, tcp)
+
+    def rows_of(self, samples: Samples, ways: Ways) -> np.ndarray:
+        """(pieces,) the row each piece ends in."""
+        return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])
+
+    def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
+        """Points on straight lines in (pieces, axes) words; ``tcp``: (pieces,)."""
+        if not np.any(tcp):
+            way = way[:, np.argsort(self.space.order)]
+            return Commands(self.space.commands(begin, tcp), way, samples.piece, samples.within)
+        words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
+        return Commands(self.space.commands(words, tcp[samples.piece]))
 
     def ways(self, rows: Rows, given: np.ndarray, *, as_run: bool = False) -> Ways:
         """The way of each piece, its end being ``given`` in words.
@@ -443,16 +495,6 @@ class Pieces:
         ends = np.flatnonzero(~rows.taken)
         first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self.legs.motion)))
         return Ways(begin, given - begin, ends, first_of_leg)
-
-    def path_commands(self, of: np.ndarray, local: np.ndarray, ways: Ways) -> tuple[np.ndarray, np.ndarray]:
-        """Commands at (piece, fraction within it) of legs that go those ways.
-
-        Returns:
-            (n, axes) commands, and (n,) the row each piece ends in.
-        """
-        row = ways.rows[ways.first[of] + local[:, 0].astype(int)]
-        words = ways.begin.take(row, axis=0) + local[:, 1][:, None] * ways.way.take(row, axis=0)
-        return self.space.commands(words, self.tcp_out[self.legs.motion[of]]), row
 
     def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
         """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
@@ -479,27 +521,39 @@ class Pieces:
 
     def portions(self, legs: np.ndarray) -> list[np.ndarray]:
         """Legs in portions of no more than some `POSES` samples, about as many in each."""
-        return np.split(legs, even_cuts(self._samples(legs), POSES)) if legs.size else []
+        return np.split(legs, even_cuts(self._each(legs) * self.legs.count[legs], POSES)) if legs.size else []
 
     def _between(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
-        of, fraction, local = self.samples(legs)
-        motion = self.legs.motion[of]
-        commands, row = self.path_commands(of, local, ways)
-        meant = self.space.nominal.reached(
-            self.space.commands(self.words_at(motion, fraction), self.tcp[motion]) * self.bench.machine.scale
-        )[1]
-        sides = rows.approach[row]
+        samples = self.samples(legs)
+        sides = self._sides_between(samples, rows, ways) if self.point.directed else None
+        distance = self.aim.compared.distance_mm(self.meant(samples), self.given(samples, ways), sides)
+        # A leg that another stands for has no piece, and no point.
+        points = self._each(legs) * self.legs.count[legs]
+        worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
+        return np.where(points > 0, worst, 0.0)
+
+    def _sides_between(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
+        """(n, axes) sides that axes come from inside pieces."""
+        row = self.rows_of(samples, ways)
+        sides = rows.approach[row[samples.piece]]
         for axis in set(self.lost.axes) & set(self.bench.machine.rotary):
             # A rotary axis may be part of the way through its play at either end. One that turned unseen is through.
             last = np.maximum(row - 1, 0)
             unseen = rows.turned[row, axis] & ~rows.taken[last]
-            before = np.where(unseen, sides[:, axis], rows.approach[last, axis])
-            sides[:, axis] = before + local[:, 1] * (sides[:, axis] - before)
-        reached = self.point.reached(commands * self.bench.machine.scale, sides)[1]
-        distance = lengths(reached - meant) * 1e3
-        worst = np.zeros(len(self.legs.motion))
-        np.maximum.at(worst, of, distance)
-        return worst[legs]
+            before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
+            sides[:, axis] = before + samples.within * (sides[:, axis] - before)
+        return np.asarray(sides)
+
+
+def _counted(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each of (n,) things as often as it counts, and 0, 1, 2 … within each."""
+    return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+
+
+def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(n,) how many times `SAMPLE_SPACING` it is from (n, axes) words to others."""
+    limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
+    return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
 
 
 def even_cuts(sizes: np.ndarray, most: float) -> list[int]:

@@ -8,11 +8,12 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.arrays import lengths
 from twin.channels import TIME
+from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
-from twin.kinematics import Poses, angle_between_rad
+from twin.spatial import tilt
 from twin.uncertainty import DEFINITION
+from twin.units import URAD
 
 SCHEMA = "twin.compensation/1"
 SHOWN = 8
@@ -52,18 +53,17 @@ class DeviationTally:
         self._squares = np.zeros(4)
         self._largest = np.zeros(4)
 
-    def add(self, reached: Poses, meant: Poses, lines: np.ndarray) -> None:
-        """Compare poses; ``lines`` (n,) says which program line each belongs to."""
-        distance = lengths(reached.point_mm - meant.point_mm) * 1e3
+    def add(self, found: Compared, lines: np.ndarray) -> None:
+        """Take some poses; ``lines`` (n,) says which program line each belongs to."""
+        distance = found.distance_mm * 1e3
         if not distance.size:
             return
-        angle = angle_between_rad(reached.axis, meant.axis) * 1e6
-        size = np.stack([distance, angle, *np.abs(reached.tilt_urad(meant)).T])
+        size = np.stack([distance, found.angle_rad * 1e6, *np.abs(tilt(found.leaning).T / URAD)])
         largest = int(np.argmax(distance))
         if not self._points or distance[largest] > self._largest[0]:
             self._worst_line = int(lines[largest])
         self._points += len(distance)
-        self._squares += np.sum(size**2, axis=1)
+        self._squares += np.einsum("ij,ij->i", size, size)
         self._largest = np.maximum(self._largest, size.max(axis=1))
 
     def deviation(self) -> Deviation:

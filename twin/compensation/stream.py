@@ -1,26 +1,26 @@
-"""Programs of any length: compensated stretch by stretch, from file to file, in bounded memory.
+"""Programs of any length: compensated part by part, from file to file, in bounded memory.
 
-Each stretch is read, solved, written, read back, compared with what was meant, and accounted for, as a whole program is
-(`twin.compensation.compensator`), with all modal state carried on. What one stretch needs of the one before it is its last motion: that
-is where the first block of the next one begins.
+Each part is read, solved, written, read back, compared with what was meant, and accounted for, as a whole program is
+(`twin.compensation.compensator`), with all modal state carried on. What one part needs of the one before it is its last motion: that
+is where the first block of the next one begins. Text comes and goes in stretches, several to a part.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from time import monotonic
-from typing import BinaryIO, Final, final
+from typing import BinaryIO, Final, NamedTuple, final
 
 import numpy as np
 
 from twin.compensation.account import Account
 from twin.compensation.bench import Aim, Bench, Progress
-from twin.compensation.pieces import SAMPLE_SPACING, SAMPLES_A_PIECE, Pieces, Rows, even_cuts
+from twin.compensation.pieces import SAMPLES_A_PIECE, Pieces, Rows, even_cuts, spacings
 from twin.compensation.report import Report
 from twin.errors import InputError, OutputError
 from twin.nc.blocks import Notice
@@ -34,30 +34,74 @@ from twin.toolpath import Path as ToolPath
 
 PRINTED_MM: Final = 2e-4
 """What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
-STRETCH_BYTES: Final = 5 << 19
-"""Read at once: more than 50,000 short blocks, from which solving is compiled (`twin.native`), and not much more: they take memory."""
-POSES: Final = 420_000
-"""Solved and checked at once before any block is split; of longer blocks fewer are."""
+STRETCH_BYTES: Final = 1 << 18
+"""Read, written and read back at once: little enough that what is made of it stays in cache."""
+PART_LINES: Final = 60_000
+"""Lines solved at once: the parts of a long program are alike, and none has fewer, so that solving is compiled (`twin.native`); nor
+many more, since they take memory."""
+POSES: Final = 12 * PART_LINES
+"""Solved and checked at once before any block is split: six of each of the short blocks in the longest part. Of longer blocks fewer
+are."""
 AHEAD: Final = 1
-"""Stretches that are read while an earlier one is being solved."""
+"""Parts that are read while an earlier one is being solved."""
+
+
+class Read(NamedTuple):
+    """A stretch as read: its lines and its moves."""
+
+    stretch: Stretch
+    moves: MoveColumns
 
 
 @final
 @dataclass(frozen=True)
 class Part:
-    """A stretch as read.
+    """Stretches as read, to be solved together.
 
     Attributes:
-        stretch: its lines.
-        moves: its moves.
-        motions: its motions, behind the last one of the stretch before.
-        context: how many those of the stretch before are: 1, or 0 at the first.
+        read: each of them.
+        motions: their motions, behind the last one of the part before; of moves counted through all of the part.
+        context: how many those of the part before are: 1, or 0 at the first.
     """
 
-    stretch: Stretch
-    moves: MoveColumns
+    read: Sequence[Read]
     motions: MotionColumns
     context: int
+
+    @property
+    def moves(self) -> int:
+        """How many moves."""
+        return sum(len(one.moves) for one in self.read)
+
+
+class Cut(NamedTuple):
+    """What of a part is solved at once.
+
+    Attributes:
+        pieces, rows: solved.
+        context: how many of its motions belong to what was before.
+        rewritten: how many moves were given new words.
+    """
+
+    pieces: Pieces
+    rows: Rows
+    context: int
+    rewritten: int
+
+
+class Solved(NamedTuple):
+    """A part as solved: what replaces its moves, and what the account is made of."""
+
+    new: NewPositions
+    cuts: Sequence[Cut]
+
+
+class _Work(NamedTuple):
+    """What is done about a part."""
+
+    part: Part
+    solved: Future[Solved]
+    account: Future[None]
 
 
 @final
@@ -75,7 +119,7 @@ class Streamed:
         self._bench = bench
         self._source = source
         self._say = progress
-        self._size = 0
+        self._size = self._lines = 0
 
     def run(self, out: BinaryIO) -> Report | None:
         """Compensate.
@@ -112,40 +156,58 @@ class Streamed:
         return report
 
     def _all(self, attempt: _Attempt) -> bool | None:
-        """Go through the program once; False if it has to be done again, None if this is not the way."""
+        """Go through the program once; False if it has to be done again, None if this is not the way.
+
+        Reading and writing, solving, and accounting each go through the parts in order, on threads of their own.
+        """
         began = monotonic()
-        waiting: deque[tuple[Part, Future[NewPositions]]] = deque()
-        with ThreadPoolExecutor(1) as pool:
+        waiting: deque[_Work] = deque()
+        accounted: Future[None] | None = None
+        with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
+
+            def finish() -> None:
+                nonlocal accounted
+                part, solved, account = waiting.popleft()
+                new = solved.result().new
+                if accounted is not None:
+                    accounted.result()  # no more than one behind: what it takes is memory
+                accounted = account
+                attempt.write(part, new)
+                rate = attempt.moves / max(monotonic() - began, 1e-3)
+                self._say(f"{attempt.moves:,} blocks, {rate:,.0f}/s", 0.99 * attempt.bytes / self._size)
+
             try:
-                parts = attempt.parts(self._data())
+                parts = attempt.parts(self._data(), self._lines / max(self._lines // PART_LINES, 1))
                 while True:
                     try:
                         part = next(parts, None)
                     except InputError:
-                        for earlier, solved in waiting:  # theirs come first
-                            attempt.write(earlier, solved.result())
+                        while waiting:  # theirs come first
+                            finish()
                         raise
                     if part is None or attempt.changed or attempt.drills:
                         break
-                    waiting.append((part, pool.submit(attempt.solve, part)))
+                    solved = solving.submit(attempt.solve, part)
+                    waiting.append(_Work(part, solved, accounting.submit(attempt.account, solved)))
                     if len(waiting) > AHEAD:
-                        earlier, solved = waiting.popleft()
-                        attempt.write(earlier, solved.result())
-                        rate = attempt.moves / max(monotonic() - began, 1e-3)
-                        self._say(f"{attempt.moves:,} blocks, {rate:,.0f}/s", 0.99 * attempt.bytes / self._size)
+                        finish()
                 if not (attempt.changed or attempt.drills):
-                    for earlier, solved in waiting:
-                        attempt.write(earlier, solved.result())
+                    while waiting:
+                        finish()
+                    if accounted is not None:
+                        accounted.result()
             finally:
-                pool.shutdown(cancel_futures=True)
+                solving.shutdown(cancel_futures=True)
+                accounting.shutdown(cancel_futures=True)
         return None if attempt.drills else not attempt.changed
 
     def _check(self) -> None:
-        """Whether it is a program at all."""
+        """Whether it is a program at all, and how long."""
         check = TextCheck(str(self._source))
         for data in self._blocks():
             check.add(data)
             self._size += len(data)
+            self._lines += data.count(b"\n") or data.count(b"\r")
         check.finish()
 
     def _start(self) -> tuple[str, Style]:
@@ -215,42 +277,68 @@ class _Attempt:
         self._turns = False
         self.changed = self.drills = False
 
-    def parts(self, data: Iterator[bytes]) -> Iterator[Part]:
-        """The program as read."""
-        last: MotionColumns | None = None
-        for one in data:
-            stretch = Stretch(one, self._lines, self._axes.names)
-            self._lines += len(stretch)
-            moves = self._reader.read(stretch)
-            self._notices += self._reader.notices()
-            motions = self._follower.columns(moves, self._reader.left(), stretch.text_of)
-            self.drills = self._reader.drills
-            self._turns = self._turns or moves.turns(self._axes.rotary)
-            if self._aim is None and len(motions):
-                self._aim = self._bench.aim(turns=self._turns)
-            self.changed = self._turns and self._aim is not None and not self._aim.turns
-            context = 0 if last is None else 1
-            if len(motions):
-                joined = motions if last is None else MotionColumns.joined([last, motions], len(self._axes.names))
-                yield Part(stretch, moves, joined, context)
-                last = motions.part(len(motions) - 1, len(motions))
-            else:
-                yield Part(stretch, moves, motions, 0)
+    def parts(self, data: Iterator[bytes], lines: float) -> Iterator[Part]:
+        """The program as read, in parts of so many lines.
 
-    def solve(self, part: Part) -> NewPositions:
-        """What replaces the moves of a part; it is accounted for.
+        Raises:
+            InputError: it cannot be read; first comes the part of all that was read before.
+        """
+        context: list[MotionColumns] = []
+        read: list[Read] = []
+        motions: list[MotionColumns] = []
+
+        def part() -> Part:
+            joined = MotionColumns.joined([*context, *motions], len(self._axes.names))
+            found = Part([*read], joined, len(context))
+            if len(joined):
+                context[:] = [joined.part(len(joined) - 1, len(joined))]
+            read.clear()
+            motions.clear()
+            return found
+
+        full = lines
+        try:
+            for one in data:
+                moves = sum(len(earlier.moves) for earlier in read)
+                read.append(self._read(one))
+                motions.append(self._followed(read[-1], moves))
+                if self._lines >= full:
+                    full += lines
+                    yield part()
+        except InputError:
+            yield part()
+            raise
+        yield part()
+
+    def _read(self, data: bytes) -> Read:
+        stretch = Stretch(data, self._lines, self._axes.names)
+        self._lines += len(stretch)
+        moves = self._reader.read(stretch)
+        self._notices += self._reader.notices()
+        self.drills = self._reader.drills
+        return Read(stretch, moves)
+
+    def _followed(self, read: Read, before: int) -> MotionColumns:
+        """The motions of a stretch; ``before``: moves of its part that come first."""
+        motions = self._follower.columns(read.moves, self._reader.left(), read.stretch.text_of)
+        self._turns = self._turns or read.moves.turns(self._axes.rotary)
+        if self._aim is None and len(motions):
+            self._aim = self._bench.aim(turns=self._turns)
+        self.changed = self._turns and self._aim is not None and not self._aim.turns
+        return replace(motions, move=motions.move + before)
+
+    def solve(self, part: Part) -> Solved:
+        """What replaces the moves of a part.
 
         Raises:
             InputError: a position that the calibration does not cover.
         """
         bench, width = self._bench, len(self._axes.names)
-        count, first = np.zeros(len(part.moves), dtype=int), np.zeros(len(part.moves), dtype=int)
-        if not len(part.motions) or self._aim is None:
-            return NewPositions(first, count, np.zeros((0, width)), np.zeros((0, 3)))
-        if self._account is None:
-            self._account = Account(bench, self._aim, self._source)
+        count, first = np.zeros(part.moves, dtype=int), np.zeros(part.moves, dtype=int)
+        if len(part.motions) == part.context or self._aim is None:
+            return Solved(NewPositions(first, count, np.zeros((0, width)), np.zeros((0, 3))), [])
+        cuts: list[Cut] = []
         positions: list[np.ndarray] = []
-        vectors: list[np.ndarray] = []
         begin = part.context
         for end in _ends(part, bench.options.tolerance_mm):
             context = min(begin, 1)
@@ -259,20 +347,24 @@ class _Attempt:
             commands = bench.space.commands(pieces.end[context:], pieces.tcp[context:])
             check_domains(bench.full, self._source, motions.line[context:] + 1, commands)
             rows = pieces.solve(_silent)
-            before = sum(len(words) for words in positions)
+            before, own = sum(len(words) for words in positions), motions.move[context:]
             if not pieces.idle:
-                own = motions.move[context:]
                 starts, count[own] = _new(pieces, rows, context)
                 first[own] = starts + before
-            self._account.add(
-                pieces, rows, rewritten=int(np.count_nonzero(count[motions.move[context:]])), context=context
-            )
+            cuts.append(Cut(pieces, rows, context, int(np.count_nonzero(count[own]))))
             words = np.array(rows.printed)
             words[np.ix_(pieces.by_vector[rows.motion] | (not pieces.turns), range(3, width))] = np.nan
             positions.append(words)
-            vectors.append(rows.vectors)
             begin = end
-        return NewPositions(first, count, np.concatenate(positions), np.concatenate(vectors))
+        vectors = np.concatenate([cut.rows.vectors for cut in cuts])
+        return Solved(NewPositions(first, count, np.concatenate(positions), vectors), cuts)
+
+    def account(self, solved: Future[Solved]) -> None:
+        """Account for a part."""
+        for cut in solved.result().cuts:
+            if self._account is None:
+                self._account = Account(self._bench, cut.pieces.aim, self._source)
+            self._account.add(cut.pieces, cut.rows, rewritten=cut.rewritten, context=cut.context)
 
     def write(self, part: Part, new: NewPositions) -> None:
         """Write a part, and read back what was written.
@@ -280,25 +372,32 @@ class _Attempt:
         Raises:
             OutputError: it does not say what was meant.
         """
-        if self._rewriter is None and not len(part.moves):
-            self._held.append(part.stretch.scan.data)  # the first move tells who does the kinematics in front of it
+        first = 0
+        for read in part.read:
+            own = slice(first, first + len(read.moves))
+            self._write(read, replace(new, first=new.first[own], count=new.count[own]))
+            first = own.stop
+
+    def _write(self, read: Read, new: NewPositions) -> None:
+        stretch, moves = read
+        if self._rewriter is None and not len(moves):
+            self._held.append(stretch.scan.data)  # the first move tells who does the kinematics in front of it
             return
-        stretch = part.stretch
         if self._rewriter is None:
             newline, style = self._begins
-            self._rewriter = IsoRewriter(self._source, self._axes, newline, style, tcp=bool(part.moves.tcp[0]))
+            self._rewriter = IsoRewriter(self._source, self._axes, newline, style, tcp=bool(moves.tcp[0]))
             held = b"".join(self._held)
             if held:
                 stretch = Stretch(held + stretch.scan.data, 0, self._axes.names)
                 self._held = []
-        idle = self._account is not None and self._account.idle
-        data = stretch.scan.data if idle else self._rewriter.write(stretch, part.moves, new)
+        idle = self._aim is not None and self._aim.idle
+        data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
         written = Stretch(data, self._written_lines, self._axes.names)
         again = self._checker.read(written)
         self._written_lines += len(written)
-        _verify(self._source, part.moves, new, again)
+        _verify(self._source, moves, new, again)
         self._out.write(data)
-        self.moves += len(part.moves)
+        self.moves += len(moves)
         self.bytes += len(stretch.scan.data)
 
     def report(self) -> Report:
@@ -325,12 +424,8 @@ def _silent(stage: str, fraction: float) -> None:
 def _ends(part: Part, tolerance_mm: float) -> list[int]:
     """Where to cut the motions of a part so that each cut has no more than some `POSES` to check before any block is split."""
     motions = part.motions
-    size = np.abs(motions.end - motions.start)
-    size = np.where(np.isfinite(size), size, 0.0)
-    spacing = np.maximum(
-        size[:, :3].max(axis=1) / SAMPLE_SPACING[0], size[:, 3:].max(axis=1, initial=0.0) / SAMPLE_SPACING[1]
-    )
-    poses = 1.0 + np.maximum(SAMPLES_A_PIECE, spacing)
+    long = spacings(motions.start, motions.end)
+    poses = 1.0 + np.maximum(SAMPLES_A_PIECE, np.where(np.isfinite(long), long, 0.0))
     for i, move in motions.special.items():
         if move.arc is not None and np.isfinite(motions.start[i]).all():
             poses[i] *= chords(motions[i], tolerance_mm)

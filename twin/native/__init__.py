@@ -2,7 +2,7 @@
 
 from twin.native.loading import in_use
 from twin.native.problem import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Functions, Outcome, Problem
-from twin.native.rows import RowFunction
+from twin.native.rows import RowFunction, Taken
 from twin.native.solver import Solver
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "Problem",
     "RowFunction",
     "Solver",
+    "Taken",
     "in_use",
 ]

@@ -4,6 +4,7 @@ struct Rows {
   int64_t rows;
   const double *const *in;   // N columns, and how far apart their rows are (0: one number for all rows)
   const int64_t *in_step;
+  const int64_t *const *in_line;  // which line of a column each row has; null: its own
   double *const *out;        // O of them
   const int64_t *out_step;
   const double *k;
@@ -16,8 +17,14 @@ extern "C" void run(const Rows *given) {
   for (int64_t i = 0; i < job.rows; i += W) {
     V x[N], y[O];
     const int some = job.rows - i < W ? (int)(job.rows - i) : (int)W;
-    for (int c = 0; c < N; ++c)  // the last row again for what fills a register up
-      for (int l = 0; l < W; ++l) x[c][l] = job.in[c][(i + (l < some ? l : some - 1)) * job.in_step[c]];
+    for (int c = 0; c < N; ++c) {
+      const double *in = job.in[c];
+      const int64_t step = job.in_step[c], *line = job.in_line[c];
+      for (int l = 0; l < W; ++l) {
+        const int64_t at = i + (l < some ? l : some - 1);  // the last row again for what fills a register up
+        x[c][l] = in[(line ? line[at] : at) * step];
+      }
+    }
     row(x, job.k, y);
     for (int l = 0; l < some; ++l)
       for (int c = 0; c < O; ++c) job.out[c][(i + l) * job.out_step[c]] = ((const double *)&y[c])[l];

@@ -152,7 +152,7 @@ def edited(
     spaced = _last_said(np.where(shown, (before == _SPACE) | (before == 9), -1), habits.spaced).astype(bool)
     lower = scan.text[letter] >= ord("a")
     # Words there are: those that say another value than before.
-    steps = pieces.steps[of, words.axis]
+    steps = pieces.steps.take(of * pieces.steps.shape[1] + words.axis)
     same = np.abs(words.value - steps * grids.step[words.axis]) < SAME
     same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & look.plus)
     new = np.flatnonzero(~same)
@@ -261,8 +261,8 @@ def _last_said(values: np.ndarray, before: int) -> np.ndarray:
         return values
     if not says.any():
         return np.full(len(values), before)
-    at = np.maximum.accumulate(np.where(says, np.arange(len(values)), -1))
-    return np.where(at >= 0, values[at], before)
+    at = np.flatnonzero(says)
+    return np.repeat(np.append(before, values[at]), np.diff(at, prepend=0, append=len(values)))
 
 
 def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
@@ -293,41 +293,38 @@ def _printed(
         ending: (n, 2) characters behind the number, 0 for none.
     """
     point, keep, lead, plus = look
-    decimals = grids.decimals[axis]
-    places = int(max(decimals.max(initial=0), keep.max(initial=0)))
+    places = int(max(grids.decimals.max(initial=0), keep.max(initial=0)))
     size = np.abs(steps) * grids.scale[axis]
-    power = 10**decimals
+    power = (10**grids.decimals)[axis]
     whole = size // power
-    fraction = (size - whole * power) * 10 ** (places - decimals)
+    fraction = (size - whole * power) * (10 ** (places - grids.decimals))[axis]
     digits = len(str(int(whole.max(initial=0))))
-    text = np.empty((len(steps), digits + places + 6), dtype=np.uint8)
-    shown = np.empty(text.shape, dtype=bool)
-    text[:, 0], shown[:, 0] = _SPACE, spaced
-    text[:, 1], shown[:, 1] = letter, letter > 0
-    text[:, 2], shown[:, 2] = np.where(steps < 0, _MINUS, _PLUS), (steps < 0) | plus
-    no_zero = ~lead & (whole == 0) & (fraction > 0)
-    least = 1
-    for i in range(digits):
-        column = 2 + digits - i
-        shown[:, column] = whole >= least if i else ~no_zero
-        least *= 10
-    _digits(whole, text[:, 3 : 3 + digits])
+    # A row a place, so that each is written at a stretch; what is not shown is zero, and taken out.
+    text = np.empty((digits + places + 6, len(steps)), dtype=np.uint8)
+    text[0] = spaced * np.uint8(_SPACE)
+    text[1] = letter
+    text[2] = np.where(steps < 0, _MINUS, plus * np.uint8(_PLUS))
+    _digits(whole, text[3 : 3 + digits])
+    text[2 + digits] *= lead | (whole > 0) | (fraction == 0)
+    for i in range(1, digits):
+        text[2 + digits - i] *= whole >= 10**i
+    _digits(fraction, text[4 + digits : -2])
     wanted = np.array(keep)
-    _digits(fraction, text[:, 4 + digits : 4 + digits + places])
     for i in range(places):
-        wanted[(text[:, 4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
+        wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
         # Later digits are looked at later, so the last that is not 0 decides.
     for i in range(places):
-        shown[:, 4 + digits + i] = wanted > i
-    text[:, 3 + digits], shown[:, 3 + digits] = _POINT, (wanted > 0) | point
-    text[:, -2:], shown[:, -2:] = ending, ending > 0
-    return text[shown], shown.sum(axis=1)
+        text[4 + digits + i] *= wanted > i
+    text[3 + digits] = ((wanted > 0) | point) * np.uint8(_POINT)
+    text[-2:] = ending.T
+    shown = np.ascontiguousarray(text.T).tobytes().translate(None, b"\0")
+    return np.frombuffer(shown, dtype=np.uint8), np.sum(text != 0, axis=0, dtype=np.uint8).astype(int)
 
 
 def _digits(number: np.ndarray, out: np.ndarray) -> None:
-    """The decimal digits of whole numbers, as characters, into the columns of an array."""
+    """The decimal digits of whole numbers, as characters, into the rows of an array."""
     left = number
-    for column in range(out.shape[1] - 1, -1, -1):
+    for row in range(len(out) - 1, -1, -1):
         rest = left // 10
-        out[:, column] = left - rest * 10 + _ZERO
+        out[row] = left - rest * 10 + _ZERO
         left = rest

@@ -220,10 +220,10 @@ class IsoRewriter:
         """Whether values can be counted in steps, each axis having one in all rows, or in none and no word either."""
         known = np.isfinite(positions)
         everywhere = known.all(axis=0)
-        written = np.any(named[:, None] >> np.arange(known.shape[1]) & 1, axis=0)
+        written = np.bitwise_or.reduce(named, initial=0) >> np.arange(known.shape[1]) & 1 > 0
         if not self._grids.exact or not np.all(everywhere | ~(known.any(axis=0) | written)):
             return False
-        return bool(np.all(np.abs(positions[known]) < LARGEST_STEPS * self._grids.step.min()))
+        return bool(np.abs(positions[:, everywhere]).max(initial=0.0) < LARGEST_STEPS * self._grids.step.min())
 
     def _line(self, line: int, text: str, which: int, moves: MoveColumns, new: NewPositions) -> str:
         """One line as `twin.nc.iso.Iso` writes it."""

@@ -7,6 +7,7 @@ once, as reading it digit by digit does. Every other line is for the general way
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, final
@@ -19,7 +20,12 @@ MOST_DIGITS: Final = 15
 """Decimal digits every whole number of which a double holds."""
 _WHOLE_DIGITS: Final = 9
 """As of `twin.nc.plain.VALUE`."""
+_WHOLE_POWERS: Final = 10 ** np.arange(MOST_DIGITS + 1)
 _POWERS: Final = 10.0 ** np.arange(MOST_DIGITS + 1)
+_ROOM: Final = 16
+_LAST: Final = np.array([0x0F0F0F0F0F0F0F0F & ~((1 << 8 * (8 - kept)) - 1) for kept in range(9)], dtype=np.uint64)
+"""Bits of the last 0 to 8 of eight characters that make digits of them; the last character is the highest byte."""
+_KEPT: Final = {8: np.uint64(0x00FF00FF00FF00FF), 16: np.uint64(0x0000FFFF0000FFFF), 32: np.uint64(0xFFFFFFFF)}
 _OTHER, _LETTER, _DIGIT, _SIGN, _POINT, _BLANK, _END = range(7)
 _FOLLOWS: Final = {
     _LETTER: (_DIGIT, _SIGN, _POINT),
@@ -31,6 +37,8 @@ _FOLLOWS: Final = {
 }
 """Which kinds of character a plain line may have behind one another."""
 _NUMBER, _CODE, _FEED = -3, -2, -1
+_NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
+"""Of the lines that `twin.nc.iso_state.Interpreter.step` finds nothing in, those that are a comment and nothing else."""
 _MINUS, _PLUS, _ZERO = b"-+0"
 
 
@@ -72,7 +80,7 @@ class Scan:
         text: (n,) the same as numbers.
         start, end: (lines,) where each line begins and ends, its own ending included.
         plain: (lines,) whether it is plain.
-        blank: (lines,) whether nothing stands on it.
+        blank: (lines,) whether it says nothing: empty, or a comment.
         code: (lines,) the motion code of a plain line, -1 where it has none.
         wide: (lines,) whether that is written in two digits.
         words: of the plain lines.
@@ -96,21 +104,29 @@ class Scan:
 
 
 @lru_cache(maxsize=16)
-def _tables(names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes]:
     """By character: its kind, its rank among the words of a line, its axis; and whether two kinds may not follow each other."""
-    kind, rank, axis = np.zeros(256, dtype=np.uint8), np.zeros(256, dtype=np.int8), np.full(256, _FEED, dtype=np.int8)
-    kind[list(b"0123456789")] = _DIGIT
-    kind[list(b"+-")], kind[list(b".")], kind[list(b" \t")], kind[list(b"\r\n")] = _SIGN, _POINT, _BLANK, _END
+    kind, rank, axis = bytearray(256), np.zeros(256, dtype=np.int8), np.full(256, _FEED, dtype=np.int8)
+    for characters, which in (
+        (b"0123456789", _DIGIT),
+        (b"+-", _SIGN),
+        (b".", _POINT),
+        (b" \t", _BLANK),
+        (b"\r\n", _END),
+    ):
+        for code in characters:
+            kind[code] = which
     letters = plain_letters(names)
     places = {"N": (0, _NUMBER), "G": (1, _CODE), "F": (len(letters) + 2, _FEED)}
     places |= {letter: (2 + i, [name.upper() for name in names].index(letter)) for i, letter in enumerate(letters)}
     for letter, (place, which) in places.items() if letters else ():
         for code in (ord(letter), ord(letter.lower())):
             kind[code], rank[code], axis[code] = _LETTER, place, which
-    bad = np.ones((8, 8), dtype=bool)
+    bad = bytearray(b"\1" * 256)
     for before, behind in _FOLLOWS.items():
-        bad[before, behind] = False
-    return kind, rank, axis, bad.reshape(-1)
+        for one in behind:
+            bad[before << 3 | one] = 0
+    return bytes(kind), rank, axis, bytes(bad)
 
 
 def scan(data: bytes, names: tuple[str, ...]) -> Scan:
@@ -127,41 +143,41 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
         end = np.append(end, len(data))
     lines = len(end)
     start = np.concatenate([np.zeros(min(lines, 1), dtype=end.dtype), end[:-1]])
-    kind = kind_of[text]
+    kind = np.frombuffer(data.translate(kind_of), dtype=np.uint8)
     pairs = kind[:-1] << 3
     pairs |= kind[1:]
+    bad = np.frombuffer(pairs.tobytes().translate(bad_pair), dtype=bool)
     plain = np.ones(lines, dtype=bool)
     # A pair across the end of a line counts for the line behind it: what that may begin with.
-    plain[np.searchsorted(end, np.flatnonzero(bad_pair[pairs]) + 1, side="right")] = False
+    plain[np.searchsorted(end, np.flatnonzero(bad) + 1, side="right")] = False
     if lines:
-        plain[0] &= not bad_pair[_END * 8 + kind[0]]
+        plain[0] &= not bad_pair[_END << 3 | int(kind[0])]
         plain[-1] &= bool(kind[-1] == _END)
-    letters = np.flatnonzero(kind == _LETTER)
+    if not plain.all():
+        kind = np.where(np.repeat(plain, end - start), kind, _OTHER)
+    # In plain lines every letter has one number behind it, and there is no other.
+    lettered = kind == _LETTER
+    letters, points = np.flatnonzero(lettered), np.flatnonzero(kind == _POINT)
+    of = np.cumsum(lettered, dtype=np.int32).take(points) - 1
+    numeric = (kind >= _DIGIT) & (kind <= _POINT)
+    stops = np.flatnonzero(numeric[:-1] > numeric[1:]) + 1
     per_line = np.diff(np.searchsorted(letters, end), prepend=0)
     blank = plain & (per_line == 0)
-    keep = np.repeat(plain, per_line)
-    letters, line = letters[keep], np.repeat(np.arange(lines), np.where(plain, per_line, 0))
-    numeric = (kind >= _DIGIT) & (kind <= _POINT)
-    stops = np.flatnonzero(numeric[:-1] & ~numeric[1:]) + 1
-    stops = stops[plain[np.searchsorted(end, stops - 1, side="right")]] if not plain.all() else stops
+    blank[[i for i in np.flatnonzero(~plain).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
+    line = np.repeat(np.arange(lines), per_line)
     char = text[letters]
-    rank, axis = rank_of[char], axis_of[char]
+    rank, axis = rank_of.take(char), axis_of.take(char)
     good = np.ones(len(letters), dtype=bool)
     good[1:] = (line[1:] != line[:-1]) | (rank[1:] > rank[:-1])
     begin = letters + 1
-    sign = text[begin] if letters.size else np.zeros(0, dtype=np.uint8)
+    sign = text.take(begin)
     signed = (sign == _MINUS) | (sign == _PLUS)
     sign = np.where(signed, sign, 0)
-    begin_digits = begin + signed
-    points = np.flatnonzero(kind == _POINT)
-    of = np.searchsorted(letters, points) - 1
-    inside = (of >= 0) & (points < stops[of]) if letters.size else np.zeros(len(points), dtype=bool)
-    of, points = of[inside], points[inside]
     good[of[1:][of[1:] == of[:-1]]] = False
     at = stops.copy()
     at[of] = points
     point = at < stops
-    whole = at - begin_digits
+    whole = at - begin - signed
     fraction = stops - at - point
     number, code = axis == _NUMBER, axis == _CODE
     good &= (whole <= _WHOLE_DIGITS) | number
@@ -171,24 +187,24 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     said, width = text[stops[codes] - 1] - _ZERO, whole[codes]
     good[codes] &= (said <= 1) & ((width == 1) | ((width == 2) & (text[begin[codes]] == _ZERO)))
     plain[line[~good]] = False
-    of_axis = (axis >= 0) & plain[line]
-    named = np.bincount(line[of_axis], minlength=lines)
+    which = np.flatnonzero((axis >= 0) & plain[line])
+    named = np.bincount(line[which], minlength=lines)
     plain &= named > 0
     motion, wide = np.full(lines, -1, dtype=np.int8), np.zeros(lines, dtype=bool)
     motion[line[codes]], wide[line[codes]] = said.astype(np.int8), width > 1
     motion[~plain] = -1
-    digits = begin_digits[of_axis], stops[of_axis], fraction[of_axis]
+    stops, whole, fraction, sign = stops.take(which), whole.take(which), fraction.take(which), sign.take(which)
     words = Words(
-        line=line[of_axis].astype(np.int32),
-        axis=axis[of_axis],
-        start=begin[of_axis].astype(np.int32),
-        end=stops[of_axis].astype(np.int32),
-        value=_values(text, *digits, sign[of_axis] == _MINUS),
-        sign=sign[of_axis],
-        whole=whole[of_axis].astype(np.int16),
-        fraction=fraction[of_axis].astype(np.int16),
-        point=point[of_axis],
-        padded=text[stops[of_axis] - 1] == _ZERO,
+        line=line.take(which).astype(np.int32),
+        axis=axis.take(which),
+        start=begin.take(which).astype(np.int32),
+        end=stops.astype(np.int32),
+        value=_values(data, at.take(which), stops, whole, fraction, sign == _MINUS),
+        sign=sign,
+        whole=whole.astype(np.int16),
+        fraction=fraction.astype(np.int16),
+        point=point.take(which),
+        padded=text.take(stops - 1) == _ZERO,
     )
     first = np.concatenate([[0], np.cumsum(np.where(plain, named, 0))])
     return Scan(data, text, start, end, plain, blank, motion, wide, words, first)
@@ -205,15 +221,28 @@ def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
 
 
 def _values(
-    text: np.ndarray, begin: np.ndarray, stop: np.ndarray, fraction: np.ndarray, negative: np.ndarray
+    data: bytes, point: np.ndarray, stop: np.ndarray, whole: np.ndarray, fraction: np.ndarray, negative: np.ndarray
 ) -> np.ndarray:
-    """The numbers whose digits begin and stop there, a point among them where they have a fraction."""
-    found = np.zeros(len(begin), dtype=np.int64)
-    for place in range(int((stop - begin).max(initial=0))):
-        at = begin + place
-        digit = text[np.minimum(at, len(text) - 1)] - _ZERO  # a point becomes a large number: unsigned
-        taken = (at < stop) & (digit < 10)
-        np.copyto(found, found * 10 + digit, where=taken)
+    """Numbers that have so many digits up to their points, and behind these so many up to where they stop."""
+    # Windows of eight characters each, as numbers; in front there is room for the first one's.
+    eights = np.ndarray(len(data) + _ROOM - 7, "<u8", bytes(_ROOM) + data, strides=(1,))
+    found = _whole_numbers(eights, point, whole) * _WHOLE_POWERS[fraction] + _whole_numbers(eights, stop, fraction)
     values = found / _POWERS[fraction]
-    np.negative(values, out=values, where=negative)
-    return values
+    return np.where(negative, -values, values)
+
+
+def _whole_numbers(eights: np.ndarray, stop: np.ndarray, digits: np.ndarray) -> np.ndarray:
+    """Whole numbers of so many digits that stop there, at most `MOST_DIGITS`."""
+    found = _of_eight(eights[stop + (_ROOM - 8)], np.minimum(digits, 8))
+    more = np.flatnonzero(digits > 8)
+    if more.size:
+        found[more] += 10**8 * _of_eight(eights[stop[more] + (_ROOM - 16)], digits[more] - 8)
+    return found
+
+
+def _of_eight(window: np.ndarray, digits: np.ndarray) -> np.ndarray:
+    """The number that the last few of eight characters are: pairs of neighbours put together three times (a digit, two, four)."""
+    window &= _LAST[digits]
+    for width, shift in ((8, 10), (16, 100), (32, 10_000)):
+        window = ((window * shift) + (window >> width)) & _KEPT[width]
+    return window.astype(np.int64)
