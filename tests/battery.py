@@ -4,6 +4,9 @@ One data set of the truth machine (`tests.hidden`) gives poses, set-up and scatt
 effects, scaled to a noncentrality λ after everything the set-up absorbs is projected out. Run one row of the table by
 
     python -m tests.battery ROW [--draws 200] [--noise isotropic|repeats|tracker|tracker-repeats] [--poses 390] [--seed 1]
+                                [--workers N] [--scheduler tcp://…]
+
+A data set with its draws is one task, so that the same seed gives the same answers on any workers.
 """
 
 from __future__ import annotations
@@ -19,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy import stats
-from threadpoolctl import threadpool_limits
 
 from tests import hidden
 from twin.arrays import locked
@@ -36,10 +38,13 @@ from twin.diagnosis.search import Selection
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
+from twin.errors import InputError
 from twin.instruments import LaserTracker
 from twin.machine import Machine
 from twin.measurement import load, state_of
+from twin.parallel import Workers, in_order
 
+HERE = Workers(1)
 FRESH = 25
 """Draws from one data set before another is measured."""
 ROWS = {
@@ -145,8 +150,7 @@ def _doubted(calibration: Calibration) -> Calibration:
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
     """(3n,) new scatter, and a new error of the calibration where its covariance is given."""
     found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
-    own = problem.nuisance[:, problem.prior.any(axis=0)]
-    return found + own @ rng.standard_normal(own.shape[1])
+    return found + problem.basis @ (problem.doubt @ rng.standard_normal(problem.doubt.shape[1]))
 
 
 def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:
@@ -222,36 +226,110 @@ def outside(rng: np.random.Generator, problem: Problem, size: float) -> tuple[tu
     return names, signature * np.sqrt(size / after)
 
 
+@dataclass(frozen=True)
+class Case:
+    """What the draws of a row of the table have in common.
+
+    Attributes:
+        row: of the table.
+        seed: of all of them.
+        noise: ``isotropic``, ``tracker``, and the same from ``repeats``.
+        poses: of a data set.
+        uncertain: whether the calibration has a covariance.
+        every: for `tests.rivals`.
+    """
+
+    row: str
+    seed: int
+    noise: str = "isotropic"
+    poses: int = 390
+    uncertain: bool = False
+    every: bool = False
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What was hidden in a data set: the causes, the columns of a pattern outside the catalogue, and the whole (3n,) residual."""
+
+    truth: tuple[Truth, ...]
+    columns: tuple[str, ...]
+    residual: np.ndarray
+
+
+class DataSet:
+    """A data set with nothing in it, and draws of what is hidden in it: one task, with a seed of its own (`twin.parallel`).
+
+    The first has the seed itself, so that its draws are those of a battery of one data set.
+
+    Args:
+        case: what all data sets share.
+        number: which of them this is.
+    """
+
+    def __init__(self, case: Case, number: int) -> None:
+        self._case = case
+        key = (number,) if number else ()
+        self._rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=key))
+        machine = Machine.load("dmu50")
+        self.problem, self.searcher, self._root = measured(self._rng, machine, case.noise, case.poses, case.uncertain)
+        self._families: dict[str, list[Candidate]] = {}
+        for candidate in self.searcher.known.candidates:
+            if candidate.effect not in UNHIDDEN:
+                self._families.setdefault(candidate.effect, []).append(candidate)
+
+    def draw(self) -> Draw:
+        """The next one."""
+        count, size = ROWS[self._case.row]
+        total = noise_of(self._rng, self.problem, self._root)
+        truth = some_effects(self._rng, self.problem, self._families, count, size)
+        total = total + sum((one[1] for one in truth), np.zeros_like(total))
+        columns: tuple[str, ...] = ()
+        if self._case.row.startswith("outside"):
+            columns, extra = outside(self._rng, self.problem, size)
+            total = total + extra
+        return Draw(tuple(truth), columns, total)
+
+
+def tasks(draws: int) -> list[tuple[int, int]]:
+    """Number of each data set, and how many draws it has."""
+    return [(number, min(FRESH, draws - start)) for number, start in enumerate(range(0, draws, FRESH))]
+
+
+def told(task: tuple[int, int]) -> str:
+    """Name of a task."""
+    return f"data set {task[0]}"
+
+
 def answers(
-    row: str, draws: int, seed: int, *, noise: str = "isotropic", poses: int = 390, uncertain: bool = False
+    row: str,
+    draws: int,
+    seed: int,
+    *,
+    noise: str = "isotropic",
+    poses: int = 390,
+    uncertain: bool = False,
+    workers: Workers = HERE,
 ) -> list[Answer]:
-    """Draws of one row of the table."""
-    machine = Machine.load("dmu50")
-    count, size = ROWS[row]
-    rng = np.random.default_rng(seed)
-    found: list[Answer] = []
-    with threadpool_limits(limits=1, user_api="blas"):
-        while len(found) < draws:
-            problem, searcher, root = measured(rng, machine, noise, poses, uncertain)
-            families: dict[str, list[Candidate]] = {}
-            for candidate in searcher.known.candidates:
-                if candidate.effect in UNHIDDEN:
-                    continue
-                families.setdefault(candidate.effect, []).append(candidate)
-            for _ in range(min(FRESH, draws - len(found))):
-                total = noise_of(rng, problem, root)
-                truth = some_effects(rng, problem, families, count, size)
-                total = total + sum((one[1] for one in truth), np.zeros_like(total))
-                columns: tuple[str, ...] = ()
-                if row.startswith("outside"):
-                    columns, extra = outside(rng, problem, size)
-                    total = total + extra
-                by_itself = count == 1 and alone(problem, searcher.pool, truth[0][0], truth[0][1])
-                problem.judge(total)
-                began = time.process_time()
-                searcher.pool.judge(problem)
-                pool, best = searcher.run()
-                found.append(_answer(problem, pool, best, truth, columns, by_itself, time.process_time() - began))
+    """Draws of one row of the table: the same for the same seed on any workers, but for the seconds."""
+    case = Case(row, seed, noise, poses, uncertain)
+    return [one for found in in_order(answers_of, case, tasks(draws), workers, name=told) for one in found]
+
+
+def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
+    """Of one data set."""
+    number, draws = task
+    data = DataSet(case, number)
+    problem, searcher = data.problem, data.searcher
+    found = []
+    for _ in range(draws):
+        draw = data.draw()
+        by_itself = ROWS[case.row][0] == 1 and alone(problem, searcher.pool, draw.truth[0][0], draw.truth[0][1])
+        problem.judge(draw.residual)
+        began = time.process_time()
+        searcher.pool.judge(problem)
+        pool, best = searcher.run()
+        seconds = time.process_time() - began
+        found.append(_answer(problem, pool, best, draw.truth, draw.columns, by_itself, seconds))
     return found
 
 
@@ -340,12 +418,12 @@ def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
     def share(values: list[bool]) -> float:
         return float(np.mean(values)) if values else float("nan")
 
-    told = {"seconds": float(np.mean([a.seconds for a in found]))}
+    always = {"seconds": float(np.mean([a.seconds for a in found]))}
     if row == "nothing":
-        return told | {"any alarm": share([bool(a.named or a.unnamed) for a in found])}
+        return always | {"any alarm": share([bool(a.named or a.unnamed) for a in found])}
     if row.startswith("outside"):
         hit = [a.unexplained and bool(set(a.columns) & set(a.unnamed)) for a in found]
-        return told | {
+        return always | {
             "unexplained": share([a.unexplained for a in found]),
             "unexplained, right column": share(hit),
             "both columns": share([set(a.columns) <= set(a.unnamed) for a in found]),
@@ -353,7 +431,7 @@ def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
         }
     covered = [one for a in found for one in a.covered]
     alone = [a for a in found if a.alone]
-    return told | {
+    return always | {
         "right": share([a.right for a in found]),
         "right or in group": share([a.in_group for a in found]),
         "right where nothing is equivalent": share([a.right for a in alone]),
@@ -367,6 +445,17 @@ def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
     }
 
 
+def parsed(parser: argparse.ArgumentParser) -> tuple[argparse.Namespace, Workers]:
+    """The options, and who does the work."""
+    parser.add_argument("--workers", type=int, help="processes of this computer: one a core if not given")
+    parser.add_argument("--scheduler", help="address of a Dask scheduler, whose workers have this folder on their path")
+    options = parser.parse_args()
+    try:
+        return options, Workers(options.workers, options.scheduler)
+    except InputError as error:
+        parser.error(str(error))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rows", nargs="+", choices=ROWS)
@@ -376,13 +465,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--uncertain", action="store_true")
     parser.add_argument("--wrong", type=int, default=0)
-    options = parser.parse_args()
+    options, workers = parsed(parser)
     for row in options.rows:
         found = answers(
-            row, options.draws, options.seed, noise=options.noise, poses=options.poses, uncertain=options.uncertain
+            row,
+            options.draws,
+            options.seed,
+            noise=options.noise,
+            poses=options.poses,
+            uncertain=options.uncertain,
+            workers=workers,
         )
-        told = ", ".join(f"{name} {value:.3g}" for name, value in summary(row, found).items())
-        sys.stdout.write(f"{row} {options.noise}{' uncertain' if options.uncertain else ''} {len(found)}: {told}\n")
+        said = ", ".join(f"{name} {value:.3g}" for name, value in summary(row, found).items())
+        sys.stdout.write(f"{row} {options.noise}{' uncertain' if options.uncertain else ''} {len(found)}: {said}\n")
         wrong = [a for a in found if not a.in_group or a.too_many or (a.truth and a.unexplained)]
         if row == "nothing":
             wrong = [a for a in found if a.named or a.unnamed]
@@ -400,4 +495,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from tests import battery  # workers know it by this name
+
+    battery.main()

@@ -6,6 +6,7 @@ projected out of both (x − QQᵀx; for a calibration without covariance, where
 the table by
 
     python -m tests.rivals ROW... [--draws 50] [--noise isotropic|repeats|tracker|tracker-repeats] [--poses 390] [--seed 1] [--every]
+                               [--workers N] [--scheduler tcp://…]
 
 Whose names count as "in group" is decided by geometry, for `twin` as for its rivals (`Design.likeness`, `ALIKE`), and not by what
 `twin` lists as equivalent.
@@ -24,16 +25,15 @@ import numpy as np
 import statsmodels.api as sm
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LassoLarsIC
-from threadpoolctl import threadpool_limits
 
-from tests.battery import FRESH, ROWS, UNHIDDEN, Key, Told, Truth, matched, measured, noise_of, outside, some_effects
+from tests.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, Told, Truth, matched, parsed, tasks, told
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.pool import SEEN
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 from twin.diagnosis.surrogates import EFFECT, depends_on
-from twin.machine import Machine
+from twin.parallel import Workers, in_order
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate is as good a name."""
@@ -296,7 +296,14 @@ def lasso(problem: Problem, candidates: Sequence[Candidate], *, design: Design |
 
 
 def compared(
-    row: str, draws: int, seed: int, *, noise: str = "isotropic", poses: int = 390, every: bool = False
+    row: str,
+    draws: int,
+    seed: int,
+    *,
+    noise: str = "isotropic",
+    poses: int = 390,
+    every: bool = False,
+    workers: Workers = HERE,
 ) -> dict[str, list[Said]]:
     """The draws of `tests.battery.answers` with the same seed, and what `twin` and its rivals say of each.
 
@@ -310,33 +317,33 @@ def compared(
         poses: as in `tests.battery.measured`.
         every: the rivals choose among all that `twin` does, also `UNHIDDEN`. That is harder than it need be: a misplaced curve is so
             with a share of one or not at all, which `twin` asks for and a plain regression cannot.
+        workers: who does it.
     """
-    machine = Machine.load("dmu50")
-    count, size = ROWS[row]
-    rng = np.random.default_rng(seed)
-    found: dict[str, list[Said]] = {"twin": [], "stepwise BIC": [], "stepwise EBIC": [], "LASSO": []}
-    with threadpool_limits(limits=1):
-        while len(found["twin"]) < draws:
-            problem, searcher, root = measured(rng, machine, noise, poses, False)
-            candidates = searcher.known.candidates
-            design = Design(problem, candidates)
-            choice = [candidate for candidate in candidates if every or candidate.effect not in UNHIDDEN]
-            families: dict[str, list[Candidate]] = {}
-            for candidate in candidates:
-                if candidate.effect not in UNHIDDEN:
-                    families.setdefault(candidate.effect, []).append(candidate)
-            for _ in range(min(FRESH, draws - len(found["twin"]))):
-                total = noise_of(rng, problem, root)
-                truth = some_effects(rng, problem, families, count, size)
-                total = total + sum((one[1] for one in truth), np.zeros_like(total))
-                if row.startswith("outside"):
-                    total = total + outside(rng, problem, size)[1]
-                problem.judge(total)
-                for method, ask in _methods(problem, searcher, choice, design).items():
-                    began = time.process_time()
-                    named, unnamed = ask()
-                    seconds = time.process_time() - began
-                    found[method].append(_said(problem, design, truth, named, unnamed, seconds))
+    case = Case(row, seed, noise, poses, every=every)
+    found: dict[str, list[Said]] = {}
+    for said in in_order(said_of, case, tasks(draws), workers, name=told):
+        for method, some in said.items():
+            found.setdefault(method, []).extend(some)
+    return found
+
+
+def said_of(case: Case, task: tuple[int, int]) -> dict[str, list[Said]]:
+    """Of one data set, by method."""
+    number, draws = task
+    data = DataSet(case, number)
+    problem, searcher = data.problem, data.searcher
+    candidates = searcher.known.candidates
+    design = Design(problem, candidates)
+    choice = [candidate for candidate in candidates if case.every or candidate.effect not in UNHIDDEN]
+    found: dict[str, list[Said]] = {}
+    for _ in range(draws):
+        draw = data.draw()
+        problem.judge(draw.residual)
+        for method, ask in _methods(problem, searcher, choice, design).items():
+            began = time.process_time()
+            named, unnamed = ask()
+            seconds = time.process_time() - began
+            found.setdefault(method, []).append(_said(problem, design, draw.truth, named, unnamed, seconds))
     return found
 
 
@@ -380,24 +387,24 @@ def summary(row: str, found: Sequence[Said]) -> dict[str, float]:
     def share(values: list[bool]) -> float:
         return float(np.mean(values))
 
-    told = {
+    always = {
         "causes named": float(np.mean([len(a.named) for a in found])),
         "seconds": float(np.mean([a.seconds for a in found])),
     }
     if row == "nothing":
-        return {"any alarm": share([bool(a.named or a.unnamed) for a in found])} | told
+        return {"any alarm": share([bool(a.named or a.unnamed) for a in found])} | always
     if row.startswith("outside"):
         return {
             "any cause named": share([bool(a.named) for a in found]),
             "unexplained": share([bool(a.unnamed) for a in found]),
-        } | told
+        } | always
     return {
         "right": share([a.right for a in found]),
         "right or in group": share([a.in_group for a in found]),
         "an effect too many": share([a.too_many for a in found]),
         "right or in group, and no more": share([a.in_group and not a.too_many and not a.unnamed for a in found]),
         "nothing found": share([not a.named and not a.unnamed for a in found]),
-    } | told
+    } | always
 
 
 def main() -> None:
@@ -408,14 +415,24 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=390)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", action="store_true")
-    options = parser.parse_args()
+    options, workers = parsed(parser)
     for row in options.rows:
-        said = compared(row, options.draws, options.seed, noise=options.noise, poses=options.poses, every=options.every)
+        said = compared(
+            row,
+            options.draws,
+            options.seed,
+            noise=options.noise,
+            poses=options.poses,
+            every=options.every,
+            workers=workers,
+        )
         for method, found in said.items():
-            told = ", ".join(f"{name} {value:.3g}" for name, value in summary(row, found).items())
-            sys.stdout.write(f"{row} {options.noise} {len(found)} {method}: {told}\n")
+            shares = ", ".join(f"{name} {value:.3g}" for name, value in summary(row, found).items())
+            sys.stdout.write(f"{row} {options.noise} {len(found)} {method}: {shares}\n")
         sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    main()
+    from tests import rivals  # workers know it by this name
+
+    rivals.main()

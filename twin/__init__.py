@@ -15,7 +15,10 @@ from twin.kinematics import Kinematics, Poses
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
 from twin.nc import read_program
+from twin.parallel import Workers
 from twin.paths import Refit, refit
+from twin.population import Population, draw_machines
+from twin.programs import compensate_files
 from twin.toolpath import Setup
 from twin.uncertainty import ToolUncertainty
 
@@ -34,6 +37,7 @@ __all__ = [
     "Machine",
     "Measurements",
     "Options",
+    "Population",
     "Poses",
     "Refit",
     "Scope",
@@ -41,9 +45,12 @@ __all__ = [
     "Solution",
     "Status",
     "ToolUncertainty",
+    "Workers",
     "compensate",
     "compensate_file",
+    "compensate_files",
     "diagnose",
+    "draw_machines",
     "identify",
     "read_program",
     "refit",

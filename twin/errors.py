@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 
 @final
@@ -34,6 +34,10 @@ class InputError(ValueError):
         self.value = value
         super().__init__(str(self))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For a pickle, in which the value is its text: what a worker process raises is raised here (`twin.parallel`)."""
+        return _again, (self.what, self.expected, self.file, self.line, None if self.value is None else str(self.value))
+
     def __str__(self) -> str:
         place = ""
         if self.file is not None:
@@ -41,6 +45,10 @@ class InputError(ValueError):
             place += ": "
         shown = "" if self.value is None else f": {_one_line(self.value)!r}"
         return f"{place}{self.what}{shown}; expected {self.expected}"
+
+
+def _again(what: str, expected: str, file: str | None, line: int | None, value: str | None) -> InputError:
+    return InputError(what, expected=expected, file=file, line=line, value=value)
 
 
 def _one_line(value: object, limit: int = 80) -> str:

@@ -354,29 +354,54 @@ class ToolUncertainty:
             )
         return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
 
+    def rates(self, positions: np.ndarray, approach: np.ndarray) -> list[tuple[int, list[int], np.ndarray]]:
+        """How the components of the error frames follow the calibration's uncertain numbers.
+
+        Args:
+            positions: (n, axes) commands, mm and degrees, checked.
+            approach: (n, axes) as of `at`.
+
+        Returns:
+            Of every component that varies at all its index into the (6·frames,) vector, which of ``parameters`` it follows, and its
+            (n, k) derivatives by these, µm and µrad; exact, for it is linear in them (see `monte_carlo`).
+        """
+        names = self.kinematics.machine.names
+        state: dict[str, Any] = {name: positions[:, i] for i, name in enumerate(names)}
+        state |= {f"{APPROACH}{name}": approach[:, i] for i, name in enumerate(names)}
+        state |= self.kinematics.conditions.channels
+        moved: dict[int, list[tuple[int, Any]]] = {}
+        for effect in self.kinematics.calibration.effects:
+            start = self._start[effect.frame.axis, effect.frame.role]
+            for parameter, rates in zip(effect.parameters, effect.derivatives(state), strict=True):
+                column = self._index.get(parameter.name)
+                if column is not None:
+                    for component, rate in rates.items():
+                        moved.setdefault(start + component, []).append((column, rate))
+        count = len(positions)
+        return [
+            (
+                component,
+                [column for column, _ in found],
+                np.stack([np.broadcast_to(rate, count) for _, rate in found], axis=1),
+            )
+            for component, found in moved.items()
+        ]
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """(parameters, count) what the calibration's uncertain numbers may be off by, µm and µrad: normal, with their covariance."""
+        return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
+
     def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Factor of the covariance of the error frames' components that vary at all.
 
         Returns:
             Their indices into the (6·frames,) vector, and (n, indices, r), µm and µrad.
         """
-        names = self.kinematics.machine.names
-        positions: dict[str, Any] = {name: q[:, i] for i, name in enumerate(names)}
-        positions |= {f"{APPROACH}{name}": sides[:, i] for i, name in enumerate(names)}
-        positions |= self.kinematics.conditions.channels
-        moved: dict[int, list[tuple[int, Any]]] = {}
-        for effect in self.kinematics.calibration.effects:
-            start = self._start[effect.frame.axis, effect.frame.role]
-            for parameter, rates in zip(effect.parameters, effect.derivatives(positions), strict=True):
-                column = self._index.get(parameter.name)
-                if column is not None:
-                    for component, rate in rates.items():
-                        moved.setdefault(start + component, []).append((column, rate))
+        moved = self.rates(q, sides)
         spread = np.empty((len(moved), len(q), self._factor.shape[1]))
-        for i, found in enumerate(moved.values()):
-            shape = np.stack([np.broadcast_to(rate, len(q)) for _, rate in found], axis=1)
-            np.matmul(shape, self._factor[[column for column, _ in found]], out=spread[i])
-        return list(moved), spread.transpose(1, 0, 2)
+        for i, (_, columns, shape) in enumerate(moved):
+            np.matmul(shape, self._factor[columns], out=spread[i])
+        return [component for component, _, _ in moved], spread.transpose(1, 0, 2)
 
     def _drawn(self, q: np.ndarray, side: np.ndarray, rng: np.random.Generator, trials: int) -> np.ndarray:
         """(trials, 6) deviations of the pose at one command (axes,) from the estimated one, µm and µrad."""

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import sys
 
-from twin.cli import info, compensate, path, scene, simulate, identify, axis_run, diagnose, plan  # isort: skip  # in this order in the help
+from twin.cli import info, volume, compensate, path, scene, simulate, identify, axis_run, diagnose, plan  # isort: skip  # in this order in the help
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.errors import InputError, OutputError
 from twin.options import gathered
 
-__all__ = ["app", "axis_run", "compensate", "diagnose", "identify", "info", "main", "path", "plan", "scene", "simulate"]
+__all__ = [
+    "app",
+    "axis_run",
+    "compensate",
+    "diagnose",
+    "identify",
+    "info",
+    "main",
+    "path",
+    "plan",
+    "scene",
+    "simulate",
+    "volume",
+]
 
 
 def main(arguments: list[str] | None = None) -> None:

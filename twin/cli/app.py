@@ -70,6 +70,14 @@ ScopeOption = Annotated[list[str] | None, typer.Option("--scope", help=f"ISO/TR 
 RotaryLimitOption = Annotated[
     float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
 ]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option("--workers", help="Processes of this computer: one a core if not given; 1: no other than this one."),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="Address of a Dask scheduler (tcp://host:8786): its workers do it instead."),
+]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
 
 

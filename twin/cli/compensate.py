@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections import Counter
+from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from twin.calibration import Calibration
 from twin.cli.app import (
+    BAD_INPUT,
+    INTERRUPTED,
     NOT_ALL_MET,
     CalibrationOption,
     JsonOption,
@@ -19,10 +25,12 @@ from twin.cli.app import (
     OffsetOption,
     OriginOption,
     RotaryLimitOption,
+    SchedulerOption,
     ScopeOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
+    WorkersOption,
     app,
     calibration_of,
     progress,
@@ -35,6 +43,10 @@ from twin.iso16907 import Scope
 from twin.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program
 from twin.options import conditions, positive, setup
+from twin.parallel import Workers
+from twin.programs import JSON, TEXT, Outcome, compensate_files
+
+SCHEMA = "twin.compensations/1"
 
 
 class Method(StrEnum):
@@ -46,10 +58,16 @@ class Method(StrEnum):
 
 @app.command()
 def compensate(
-    program: Annotated[
-        Path, typer.Argument(help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin.")
+    programs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PROGRAM",
+            help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin. Or several.",
+        ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The compensated program.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The compensated program; of several, the folder they go to.")
+    ],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     scope: ScopeOption = None,
@@ -68,6 +86,8 @@ def compensate(
     rotary_limit: RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
@@ -75,11 +95,46 @@ def compensate(
 
     A calibration extended by twin diagnose may need more: temperatures (--temperature X=23.1 bed=21) and, for a warm-up, the time
     (--time). Reversals need nothing: the side each axis comes from follows from the program.
+
+    twin compensate a.nc b.nc c.h -o out/ --workers 8
+
+    Several programs go into a folder, each under its own name, with its report beside it (.report.txt, .report.json); --json and
+    --report then take the account of all of them. One that cannot be compensated does not stop the others. The exit status is the
+    worst: 2 before 3 before 0. With --scheduler they travel to the workers of a Dask cluster and back.
     """
     loaded = Machine.load(machine)
-    source = find_program(program)
     positive("--tolerance", tolerance)
     positive("--rotary-limit", rotary_limit)
+    options = Options(
+        setup=setup(loaded, work_offset, work_origin),
+        tool_length_mm=tool_length,
+        tcp=mode is Mode.tcp,
+        scope=None if scope is None else Scope.parse(scope),
+        tolerance_mm=tolerance,
+        rotary_limit_deg=rotary_limit,
+        method=method.value,
+        conditions=conditions(temperature, time),
+    )
+    errors = calibration_of(calibration, loaded)
+    own = Workers(workers, scheduler)
+    if len(programs) > 1 or (output.is_dir() and not output.suffix):
+        _several(programs, output, json_file, report_file, loaded, errors, options, own)
+    elif scheduler is not None:
+        raise InputError("one program for a cluster", expected="several, and -o with a folder", value=scheduler)
+    else:
+        _one(programs[0], output, json_file, report_file, loaded, errors, options)
+
+
+def _one(
+    program: Path,
+    output: Path,
+    json_file: Path | None,
+    report_file: Path | None,
+    machine: Machine,
+    calibration: Calibration,
+    options: Options,
+) -> None:
+    source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
     if target.name != dialect.name and dialect.name != "apt":
@@ -92,17 +147,7 @@ def compensate(
     check_writable(outputs)
     if source.resolve() in {path.resolve() for path in outputs}:
         raise InputError("the output is the program itself", expected="another file", file=output)
-    options = Options(
-        setup=setup(loaded, work_offset, work_origin),
-        tool_length_mm=tool_length,
-        tcp=mode is Mode.tcp,
-        scope=None if scope is None else Scope.parse(scope),
-        tolerance_mm=tolerance,
-        rotary_limit_deg=rotary_limit,
-        method=method.value,
-        conditions=conditions(temperature, time),
-    )
-    compensator = Compensator(loaded, calibration_of(calibration, loaded), options)
+    compensator = Compensator(machine, calibration, options)
     with progress() as say:
         report = compensator.compensate_file(source, output, say, into=target)
     account = report.to_text()
@@ -114,3 +159,61 @@ def compensate(
     print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if not report.complete:
         raise typer.Exit(NOT_ALL_MET)
+
+
+def _several(
+    programs: list[Path],
+    folder: Path,
+    json_file: Path | None,
+    report_file: Path | None,
+    machine: Machine,
+    calibration: Calibration,
+    options: Options,
+    workers: Workers,
+) -> None:
+    check_writable([path for path in (json_file, report_file) if path is not None])
+    found: dict[Path, Outcome] = {}
+    interrupted = False
+    try:
+        with (
+            progress() as say,
+            closing(
+                compensate_files(programs, folder, machine, calibration, options=options, workers=workers, progress=say)
+            ) as outcomes,
+        ):
+            for outcome in outcomes:
+                found[outcome.program] = outcome
+    except KeyboardInterrupt:
+        interrupted = True
+    told = [found[program] for program in programs if program in found]
+    wide = max((len(str(program)) for program in programs), default=0)
+    count = Counter(outcome.verdict for outcome in told)
+    lines = [f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in told]
+    lines.append(
+        f"\n{len(programs)} programs: {count['done']} done, {count['not met']} done with something not met, {count['failed']} failed"
+        + (f", {len(programs) - len(told)} not begun or not finished" if interrupted else "")
+    )
+    failed = [outcome for outcome in told if outcome.error is not None]
+    status = (
+        INTERRUPTED
+        if interrupted
+        else BAD_INPUT
+        if any(isinstance(outcome.error, InputError) for outcome in failed)
+        else NOT_ALL_MET
+        if failed or count["not met"]
+        else 0
+    )
+    if json_file is not None:
+        data = {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in told]}
+        write_whole(json_file, json.dumps(data, indent=1) + "\n")
+    if report_file is not None:
+        write_whole(report_file, "\n".join(lines) + "\n")
+    print("\n".join(lines))
+    if len(failed) < len(told):
+        print(f"written: {folder} (each with {TEXT} and {JSON})")
+    for outcome in failed:
+        print(f"twin: {outcome.error}", file=sys.stderr)
+    if interrupted:
+        print(f"twin: interrupted, {len(told) - len(failed)} of {len(programs)} programs written", file=sys.stderr)
+    if status:
+        raise typer.Exit(status)

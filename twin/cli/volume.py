@@ -1,0 +1,121 @@
+"""``twin volume``."""
+
+from __future__ import annotations
+
+import json
+from time import monotonic
+from typing import Annotated
+
+import typer
+
+from twin.cli.app import (
+    CalibrationOption,
+    JsonOption,
+    MachineOption,
+    SchedulerOption,
+    TemperatureOption,
+    TimeOption,
+    ToolOption,
+    WorkersOption,
+    app,
+    calibration_of,
+    progress,
+    tell_unused,
+)
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.options import conditions
+from twin.parallel import Workers
+from twin.population import POSES, TRIALS, Population, Spread, draw_machines
+
+
+@app.command()
+def volume(
+    machine: MachineOption = "dmu50",
+    calibration: CalibrationOption = None,
+    trials: Annotated[int, typer.Option("--trials", help="Machines to draw.")] = TRIALS,
+    poses: Annotated[int, typer.Option("--poses", help="Spread over the volume, the same for all machines.")] = POSES,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 0,
+    digits: Annotated[
+        int,
+        typer.Option(
+            "--digits", min=1, max=2, help="Of u that first order must get right; 2 needs a million machines."
+        ),
+    ] = 1,
+    tool_length: ToolOption = None,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
+
+    twin volume --calibration mine.yaml --tool-length 120 --trials 1000000 --seed 1
+
+    The same seed gives the same numbers to the last bit on any number of workers, here or on a Dask cluster (--scheduler).
+    """
+    loaded = Machine.load(machine)
+    errors = calibration_of(calibration, loaded)
+    at = conditions(temperature, time)
+    outputs = [] if json_file is None else [json_file]
+    check_writable(outputs)
+    if {path.resolve() for path in outputs} & {path.resolve() for path in (calibration,) if path is not None}:
+        raise InputError("an output is one of the inputs", expected="another file", file=json_file)
+    kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
+    own = Workers(workers, scheduler)
+    began = monotonic()
+    with progress() as say:
+
+        def tell(stage: str, fraction: float) -> None:
+            rate = fraction * trials * poses / (monotonic() - began)
+            say(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
+
+        found = draw_machines(
+            kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=tell
+        )
+    taken = monotonic() - began
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    print(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
+    total = found.machines * len(found.positions)
+    print(
+        f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
+        f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n"
+    )
+    print("\n".join(_lines(found)))
+    tell_unused(at, errors)
+    if outputs:
+        print(f"\nwritten: {json_file}")
+
+
+def _lines(found: Population) -> list[str]:
+    told = found.to_dict()
+    drawn, first = told["by_draws"], told["first_order"]
+    place = ", ".join(f"{name} {round(value)}" for name, value in found.where.items())
+    enough = told["first_order_enough"]
+    least = "at least " if found.without_uncertainty else ""
+    lines = [
+        "U of the tool point: the radius around the estimated one within which 95 % lie; first order takes the error as normal",
+        f"                RMS over the poses      largest{' (' + least.strip() + ')' if least else ''}",
+        f"  by draws      {drawn['rms_um']:12.3f} µm {drawn['max_um']:15.3f} µm   at {place}",
+        f"  first order   {first['rms_um']:12.3f} µm {first['max_um']:15.3f} µm",
+        f"  first order was enough (JCGM 101, 8) at {enough['yes']} poses, not at {enough['no']}"
+        + (f"; too few draws to tell at {enough['too_few_draws']}" if enough["too_few_draws"] else ""),
+        "",
+        "error over the volume, machine by machine      mean     95 % interval          largest drawn",
+        _row("as it is: RMS over the poses", found.as_it_is[0]),
+        _row("          largest of the poses", found.as_it_is[1]),
+        _row("compensated by this calibration: RMS", found.compensated[0]),
+        _row("          largest of the poses", found.compensated[1]),
+    ]
+    if found.without_uncertainty:
+        names = ", ".join(found.without_uncertainty)
+        lines.append(f"the same in all machines (no covariance in the calibration): {names}")
+    return lines
+
+
+def _row(name: str, spread: Spread) -> str:
+    return f"  {name:<38}{spread.mean:10.3f}   {spread.low:8.3f} … {spread.high:8.3f}   {spread.largest:10.3f} µm"
