@@ -11,7 +11,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.curves import POWER
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
-from twin.diagnosis.functions import Functions, Rows, given
+from twin.diagnosis.functions import Functions, Rows, given, pieces
 from twin.diagnosis.signatures import (
     LARGEST,
     Column,
@@ -53,6 +53,7 @@ SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors below it are not sought."""
 ORDERS: Final = 30
 TIME_CONSTANTS: Final = 36
+AT_HAND: Final = 64
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
 
@@ -227,9 +228,14 @@ def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
 
     def values(rows: Rows) -> np.ndarray:
         at = q[rows, None]
-        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))
-        every = (few[:, :, None] * np.exp(1j * at * step * np.arange(fine))[:, None, :]).reshape(len(at), -1)[:, :count]
-        return np.concatenate([every.imag, every.real], axis=1)
+        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
+        many = np.exp(1j * at * step * np.arange(fine))[:, None, :]
+        found = np.empty((len(at), 2 * count))
+        # As many points at a time as the processor has at hand.
+        for some in pieces(len(at), AT_HAND):
+            every = (few[some] * many[some]).reshape(-1, coarse * fine)[:, :count]
+            found[some, :count], found[some, count:] = every.imag, every.real
+        return found
 
     return Functions(len(q), 2 * count, values)
 

@@ -9,12 +9,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.diagnosis.functions import Functions, Rows, pieces
-from twin.diagnosis.signatures import Column, Field, Fields
+from twin.diagnosis.signatures import Column, Field, Fields, Part
 from twin.identification.network import View
 from twin.shares import side_by_side
 
 FEW: Final = 64
 """Vectors, or products of two functions, that are worked on at a time: what the processor has at hand is not fetched again."""
+MANY: Final = 16
+"""Sets of fewer functions are put together to one."""
 KEPT: Final = 2**25
 """Function values (256 MB) up to which they are kept from one pass to the next."""
 
@@ -90,7 +92,7 @@ class Signatures:
         """
 
         def share(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[Functions, int], Any] = {}
+            total: dict[tuple[Functions, Field, int], Any] = {}
             for run in own:
                 block = self._block(run, runs)
                 right = vectors(block)
@@ -100,19 +102,20 @@ class Signatures:
                         values = block.values(functions)
                         if values is None:
                             continue
-                        for name, _ in wanted:
+                        for field, (_, index, _) in wanted.items():
+                            name, direction = field
                             if name not in projected:
                                 projected[name] = block.fields.of(name).transpose(0, 2, 1) @ right[:, :, few]
-                        # Side by side: the functions, which are most of it, are then read once.
-                        beside = [projected[name][:, direction] for name, direction in wanted]
-                        found = (beside[0] if len(beside) == 1 else np.concatenate(beside, axis=1)).T @ values
-                        total[functions, few.start] = total.get((functions, few.start), 0.0) + found
+                            # Of a set of all kinds of functions each field has but a few.
+                            some = values if functions is not self._various else values[:, index]
+                            found = projected[name][:, direction].T @ some
+                            key = functions, field, few.start
+                            total[key] = total.get(key, 0.0) + found
             found = np.zeros((len(self.columns), right.shape[2]))
-            for (functions, start), values in total.items():
-                of = self._wanted[functions].values()
-                for (columns, index, weight), own_values in zip(of, np.split(values, len(of)), strict=True):
-                    part = found[:, start : start + len(own_values)]
-                    np.add.at(part, columns, weight[:, None] * own_values.T[index])
+            for (functions, field, start), values in total.items():
+                columns, index, weight = self._wanted[functions][field]
+                own_values = values.T if functions is self._various else values.T[index]
+                np.add.at(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
             return found
 
         runs = self._runs_of(rows)
@@ -176,8 +179,8 @@ class Signatures:
             scale = one.scale * other.scale
             for p in one.parts:
                 for q in other.parts:
-                    own = lists.setdefault((p.functions, q.functions), [])
-                    own.append((place, p.index, q.index, p.field, q.field, scale * p.weight * q.weight))
+                    (a, k), (b, n) = self._stand(p), self._stand(q)
+                    lists.setdefault((a, b), []).append((place, k, n, p.field, q.field, scale * p.weight * q.weight))
         found = {}
         for both, own in lists.items():
             products: dict[tuple[int, int], int] = {}
@@ -217,8 +220,21 @@ class Signatures:
             self._kept[run] = Block(self.view, runs[run])
         return self._kept[run]
 
+    def _stand(self, part: Part) -> tuple[Functions, int]:
+        """Where a part's function is looked up."""
+        start = self._start.get(part.functions)
+        return (part.functions, part.index) if start is None else (self._various, start + part.index)
+
     def _arrange(self) -> None:
         self._asked = None
+        few = dict.fromkeys(p.functions for column in self.columns for p in column.parts if p.functions.count < MANY)
+        starts = np.cumsum([0, *(functions.count for functions in few)]).tolist()
+        self._start = dict(zip(few, starts[:-1], strict=True))
+        self._various = Functions(
+            len(self.view.rows),
+            starts[-1],
+            lambda rows: np.concatenate([functions.values(rows) for functions in few], axis=1),
+        )
         self._wanted = self._arranged(range(len(self.columns)))
         size = sum(functions.count for functions in self._wanted) * len(self.view.rows)
         self._keep = size <= KEPT
@@ -246,8 +262,9 @@ class Signatures:
         for place, i in enumerate(columns):
             column = self.columns[i]
             for part in column.parts:
-                own = lists.setdefault(part.functions, {}).setdefault(part.field, [])
-                own.append((place, part.index, part.weight * column.scale))
+                functions, index = self._stand(part)
+                own = lists.setdefault(functions, {}).setdefault(part.field, [])
+                own.append((place, index, part.weight * column.scale))
         return {
             functions: {
                 field: (

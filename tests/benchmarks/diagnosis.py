@@ -1,0 +1,96 @@
+"""`twin diagnose` beside an ordinary regression: run ``python -m tests.benchmarks.diagnosis [--draws N]`` (some minutes).
+
+The rival is stepwise selection by BIC with `statsmodels`, on the same candidates and the same readings, the set-up projected out for it
+(`tests.rivals`). For time, both begin with readings in memory and end with names; `twin` also gives sizes with intervals, what could
+be mistaken for what, the gain on rounds left out and what to measure next, and its time is told with and without that. For names, both
+look at the same draws of hidden effects (`tests.battery`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from tests import hidden, rivals
+from tests.benchmarks.timing import machine_name, ratio, timed
+from tests.hidden import Hidden
+from tests.rivals import UNHIDDEN, Design
+from twin.calibration import Calibration
+from twin.diagnosis import diagnose
+from twin.diagnosis.diagnose import search
+from twin.diagnosis.readings import readings
+from twin.machine import Machine
+from twin.measurement import Measurements, load
+
+POINTS = (1_000, 3_000)
+REPEATS = 3
+EFFECTS = (
+    Hidden("reversal", "Y", {"size": 6.0}),
+    Hidden("pitch_error", "X", {"amplitude": 3.0, "period": 13.7, "phase": 0.4}),
+    Hidden("squareness", "E_A0Z", {"angle": 12.0}),
+)
+ROWS = ("nothing", "one30", "one60", "two60", "outside300")
+
+
+def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
+    """A truth machine with `EFFECTS` in it, read with 3 µm of scatter at about as many points."""
+    rng = np.random.default_rng(seed)
+    plan = hidden.rounded(hidden.plan(rng, poses=max((points // 3 - 220) // 2, 20), same=False))
+    read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
+    with tempfile.TemporaryDirectory() as folder:
+        return load(hidden.write(Path(folder) / "measured.csv", plan, read, u_mm=3e-3), machine)
+
+
+def time_taken(machine: Machine) -> None:
+    """From readings to names."""
+    calibration = Calibration.default(machine)
+
+    def by_bic(data: Measurements) -> tuple[tuple[str, str], ...]:
+        placed = readings(data, machine, calibration)
+        problem, known, _ = placed.without(placed.bad)
+        candidates = [one for one in known.candidates if one.effect not in UNHIDDEN]
+        return rivals.stepwise_bic(problem, candidates, design=Design(problem, candidates))
+
+    print("from readings to names, s of processor:")
+    for points in POINTS:
+        data = measured(machine, points)
+        names = timed(lambda data=data: search(readings(data, machine, calibration)), REPEATS)  # type: ignore[misc]
+        whole = timed(lambda data=data: diagnose(data, machine), REPEATS)  # type: ignore[misc]
+        other = timed(lambda data=data: by_bic(data), REPEATS)  # type: ignore[misc]
+        print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the whole answer")
+        print(f"    stepwise BIC (statsmodels) {other.best:.2f}: {ratio(other, names)}")
+        print(f"    hidden: {'; '.join(' '.join(effect.key) for effect in EFFECTS)}")
+        print(f"    twin: {'; '.join(f'{cause.effect} {cause.where}' for cause in diagnose(data, machine).causes)}")
+        print(f"    BIC:  {'; '.join(' '.join(key) for key in by_bic(data))}")
+
+
+def named_right(draws: int) -> None:
+    """Shares of draws, with what is expected of chance in them (one standard deviation at a half)."""
+    print(
+        f"causes named right, % of {draws} draws (± {50.0 / np.sqrt(draws):.0f}), seconds an answer, columns at hand:"
+    )
+    for row in ROWS:
+        for method, found in rivals.compared(row, draws, 1).items():
+            shares = rivals.summary(row, found)
+            told = ", ".join(
+                f"{name} {value:.2f}" if name in ("seconds", "causes named") else f"{name} {100 * value:.0f}"
+                for name, value in shares.items()
+            )
+            print(f"  {row:11} {method:14} {told}", flush=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Time, then names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=50)
+    draws = parser.parse_args(arguments).draws
+    print(machine_name())
+    time_taken(Machine.load("dmu50"))
+    named_right(draws)
+
+
+if __name__ == "__main__":
+    main()

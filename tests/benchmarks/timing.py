@@ -1,0 +1,56 @@
+"""Times of the processor, smallest and largest of their repeats, and the name of the machine they were taken on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of processor of every repeat, all threads together, and of the clock for the fastest."""
+
+    processor_s: np.ndarray
+    clock_s: float
+
+    @property
+    def best(self) -> float:
+        return float(self.processor_s.min())
+
+    def each(self, items: int) -> Timing:
+        """Microseconds an item."""
+        return Timing(self.processor_s / items * 1e6, self.clock_s / items * 1e6)
+
+
+def timed(work: Callable[[], object], repeats: int) -> Timing:
+    """What else runs counts little in processor time."""
+    processor, clock = [], []
+    for _ in range(repeats):
+        start, begun = time.perf_counter(), time.process_time()
+        work()
+        processor.append(time.process_time() - begun)
+        clock.append(time.perf_counter() - start)
+    return Timing(np.array(processor), min(clock))
+
+
+def ratio(other: Timing, ours: Timing) -> str:
+    """How many times longer, with the smallest and the largest that the repeats allow."""
+    low, high = other.processor_s.min() / ours.processor_s.max(), other.processor_s.max() / ours.best
+    return f"{other.best / ours.best:9,.3g} times ours ({low:,.3g} to {high:,.3g})"
+
+
+def machine_name() -> str:
+    """Processor, cores, and how busy they are."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    widest = next((kind for kind in ("avx512f", "avx2") if any(kind in line for line in lines)), "")
+    return (
+        f"{names[0] if names else platform.processor()} {widest}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+    )
