@@ -17,6 +17,7 @@ from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.folds import folds
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
@@ -40,8 +41,7 @@ SMALL: Final = 0.01
 PART: Final = 0.2
 """Of what an unnamed pattern explains: below it, a cause that goes with the same columns is taken for part of the pattern."""
 TOOL_MM: Final = 100.0
-FOLDS: Final = 8
-"""Selections that are made again without some of the rounds, at most."""
+SEED: Final = 2001
 BOOTSTRAP: Final = 2000
 RANKED: Final = 12
 RIVALS: Final = 2
@@ -465,23 +465,18 @@ def _gain(
 def _held_out(problem: Problem, pool: Pool) -> tuple[float, float, tuple[float, float]]:
     """Residuals of rounds that neither the selection nor the fit has seen, without and with the causes chosen then.
 
-    Poses where there is but one round; at most `FOLDS` selections, each without some of them. What the search learnt from all rounds,
-    where a period lies or what cannot be, is forgotten first.
+    As many selections as `folds` makes parts. What the search learnt from all rounds, where a period lies or what cannot be, is
+    forgotten first.
     """
     pool.judge(problem)
     nothing = float("nan"), float("nan"), (float("nan"), float("nan"))
-    data = problem.network.data
-    names, group = np.unique(data.round.astype(str), return_inverse=True)
-    if len(names) < 2:
-        names, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    if len(names) < 2:
+    group, fold = folds(problem.network.data)
+    if fold.max() == 0:
         return nothing
-    rng = np.random.default_rng(2001)
-    fold = rng.permutation(len(names)) % min(len(names), FOLDS)
-    table = np.zeros((len(names), 3))
+    rng = np.random.default_rng(SEED)
+    table = np.zeros((group.max() + 1, 3))
     for k in range(int(fold.max()) + 1):
-        rows = fold[group] == k
+        rows = fold == k
         held = np.repeat(rows, 3)
         part = problem.without(rows)
         if part is None:

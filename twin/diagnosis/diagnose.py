@@ -13,6 +13,7 @@ from twin.calibration import Calibration
 from twin.diagnosis.account import account
 from twin.diagnosis.catalogue import Candidate, Catalogue, Cell
 from twin.diagnosis.estimate import estimate
+from twin.diagnosis.folds import folds
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
@@ -38,6 +39,8 @@ TAKEN_BACK: Final = (1.0, 0.9, 0.5)
 LARGE: Final = 100.0
 """Chi² of a cause from which on what it leaves between two values that were tried could pass for another cause."""
 REFINED: Final = 2
+STAYS: Final = 0.2
+"""Standard uncertainties by which a period or time constant that was put there once may still move."""
 Say = Callable[[str, float], None]
 
 
@@ -145,7 +148,7 @@ class Searcher:
         costs = prices(known.candidates)
         costs[EFFECT] = float(np.log(3 * max(len(unnamed), 1))) + UNNAMED
         everything: list[Candidate] = [*known.candidates, *unnamed]
-        self.pool = Pool(problem, every(everything, costs), dof)
+        self.pool = Pool(problem, every(everything, costs), dof, folds(network.data)[1])
 
     def run(self) -> tuple[Pool, Selection]:
         """The best set of causes, named and unnamed, and the pool it was chosen from.
@@ -172,14 +175,21 @@ class Searcher:
             return False
         state = state_of(data, machine)
         found = estimate(self.problem, best.forms)
-        for form, effects in zip(best.forms, found.effects, strict=True):
-            if form in large and isinstance(effects[0], PitchError):
+        moved = False
+        for form, effects, quantities in zip(best.forms, found.effects, found.quantities, strict=True):
+            put = {
+                q.name: abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in quantities if q.name in GRIDDED
+            }
+            if form not in large or not any(put.values()):
+                continue
+            moved = True
+            if isinstance(effects[0], PitchError):
                 pitch = effects[0]
                 sine, cosine = (PitchError(pitch.axis, 1.0, pitch.period, phase) for phase in (0.0, np.pi / 2.0))
                 columns = of_unit(sine, machine, state), of_unit(cosine, machine, state)
                 self.pool.refine(form, Cell(columns, {"period": pitch.period}))
-            elif form in large and isinstance(effects[0], ThermalDrift):
+            elif isinstance(effects[0], ThermalDrift):
                 constant = effects[0].time_constant
                 column = of_unit(effects[0].changed(1.0, constant), machine, state)
                 self.pool.refine(form, Cell((column,), {"time_constant": constant}))
-        return True
+        return moved

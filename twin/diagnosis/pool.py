@@ -81,10 +81,15 @@ class Pool:
         problem: the data.
         forms: (candidate, cell, price) of each.
         dof: degrees of freedom the scatter is known with; infinite where it is given.
+        parts: (n,) which part of the data each point is in, where one or another is to be held out.
     """
 
     def __init__(
-        self, problem: Problem, forms: Sequence[tuple[Candidate, Cell, float]], dof: float = float("inf")
+        self,
+        problem: Problem,
+        forms: Sequence[tuple[Candidate, Cell, float]],
+        dof: float = float("inf"),
+        parts: np.ndarray | None = None,
     ) -> None:
         self.dof = dof
         self.level = ALARMS
@@ -105,7 +110,7 @@ class Pool:
         self._rows = [np.array([form.index for form in rows]) for _, rows in sorted(_by_width(self.forms).items())]
         # Where the inner products within each form are.
         self._place = {int(i): (kind, k) for kind, rows in enumerate(self._rows) for k, i in enumerate(rows)}
-        self.products = Products(problem, list(at), self._columns)
+        self.products = Products(problem, list(at), self._columns, parts=parts)
         self._project(problem)
         self.calibrate()
 
@@ -306,8 +311,11 @@ class Pool:
         return total
 
     def prepare(self, forms: Sequence[Form]) -> None:
-        """Work out the inner products of some forms with all others in one go."""
-        self._with(together(forms))
+        """Work out the inner products of some forms with all others in one go; of part of the data those that cost next to nothing."""
+        cheap = self.products.at_hand
+        few = [form for form in forms if not self._likely or cheap[form.columns].all()]
+        if few:
+            self._with(together(few))
 
     def _with(self, columns: np.ndarray) -> np.ndarray:
         """(columns, all) inner products."""

@@ -156,7 +156,7 @@ class Problem:
         def with_others(block: Block) -> np.ndarray:
             return np.concatenate([own.at(block), self.rows(block.rows), residual[block.rows, :, None]], axis=2)
 
-        whole = own.along(with_others, None if keep.all() else np.flatnonzero(keep))
+        whole = own.along(with_others, None if keep.all() else np.flatnonzero(keep))[0]
         k = len(columns)
         raw, basis, slope = whole[:, :k], whole[:, k:-1].T, whole[:, -1]
         within = self.root.T @ basis

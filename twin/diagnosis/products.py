@@ -24,6 +24,7 @@ class Products:
         columns: of signatures.
         groups: numbers of columns, those of equally wide groups together: (groups, w) each.
         points: the points that count; all if None.
+        parts: (n,) which part of the data each point is in, from 0 on, where one or another is to be taken away.
     """
 
     def __init__(
@@ -32,33 +33,51 @@ class Products:
         columns: Sequence[Column],
         groups: Sequence[np.ndarray],
         points: np.ndarray | None = None,
+        parts: np.ndarray | None = None,
     ) -> None:
-        self.signatures = Signatures(problem.view, columns)
+        self.signatures = Signatures(problem.view, columns, parts)
         self._problem = problem
         self._groups = groups
         self._residual = problem.residual
-        self._cross = np.zeros((0, len(columns)))
+        self._parts = parts
+        self._first = list(columns)
+        self._from: tuple[Products, np.ndarray | int] | None = None
+        self._within = self.signatures.within(groups, points)
+        self._by_basis, self._by_residual = self._along_problem(points)
+        self._cross = np.zeros((len(self._by_residual), 0, len(columns)))
         self._row = np.full(len(columns), -1)
         self._changed = np.zeros(0, dtype=int)
-        self._from: tuple[Products, np.ndarray] | None = None
-        self.within = self.signatures.within(groups, points)
-        self.by_basis, self.by_residual = self._along_problem(points)
+        self.within = [own.sum(axis=0) for own in self._within]
+        self.by_basis, self.by_residual = self._by_basis.sum(axis=0), self._by_residual.sum(axis=0)
 
     def less(self, points: np.ndarray) -> Products:
-        """The same without some points, which are all that is worked out again.
+        """The same without some points, which are all that is worked out again; nothing is where they are one of the parts.
 
         Args:
-            points: their numbers.
+            points: their numbers, in ascending order.
         """
         other = copy(self)
-        other._from = self, points
-        other._cross, other._row, other._changed = self._cross[:0], np.full_like(self._row, -1), self._changed[:0]
-        other.within = [
-            whole - gone for whole, gone in zip(self.within, self.signatures.within(self._groups, points), strict=True)
-        ]
-        by_basis, by_residual = self._along_problem(points)
+        part = None if self._parts is None else int(self._parts[points[0]])
+        # What was refined since is not known by part.
+        if part is not None and np.array_equal(points, np.flatnonzero(self._parts == part)) and self._as_it_was():
+            other._from = self, part
+            within, by_basis, by_residual = (
+                [own[part] for own in self._within],
+                self._by_basis[part],
+                self._by_residual[part],
+            )
+        else:
+            other._from = self, points
+            within = [own[0] for own in self.signatures.within(self._groups, points)]
+            by_basis, by_residual = (own[0] for own in self._along_problem(points))
+        other._cross, other._changed = self._cross[:1, :0], self._changed[:0]
+        other._row = np.full_like(self._row, -1)
+        other.within = [whole - gone for whole, gone in zip(self.within, within, strict=True)]
         other.by_basis, other.by_residual = self.by_basis - by_basis, self.by_residual - by_residual
         return other
+
+    def _as_it_was(self) -> bool:
+        return all(one is other for one, other in zip(self.columns, self._first, strict=True))
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -68,7 +87,7 @@ class Products:
     def along(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
         """(all, r) inner products with (3·points, r) vectors at some points, in ascending order."""
         right = vectors.reshape(len(points), 3, -1)
-        return self.signatures.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)
+        return self.signatures.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)[0]
 
     def judge(self, residual: np.ndarray) -> None:
         """Another (3n,) residual."""
@@ -76,11 +95,17 @@ class Products:
             self._residual = residual
             kept = np.array(residual).reshape(-1, 3, 1)
             if self._from is not None:
-                kept[self._from[1]] = 0.0
-            self.by_residual = self.signatures.along(lambda block: kept[block.rows])[:, 0]
+                gone = self._from[1]
+                kept[self._parts == gone if isinstance(gone, int) else gone] = 0.0
+            self._by_residual = self.signatures.along(lambda block: kept[block.rows])[:, :, 0]
+            self.by_residual = self._by_residual.sum(axis=0)
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
         """(columns, all) inner products, worked out once."""
+        return np.asarray(self._by_part(columns).sum(axis=0))
+
+    def _by_part(self, columns: np.ndarray) -> np.ndarray:
+        """(parts, columns, all); of what is less than the whole one part only."""
         fresh = columns[self._row[columns] < 0]
         if len(fresh) or len(self._changed):
             fresh = np.union1d(fresh, self._changed)
@@ -88,15 +113,19 @@ class Products:
                 found = self._of(fresh)
             else:
                 whole, gone = self._from
-                found = whole.cross(fresh) - whole._of(fresh, gone)
-            known = self._row >= 0
-            self._cross[np.ix_(self._row[known], self._changed)] = found[
-                np.ix_(np.searchsorted(fresh, self._changed), known)
-            ].T
+                if isinstance(gone, int):
+                    every = whole._by_part(fresh)
+                    found = (every.sum(axis=0) - every[gone])[None]
+                else:
+                    found = whole.cross(fresh)[None] - whole._of(fresh, gone)
+            known = np.flatnonzero(self._row >= 0)
+            if len(self._changed):
+                own = found[:, np.searchsorted(fresh, self._changed)][:, :, known]
+                self._cross[np.ix_(np.arange(len(found)), self._row[known], self._changed)] = own.transpose(0, 2, 1)
             self._changed = self._changed[:0]
-            self._row[fresh] = len(self._cross) + np.arange(len(fresh))
-            self._cross = np.concatenate([self._cross, found])
-        return np.asarray(self._cross[self._row[columns]])
+            self._row[fresh] = self._cross.shape[1] + np.arange(len(fresh))
+            self._cross = np.concatenate([self._cross, found], axis=1)
+        return np.asarray(self._cross[:, self._row[columns]])
 
     @property
     def at_hand(self) -> np.ndarray:
@@ -125,16 +154,16 @@ class Products:
         self._changed = np.union1d(self._changed, at)
 
     def _of(self, columns: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """(columns, all) inner products, over some points or all."""
+        """(parts, columns, all) inner products, over all points or some, these as one part."""
         which = columns.tolist()
-        return self.signatures.along(lambda block: self.signatures.at(block, which), points).T
+        return self.signatures.along(lambda block: self.signatures.at(block, which), points).transpose(0, 2, 1)
 
     def _along_problem(self, points: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """(directions, all) inner products with the basis, and (all,) with the residual."""
+        """(parts, directions, all) inner products with the basis, and (parts, all) with the residual."""
 
         def vectors(block: Block) -> np.ndarray:
             residual = self._residual.reshape(-1, 3)[block.rows, :, None]
             return np.concatenate([self._problem.rows(block.rows), residual], axis=2)
 
         found = self.signatures.along(vectors, points)
-        return np.ascontiguousarray(found[:, :-1].T), found[:, -1]
+        return np.ascontiguousarray(found[:, :, :-1].transpose(0, 2, 1)), found[:, :, -1]

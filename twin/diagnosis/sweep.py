@@ -68,10 +68,12 @@ class Signatures:
     Args:
         view: the readings.
         columns: of them.
+        parts: (n,) which part of the data a point is in, from 0 on; all in one if None.
     """
 
-    def __init__(self, view: View, columns: Sequence[Column]) -> None:
+    def __init__(self, view: View, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
         self.view = view
+        self._parts = np.zeros(len(view.rows), dtype=int) if parts is None else parts
         self.columns = list(columns)
         self._kept: dict[int, Block] = {}
         self._asked: tuple[Sequence[np.ndarray], _Codes, Mapping[tuple[Functions, Functions], _Paired]] | None = None
@@ -84,16 +86,17 @@ class Signatures:
         self._arrange()
 
     def along(self, vectors: Callable[[Block], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
-        """(columns, r) inner products with (points, 3, r) vectors.
+        """(parts, columns, r) inner products with (points, 3, r) vectors.
 
         Args:
             vectors: some of the points → (points, 3, r).
-            rows: the points that count; all if None.
+            rows: the points that count, taken as one part; all of them, by part, if None.
         """
 
         def share(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[Functions, Field, int], Any] = {}
+            total: dict[tuple[int, Functions, Field, int], Any] = {}
             for run in own:
+                part = 0 if rows is not None else int(self._parts[runs[run][0]])
                 block = self._block(run, runs)
                 right = vectors(block)
                 for few in pieces(right.shape[2], FEW):
@@ -109,27 +112,27 @@ class Signatures:
                             # Of a set of all kinds of functions each field has but a few.
                             some = values if functions is not self._various else values[:, index]
                             found = projected[name][:, direction].T @ some
-                            key = functions, field, few.start
+                            key = part, functions, field, few.start
                             total[key] = total.get(key, 0.0) + found
-            found = np.zeros((len(self.columns), right.shape[2]))
-            for (functions, field, start), values in total.items():
+            found = np.zeros((count, len(self.columns), right.shape[2]))
+            for (part, functions, field, start), values in total.items():
                 columns, index, weight = self._wanted[functions][field]
                 own_values = values.T if functions is self._various else values.T[index]
-                np.add.at(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
+                np.add.at(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)
             return found
 
-        runs = self._runs_of(rows)
+        runs, count = self._runs_of(rows), 1 if rows is not None else int(self._parts.max(initial=0)) + 1
         return np.asarray(sum(side_by_side(range(len(runs)), share)))
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
-        """Inner products within groups of columns: (groups, w, w) of each (groups, w).
+        """Inner products within groups of columns: (parts, groups, w, w) of each (groups, w).
 
         Two products of a derivative and a function make the product of two functions times that of two derivatives; what has the same
         functions has these once.
 
         Args:
             groups: numbers of columns, those of equally wide groups together.
-            rows: the points that count; all if None.
+            rows: as of `along`.
         """
         if self._asked is None or self._asked[0] is not groups:
             codes = _codes(groups, len(self.columns))
@@ -137,8 +140,9 @@ class Signatures:
         _, (pairs, lower, places, twins), needed = self._asked
 
         def share(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[Functions, Functions], np.ndarray] = {}
+            total: dict[tuple[int, Functions, Functions], np.ndarray] = {}
             for run in own:
+                part = 0 if rows is not None else int(self._parts[runs[run][0]])
                 block = self._block(run, runs)
                 turned: dict[Functions, np.ndarray] = {}
                 dots: dict[tuple[Field, Field], np.ndarray] = {}
@@ -153,23 +157,23 @@ class Signatures:
                         if (one, other) not in dots:
                             dots[one, other] = np.einsum("bi,bi->b", block.fields[one], block.fields[other])
                     weights = np.stack([dots[both] for both in wanted.fields], axis=1)
-                    if (a, b) not in total:
-                        total[a, b] = np.zeros((len(wanted.first), len(wanted.fields)))
+                    if (part, a, b) not in total:
+                        total[part, a, b] = np.zeros((len(wanted.first), len(wanted.fields)))
                     for few in pieces(len(wanted.first), FEW):
                         products = turned[a][wanted.first[few]] * turned[b][wanted.second[few]]
-                        total[a, b][few] += products @ weights
-            found = np.zeros(len(pairs))
+                        total[part, a, b][few] += products @ weights
+            found = np.zeros((count, len(pairs)))
             own_of = np.flatnonzero(lower)
-            for both, values in total.items():
-                place, product, field, weight = needed[both].entries
-                np.add.at(found, own_of[place], weight * values[product, field])
+            for (part, a, b), values in total.items():
+                place, product, field, weight = needed[a, b].entries
+                np.add.at(found[part], own_of[place], weight * values[product, field])
             return found
 
-        runs = self._runs_of(rows)
+        runs, count = self._runs_of(rows), 1 if rows is not None else int(self._parts.max(initial=0)) + 1
         values = np.asarray(sum(side_by_side(range(len(runs)), share)))
         # The other way round they are the same.
-        values[~lower] = values[twins]
-        return [values[own] for own in places]
+        values[:, ~lower] = values[:, twins]
+        return [values[:, own] for own in places]
 
     def _paired(self, pairs: np.ndarray) -> Mapping[tuple[Functions, Functions], _Paired]:
         """What the inner products of pairs of columns (codes: first · columns + second) are sums of."""
@@ -238,21 +242,18 @@ class Signatures:
         self._wanted = self._arranged(range(len(self.columns)))
         size = sum(functions.count for functions in self._wanted) * len(self.view.rows)
         self._keep = size <= KEPT
-        self._runs = self._run_together(np.arange(len(self.view.rows)))
+        self._runs = self._run_together(np.arange(len(self.view.rows)), self._parts)
 
     def _runs_of(self, rows: np.ndarray | None) -> list[np.ndarray]:
-        return self._runs if rows is None else self._run_together(rows)
+        return self._runs if rows is None else self._run_together(rows, np.zeros(len(self._parts), dtype=int))
 
-    def _run_together(self, rows: np.ndarray) -> list[np.ndarray]:
-        """Points in runs; those at which the same functions are zero come together, so that these are passed over there."""
-        wheres = [functions.where for functions in self._wanted if functions.where is not None]
-        alike = (
-            np.unique(np.stack([where[rows] for where in wheres], axis=1), axis=0, return_inverse=True)[1]
-            if wheres
-            else None
-        )
-        order = rows if alike is None else rows[np.argsort(alike.reshape(-1), kind="stable")]
-        return [order[run] for run in pieces(len(order))]
+    def _run_together(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
+        """Points in runs of one part each; those at which the same functions are zero come together: these are passed over there."""
+        wheres = [functions.where[rows] for functions in self._wanted if functions.where is not None]
+        _, alike = np.unique(np.stack([parts[rows], *wheres], axis=1), axis=0, return_inverse=True)
+        order = np.argsort(alike.reshape(-1), kind="stable")
+        ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
+        return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
 
     def _arranged(
         self, columns: Sequence[int]
