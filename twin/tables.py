@@ -38,7 +38,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
                 "a column given twice", expected="each column once", file=path, line=lines[0][0], value=name
             )
     rows = []
-    for (number, _), row in zip(lines[1:], cells[1:], strict=True):
+    for (number, text), row in zip(lines[1:], cells[1:], strict=True):
         if len(row) != len(header):
             raise InputError(
                 f"{len(row)} cells",
@@ -47,7 +47,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
                 line=number,
                 value=",".join(row),
             )
-        rows.append((number, [cell.strip() for cell in row]))
+        rows.append((number, [cell.strip() for cell in row] if " " in text or "\t" in text else row))
     return header, rows, comments
 
 
@@ -65,22 +65,23 @@ class Cells:
         column = self.columns.get(name)
         if column is None:
             return locked(np.full(len(self.rows), np.nan))
-        values = np.full(len(self.rows), np.nan)
-        for i, (line, row) in enumerate(self.rows):
-            cell = row[column]
-            if cell:
-                try:
-                    values[i] = float(cell)
-                except ValueError:
-                    raise InputError(
-                        f"{name} is no number",
-                        expected="a number with a decimal point, or nothing",
-                        file=self.path,
-                        line=line,
-                        value=cell,
-                    ) from None
-                if np.isnan(values[i]):
-                    values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
+        cells = [row[column] for _, row in self.rows]
+        try:
+            values = np.array([float(cell) if cell else np.nan for cell in cells], dtype=float)
+        except ValueError:
+            line, cell = next(
+                (line, row[column]) for line, row in self.rows if row[column] and not _is_number(row[column])
+            )
+            raise InputError(
+                f"{name} is no number",
+                expected="a number with a decimal point, or nothing",
+                file=self.path,
+                line=line,
+                value=cell,
+            ) from None
+        for i in np.flatnonzero(np.isnan(values)):
+            if cells[i]:
+                values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
         return locked(values)
 
     def words(self, name: str, default: str) -> np.ndarray:
@@ -99,6 +100,14 @@ class Cells:
                 f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
             )
         return locked(values)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def not_understood(name: str, known: Sequence[str]) -> str:

@@ -237,7 +237,7 @@ def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
             found[some, :count], found[some, count:] = every.imag, every.real
         return found
 
-    return Functions(len(q), 2 * count, values)
+    return Functions(len(q), 2 * count, values, most=1.0)
 
 
 def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:

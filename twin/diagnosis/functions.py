@@ -27,19 +27,28 @@ class Functions:
         count: how many functions.
         values: rows → (rows, count).
         where: (points,) where they are not all zero; anywhere if None.
+        most: the largest magnitude they can have; what they have at the points is worked out if None.
     """
 
     def __init__(
-        self, points: int, count: int, values: Callable[[Rows], np.ndarray], where: np.ndarray | None = None
+        self,
+        points: int,
+        count: int,
+        values: Callable[[Rows], np.ndarray],
+        where: np.ndarray | None = None,
+        most: float | None = None,
     ) -> None:
         self.points = points
         self.count = count
         self.values = values
         self.where = where
+        self._most = most
 
     @cached_property
     def largest(self) -> np.ndarray:
         """(count,) largest magnitude over all points."""
+        if self._most is not None:
+            return np.full(self.count, self._most)
         found = np.zeros(self.count)
         for rows in pieces(self.points):
             np.maximum(found, np.abs(self.values(rows)).max(axis=0, initial=0.0), out=found)

@@ -249,9 +249,11 @@ class Signatures:
 
     def _run_together(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
         """Points in runs of one part each; those at which the same functions are zero come together: these are passed over there."""
-        wheres = [functions.where[rows] for functions in self._wanted if functions.where is not None]
-        _, alike = np.unique(np.stack([parts[rows], *wheres], axis=1), axis=0, return_inverse=True)
-        order = np.argsort(alike.reshape(-1), kind="stable")
+        alike = parts[rows]
+        for functions in self._wanted:
+            if functions.where is not None:
+                alike = 2 * alike + functions.where[rows]
+        order = np.argsort(alike, kind="stable")
         ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
         return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
 

@@ -25,6 +25,8 @@ FLOOR: Final = 1e-4
 """m: misfits below it weigh alike; the machine's own errors are that large."""
 FITS: Final = 5e-3
 """m: a command that misses the measured motion by more does not belong to it: no machine tool errs by that."""
+ALIKE: Final = 1e-3
+"""Relative size of a direction below which the readings do not determine it."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
 """rad a step."""
@@ -109,7 +111,10 @@ def _by_points(
         size = size[~known]
         scale = np.where(size > 0.0, size, 1.0)
         # A motion along one line leaves directions that nothing determines: the smallest answer is as good as any.
-        solved = np.linalg.lstsq(flat / scale, (right * root).ravel(), rcond=1e-3)[0] / scale
+        strength, way = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
+        told_apart = strength > ALIKE**2 * strength[-1:]
+        way = way[:, told_apart]
+        solved = way @ ((way.T @ (flat.T @ (right * root).ravel() / scale)) / strength[told_apart]) / scale
         found = np.array(values)
         found[~known] = solved
         misfit = np.linalg.norm(b - matrix @ found, axis=1)
