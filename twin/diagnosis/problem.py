@@ -22,6 +22,7 @@ from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.measurement import state_of
+from twin.shares import side_by_side
 
 TOLD_APART: Final = 1e-9
 """Relative size of a set-up direction below which it is no direction of its own."""
@@ -168,8 +169,11 @@ class Problem:
 
     def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """aᵀMb of signatures."""
-        a, b = self._kept(a), self._kept(b)
-        return np.asarray(a.T @ b - (self.root.T @ (self.basis.T @ a)).T @ (self.root.T @ (self.basis.T @ b)))
+        same = b is a
+        a = self._kept(a)
+        b = a if same else self._kept(b)
+        one = self.root.T @ (self.basis.T @ a)
+        return np.asarray(a.T @ b - one.T @ (one if same else self.root.T @ (self.basis.T @ b)))
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """aᵀMr; the data's residual, or another that is projected already."""
@@ -200,20 +204,26 @@ class Problem:
         _, values, vectors = np.linalg.svd(triangle, full_matrices=False)
         kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
         factor, back = vectors[kept].T / values[kept], values[kept, None] * vectors[kept]
-        # Twice: what rounding leaves of the angles between weak directions is straightened by the second factor.
+        # Twice: what rounding leaves of the angles between weak directions is straightened by a second factor.
         beside = self.prior @ factor
-        square = beside.T @ beside
-        for run in pieces(n):
-            rows = slice(3 * run.start, 3 * run.stop)
-            found = whole[rows] @ factor
-            whole[rows, : found.shape[1]] = found
-            square += found.T @ found
-        lower = np.linalg.cholesky(square)
-        basis = whole[:, : factor.shape[1]]
-        for run in pieces(n):
-            rows = slice(3 * run.start, 3 * run.stop)
-            basis[rows] = np.linalg.solve(lower, basis[rows].T).T
-        return basis, np.asarray(lower.T @ back)
+
+        def squares(own: Sequence[slice]) -> np.ndarray:
+            found = np.zeros((factor.shape[1], factor.shape[1]))
+            for rows in own:
+                part = whole[rows] @ factor
+                found += part.T @ part
+            return found
+
+        runs = [slice(3 * run.start, 3 * run.stop) for run in pieces(n)]
+        lower = np.linalg.cholesky(beside.T @ beside + sum(side_by_side(runs, squares)))
+        straight = np.linalg.solve(lower, factor.T).T
+
+        def turned(own: Sequence[slice]) -> None:
+            for rows in own:
+                whole[rows, : straight.shape[1]] = whole[rows] @ straight
+
+        side_by_side(runs, turned)
+        return whole[:, : straight.shape[1]], np.asarray(lower.T @ back)
 
     def _uncertain(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
         """Columns of the calibration's parameters, and what one standard deviation of each direction of its covariance is of them."""

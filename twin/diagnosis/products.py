@@ -166,4 +166,4 @@ class Products:
             return np.concatenate([self._problem.rows(block.rows), residual], axis=2)
 
         found = self.signatures.along(vectors, points)
-        return np.ascontiguousarray(found[:, :, :-1].transpose(0, 2, 1)), found[:, :, -1]
+        return np.ascontiguousarray(found[:, :, :-1].transpose(0, 2, 1)), found[:, :, -1].copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -94,7 +94,7 @@ class Signatures:
         """
 
         def share(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[int, Functions, Field, int], Any] = {}
+            total: dict[tuple[int, Functions, Field, int], np.ndarray] = {}
             for run in own:
                 part = 0 if rows is not None else int(self._parts[runs[run][0]])
                 block = self._block(run, runs)
@@ -113,9 +113,13 @@ class Signatures:
                             some = values if functions is not self._various else values[:, index]
                             found = projected[name][:, direction].T @ some
                             key = part, functions, field, few.start
-                            total[key] = total.get(key, 0.0) + found
+                            if key in total:
+                                total[key] += found
+                            else:
+                                total[key] = found
             found = np.zeros((count, len(self.columns), right.shape[2]))
-            for (part, functions, field, start), values in total.items():
+            while total:
+                (part, functions, field, start), values = total.popitem()
                 columns, index, weight = self._wanted[functions][field]
                 own_values = values.T if functions is self._various else values.T[index]
                 np.add.at(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)

@@ -27,6 +27,8 @@ from twin.units import MM
 
 PIECE: Final = 1024
 """Points worked on at a time."""
+WHOLE: Final = 8192
+"""Points seen at a time where all of what is seen is kept."""
 PANEL: Final = 32
 """Columns of a block of the factorisation: of no consequence but time."""
 
@@ -82,7 +84,11 @@ class View:
 
     def part(self, some: slice | np.ndarray) -> View:
         """Of some of these points."""
-        return View(*(getattr(self, field.name)[some] for field in fields(self)))
+        return View(*(own[some] for own in self.arrays()))
+
+    def arrays(self) -> list[np.ndarray]:
+        """All of it, in order."""
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 @final
@@ -167,6 +173,20 @@ class Network:
 
     def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
         """Some points as the stations see them, with every derivative an effect may need."""
+        if len(rows) <= WHOLE:
+            return self._view(theta, setup, rows)
+        # In pieces, or what they are worked out from would take more room than they do.
+        found = None
+        for start in range(0, len(rows), WHOLE):
+            some = slice(start, start + WHOLE)
+            part = self._view(theta, setup, rows[some])
+            if found is None:
+                found = View(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in part.arrays()))
+            for whole, own in zip(found.arrays(), part.arrays(), strict=True):
+                whole[some] = own
+        return found if found is not None else self._view(theta, setup, rows)
+
+    def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
         station, target = self._station[rows], self._target[rows]
         carried = self._observation.carried(
             self._q[rows], self.errors(theta, rows), self.data.carrier[rows], setup.place[target]
