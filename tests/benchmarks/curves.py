@@ -196,7 +196,12 @@ def control_points() -> None:
             )
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """All of it."""
     held_out()
     rounding()
     control_points()
+
+
+if __name__ == "__main__":
+    main()

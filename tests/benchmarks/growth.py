@@ -110,7 +110,8 @@ def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: s
         if column == 1:
             sizes = np.array([SIZES[0], SIZES[-1]])
             axes.loglog(sizes, sizes * 1e-4, "k:", label="proportional")
-            axes.legend(fontsize="small")
+            lines = axes.get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=len(lines[0]), fontsize="small")
     figure.suptitle(title)
     figure.savefig(path, dpi=110)
 

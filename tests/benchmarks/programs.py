@@ -8,7 +8,6 @@ its own for its peak of memory, after a program of 60,000 blocks that has compil
 from __future__ import annotations
 
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.benchmarks.timing import machine_name
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.machine import Machine
@@ -77,19 +77,13 @@ def main(arguments: list[str]) -> None:
     if arguments[:1] == ["--one"]:
         one(int(arguments[1]))
         return
-    names = [line.partition(":")[2].strip() for line in _cpu() if line.startswith("model name")]
-    print(f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(machine_name())
     print(
         f"{'blocks':>10} {'s':>9} {'blocks/s':>11} {'µs a block':>12} {'copy, s':>9} {'ratio':>8} {'MB':>8}", flush=True
     )
     print(f"{'':>10} {'':>9} {'':>11} {'of processor':>12}", flush=True)
     for blocks in [int(argument) for argument in arguments] or LENGTHS:
         subprocess.run([sys.executable, "-m", "tests.benchmarks.programs", "--one", str(blocks)], check=True)
-
-
-def _cpu() -> list[str]:
-    info = Path("/proc/cpuinfo")
-    return info.read_text().splitlines() if info.exists() else []
 
 
 if __name__ == "__main__":

@@ -12,15 +12,12 @@ smallest of its repeats, and ratios are told with the smallest and largest of th
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from scipy.optimize import root
 
+from tests.benchmarks.timing import Timing, machine_name, ratio, timed
 from tests.test_kinematics import random_commands
 from twin.calibration import Calibration
 from twin.inverse import Inverse, Status
@@ -39,35 +36,13 @@ ROTARY_DEGREES = (4, 4, 8, 7, 7, 7, 8, 8, 8, 7, 7, 7)
 """Those of listing 3.3."""
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Microseconds of processor a pose, every repeat, and of the clock for the fastest."""
-
-    processor_us: np.ndarray
-    clock_us: float
-
-    @property
-    def best(self) -> float:
-        return float(self.processor_us.min())
-
-
-def timed(work: Callable[[], object], poses: int, repeats: int) -> Timing:
-    processor, clock = [], []
-    for _ in range(repeats):
-        start, begun = time.perf_counter(), time.process_time()
-        work()
-        processor.append(time.process_time() - begun)
-        clock.append(time.perf_counter() - start)
-    return Timing(np.array(processor) / poses * 1e6, min(clock) / poses * 1e6)
-
-
 def told(name: str, timing: Timing, ours: Timing | None = None) -> None:
+    """Of one pose."""
     line = f"  {name:44} {timing.best:10.3f}"
     if ours is None:
-        print(f"{line}   ({timing.processor_us.max():.3f} at most; {timing.clock_us:.3f} by the clock)")
+        print(f"{line}   ({timing.processor_s.max():.3f} at most; {timing.clock_s:.3f} by the clock)")
     else:
-        low, high = timing.processor_us.min() / ours.processor_us.max(), timing.processor_us.max() / ours.best
-        print(f"{line}   {timing.best / ours.best:9,.0f} times ours ({low:,.0f} to {high:,.0f})")
+        print(f"{line}   {ratio(timing, ours)}")
 
 
 def poses(machine: Machine, n: int, tilt: tuple[float, float]) -> tuple[Poses, np.ndarray]:
@@ -99,7 +74,7 @@ def one_way(name: str, real: Kinematics, tilt: tuple[float, float], rotary: bool
     inverse, n = Inverse(real), POSES if native else POSES // 10
     target, q = poses(real.machine, n, tilt)
     solution = inverse.solve(target, q, rotary=rotary)
-    timing = timed(lambda: inverse.solve(target, q, rotary=rotary), n, 9 if native else 3)
+    timing = timed(lambda: inverse.solve(target, q, rotary=rotary), 9 if native else 3).each(n)
     told(name, timing)
     singular, most = 100.0 * float(np.mean(solution.where(Status.SINGULAR))), solution.point_residual_mm.max()
     print(f"    {singular:.1f} % singular; at most {most:.1e} mm left, {solution.iterations} steps")
@@ -119,7 +94,7 @@ def by_root(machine: Machine, calibration: Calibration, target: Poses, q: np.nda
         point = (pose.translation - LENGTH_MM * 1e-3 * axis) * 1e3
         return np.concatenate([point - target.point_mm[i], 1e3 * np.cross(axis, target.axis[i])[:2]])
 
-    return timed(lambda: [root(residual, q[i], args=(i,)) for i in range(50)], 50, 5)
+    return timed(lambda: [root(residual, q[i], args=(i,)) for i in range(50)], 5).each(50)
 
 
 def by_pink(machine: Machine, target: Poses, q: np.ndarray) -> Timing | None:
@@ -148,7 +123,7 @@ def by_pink(machine: Machine, target: Poses, q: np.ndarray) -> Timing | None:
         velocity = pink.solve_ik(configuration, [task], 1.0, solver="quadprog", safety_break=False)
         configuration.integrate_inplace(velocity, 1.0)
 
-    return timed(lambda: [once(i) for i in range(50)], 50, 5)
+    return timed(lambda: [once(i) for i in range(50)], 5).each(50)
 
 
 def by_refitting() -> Timing:
@@ -160,7 +135,7 @@ def by_refitting() -> Timing:
         for degree in LINEAR_DEGREES + SQUARENESS_DEGREES + ROTARY_DEGREES:
             np.poly1d(np.polyfit(at / 500.0, values, degree, full=True)[0])(0.3)
 
-    return timed(lambda: [once() for _ in range(50)], 50, 5)
+    return timed(lambda: [once() for _ in range(50)], 5).each(50)
 
 
 def forward(machine: Machine, calibration: Calibration) -> None:
@@ -171,7 +146,7 @@ def forward(machine: Machine, calibration: Calibration) -> None:
         os.environ[loading.SWITCH] = native
         real = Kinematics(machine, calibration, tool_length_mm=LENGTH_MM)
         real.forward(some)
-        own.append(timed(lambda real=real: real.forward(some), len(some), 9))  # type: ignore[misc]
+        own.append(timed(lambda real=real: real.forward(some), 9).each(len(some)))  # type: ignore[misc]
     os.environ.pop(loading.SWITCH)
     data = machine.model.createData()
     vectors = [
@@ -183,7 +158,7 @@ def forward(machine: Machine, calibration: Calibration) -> None:
         pin.framesForwardKinematics(machine.model, data, vector)
         data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame])
 
-    other = timed(lambda: [once(vector) for vector in vectors], len(vectors), 9)
+    other = timed(lambda: [once(vector) for vector in vectors], 9).each(len(vectors))
     print("forward kinematics:")
     told("ours, errors from the curves, compiled", own[0])
     told("ours, errors from the curves, NumPy", own[1])
@@ -194,10 +169,7 @@ def main() -> None:
     """Print all figures."""
     machine = Machine.load("dmu50")
     calibration = Calibration.default(machine)
-    processor = next(
-        (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), "unknown"
-    )
-    print(f"{processor.split(':')[-1].strip()}, {os.cpu_count()} cores")
+    print(machine_name())
     best = ours(Kinematics(machine, calibration, tool_length_mm=LENGTH_MM))
     print("the same, one pose at a time:")
     target, q = poses(machine, 1000, (20.0, 160.0))

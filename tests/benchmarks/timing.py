@@ -42,7 +42,8 @@ def timed(work: Callable[[], object], repeats: int) -> Timing:
 def ratio(other: Timing, ours: Timing) -> str:
     """How many times longer, with the smallest and the largest that the repeats allow."""
     low, high = other.processor_s.min() / ours.processor_s.max(), other.processor_s.max() / ours.best
-    return f"{other.best / ours.best:9,.3g} times ours ({low:,.3g} to {high:,.3g})"
+    best, low, high = (f"{x:,.0f}" if x >= 100.0 else f"{x:.2g}" for x in (other.best / ours.best, low, high))
+    return f"{best:>9} times ours ({low} to {high})"
 
 
 def machine_name() -> str:
