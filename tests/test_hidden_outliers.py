@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from tests import hidden
 from tests.hidden import Hidden
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.readings import readings
 from twin.machine import Machine
 from twin.measurement import load
 
@@ -57,3 +59,31 @@ def test_rows_that_one_cause_moved_are_no_outliers_and_a_lost_beam_is(
     for q in result.causes[0].parameters:
         # Three standard uncertainties, on seeded draws.
         assert abs(q.value - truth.numbers[q.name]) < 3.0 * q.u
+
+
+def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration
+) -> None:
+    """Without it stations and targets come in another order: each keeps its own place."""
+    rng = np.random.default_rng(12)
+    plan = hidden.rounded(hidden.plan(rng, poses=20, stations=2))
+    read = hidden.noisy(hidden.points(plan), rng, "isotropic", SIGMA_MM)
+    read[:2] += 0.4
+    data = load(hidden.write(tmp_path / "measured.csv", plan, read, u_mm=SIGMA_MM), dmu50)
+    placed = readings(data, dmu50, calibration)
+    assert placed.bad[:2].all()
+    problem, _, _ = placed.without(placed.bad)
+    assert list(dict.fromkeys(problem.network.data.target)) != list(placed.setup.targets)
+    assert list(dict.fromkeys(problem.network.data.station)) != list(placed.setup.stations)
+    # Before anything is fitted again: what the set-up of all rows leaves.
+    assert np.sqrt(np.mean(problem.residual**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_of_very_many_rows_some_show_why_others_are_off(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = importlib.import_module("twin.diagnosis.diagnose")
+    monkeypatch.setattr(module, "LOOKED_AT", 800)
+    result, lines = look(tmp_path, dmu50, calibration, [BUMP], 5, stated=True)
+    assert {note.line for note in result.data.set_aside} == lines
+    assert [(cause.effect, cause.where) for cause in result.causes] == [BUMP.key]

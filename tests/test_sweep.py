@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import pytest
 from tests import hidden
 from tests.battery import _doubted
 from tests.hidden import Hidden
+from twin.arrays import locked
 from twin.calibration import Calibration
+from twin.covariance import Covariance
 from twin.diagnosis import diagnose
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.folds import folds
@@ -102,6 +105,20 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
         slope = kept.T @ residual - (basis.T @ kept).T @ (basis.T @ residual)
         assert np.abs(found.slope - slope).max() <= 1e-9 * np.linalg.norm(residual) * np.sqrt(size)
         assert part.chi2 == pytest.approx(residual @ residual - np.sum((basis.T @ residual) ** 2), rel=1e-9)
+
+
+def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
+    """Its direction has the prior; it is no reason to hold nothing out."""
+    problem, _ = searched
+    doubted = _doubted(Calibration.default(dmu50))
+    assert doubted.joint is not None
+    matrix = np.array(doubted.joint.matrix)
+    matrix[::2] *= 1e-9
+    matrix[:, ::2] *= 1e-9
+    small = replace(doubted, joint=Covariance(doubted.joint.names, locked(matrix)))
+    again = Problem(problem.network, problem.setup, small)
+    for part in range(3):
+        assert again.without(folds(problem.network.data)[1] == part) is not None
 
 
 @pytest.mark.parametrize("which", ["a part", "any points"])

@@ -36,6 +36,9 @@ CLEAR: Final = 3
 """Causes, at most, that rows too far off are blamed on."""
 TAKEN_BACK: Final = (1.0, 0.9, 0.5)
 """Shares of the rows set aside, the least far off first, that are looked at again: all, or without what lost its beam as well."""
+LOOKED_AT: Final = 20_000
+"""Rows that are enough to see whether one of the causes is why others are too far off."""
+SEED: Final = 1964
 LARGE: Final = 100.0
 """Chi² of a cause from which on what it leaves between two values that were tried could pass for another cause."""
 REFINED: Final = 2
@@ -104,7 +107,17 @@ def search(placed: Readings) -> Search:
 
 
 def _still_bad(placed: Readings) -> np.ndarray:
-    """(n,) rows that are too far off whatever the cause: those of the start, unless causes account for more than half of them."""
+    """(n,) rows that are too far off whatever the cause: those of the start, unless causes account for more than half of them.
+
+    What moves rows so far shows in some of the others as well: of very many, some are looked at.
+    """
+    count, bad = len(placed.bad), np.flatnonzero(placed.bad)
+    if count > LOOKED_AT and len(bad) < LOOKED_AT // 4:
+        drawn = np.random.default_rng(SEED).choice(np.flatnonzero(~placed.bad), LOOKED_AT - len(bad), replace=False)
+        rows = np.sort(np.concatenate([bad, drawn]))
+        found = np.zeros(count, dtype=bool)
+        found[rows] = _still_bad(placed.some(rows))
+        return found
     whole, known, scatter = placed.without(np.zeros(len(placed.bad), dtype=bool))
     pool = Searcher(whole, known, scatter.dof).pool
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)

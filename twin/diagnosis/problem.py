@@ -75,7 +75,7 @@ class Problem:
         self.readings = int(np.count_nonzero(network.read))
 
     def without(self, points: np.ndarray) -> Problem | None:
-        """The same with some points taken out; None if a station, a target or a doubt would be lost.
+        """The same with some points taken out; None if a station or a target would be lost.
 
         Args:
             points: (n,) booleans, those to take out.
@@ -83,8 +83,9 @@ class Problem:
         part = copy(self)
         part.held = np.flatnonzero(points)
         gone = self._gram(part.held)
-        size = np.einsum("ij,ij->j", self.back, self.back) - np.sum(self.prior**2, axis=0)
-        left = size - np.einsum("ki,kl,li->i", self.back, gone, self.back)
+        own = self.back[:, : len(self.setup)]
+        size = np.einsum("ij,ij->j", own, own)
+        left = size - np.einsum("ki,kl,li->i", own, gone, own)
         if np.any((left <= LOST * size) & (size > 0.0)):
             return None
         part.root = _root(np.eye(len(gone)) - gone)

@@ -47,6 +47,22 @@ class Readings:
     calibration: Calibration
     bad: np.ndarray
 
+    def some(self, rows: np.ndarray) -> Readings:
+        """Some of the rows (their numbers), the set-up as it was fitted to all."""
+        network = self.network
+        covariance = locked(np.array(self.scatter.covariance[rows]))
+        fewer = Network(
+            network.machine,
+            network.data.select(rows),
+            network.instrument,
+            network.unknowns,
+            self.calibration,
+            covariance,
+        )
+        return Readings(
+            fewer, self.setup, replace(self.scatter, covariance=covariance), self.calibration, self.bad[rows]
+        )
+
     def without(self, bad: np.ndarray) -> tuple[Problem, Catalogue, Scatter]:
         """What is to be solved with some rows listed and left out, the causes to try, and how the rows scatter.
 

@@ -126,10 +126,18 @@ class Network:
         known = Calibration.zero(machine) if base is None else base
         self._base = self._observation.errors(known, data)
         self._shapes = unknowns.shapes(data.positions)
-        stations = {name: i for i, name in enumerate(dict.fromkeys(data.station))}
-        targets = {name: i for i, name in enumerate(dict.fromkeys(data.target))}
-        self._station = np.array([stations[name] for name in data.station])
-        self._target = np.array([targets[name] for name in data.target])
+        self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[np.ndarray, np.ndarray]] = {}
+
+    def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) station and (n,) target of each row as a set-up counts them: it may have been found from other rows."""
+        names = setup.stations, setup.targets
+        if names not in self._orders:
+            stations, targets = ({name: i for i, name in enumerate(own)} for own in names)
+            self._orders[names] = (
+                np.array([stations[name] for name in self.data.station], dtype=int),
+                np.array([targets[name] for name in self.data.target], dtype=int),
+            )
+        return self._orders[names]
 
     def errors(self, theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(k, 6·frames) the error frames of an estimate at some points."""
@@ -155,20 +163,20 @@ class Network:
     def difference(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
         """(k, 3) read less predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
-        place = setup.place[self._target[rows]]
+        place = setup.place[self._order(setup)[1][rows]]
         points = self._observation.points(q, errors, self.data.carrier[rows], place)
         seen = self._seen(points, setup, rows)
         return self._left(seen, setup, rows)
 
     def _seen(self, points: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
         """Points of the base frame in the frame of the station that read them."""
-        station = self._station[rows]
+        station = self._order(setup)[0][rows]
         return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
 
     def _left(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
         predicted = np.nan_to_num(self.instrument.read(seen), nan=0.0)
         if setup.lengths_only:
-            predicted[:, 0] -= setup.dead[self._station[rows]]
+            predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
     def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
@@ -187,7 +195,7 @@ class Network:
         return found if found is not None else self._view(theta, setup, rows)
 
     def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
-        station, target = self._station[rows], self._target[rows]
+        station, target = (of[rows] for of in self._order(setup))
         carried = self._observation.carried(
             self._q[rows], self.errors(theta, rows), self.data.carrier[rows], setup.place[target]
         )
@@ -223,7 +231,7 @@ class Network:
 
     def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
         """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""
-        station, target = self._station[view.rows], self._target[view.rows]
+        station, target = (of[view.rows] for of in self._order(setup))
         stations, targets = setup.slots()
         for i, (turn, shift, path) in enumerate(stations):
             of = np.flatnonzero(station == i)
