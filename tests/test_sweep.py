@@ -195,14 +195,15 @@ def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_pat
 
 
 MEMORY = """
-import sys, resource
+import sys
 from pathlib import Path
+from tests.benchmarks.timing import peak_mb
 from twin.diagnosis import diagnose
 from twin.machine import Machine
 from twin.measurement import load
 machine = Machine.load("dmu50")
 found = diagnose(load(Path(sys.argv[1]), machine), machine)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, *(f"{c.effect}:{c.where}" for c in found.causes))
+print(peak_mb(), *(f"{c.effect}:{c.where}" for c in found.causes))
 """
 
 
@@ -213,7 +214,11 @@ def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path
     for poses in (2_000, 16_000):
         measured(dmu50, tmp_path, poses)
         told = subprocess.run(
-            [sys.executable, "-c", MEMORY, str(tmp_path / "measured.csv")], check=True, capture_output=True, text=True
+            [sys.executable, "-c", MEMORY, str(tmp_path / "measured.csv")],
+            check=True,
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).resolve().parents[1],
         ).stdout.split()
         assert {"reversal:Y", "squareness:E_A0Z"} == set(told[1:])
         peaks.append(float(told[0]))

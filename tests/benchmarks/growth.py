@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,7 @@ import numpy as np
 
 from tests.benchmarks import programs, solve
 from tests.benchmarks.diagnosis import measured
-from tests.benchmarks.timing import machine_name
+from tests.benchmarks.timing import machine_name, peak_mb
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.diagnosis import diagnose
@@ -93,7 +92,7 @@ def one(kind: str, size: int) -> dict[str, float]:
     start = time.perf_counter()
     work()
     seconds = time.perf_counter() - start
-    return {"seconds": seconds, "mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
+    return {"seconds": seconds, "mb": peak_mb()}
 
 
 def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: str) -> None:

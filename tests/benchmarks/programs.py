@@ -8,7 +8,6 @@ its own for its peak of memory, after a program of 60,000 blocks that has compil
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.timing import machine_name
+from tests.benchmarks.timing import machine_name, peak_mb
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.machine import Machine
@@ -64,7 +63,7 @@ def one(blocks: int) -> None:
         start, used = time.perf_counter(), time.process_time()
         report = compensator.compensate_file(source, target)
         seconds, used = time.perf_counter() - start, time.process_time() - used
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    peak = peak_mb()
     print(
         f"{report.moves:>10,} {seconds:>9.2f} {report.moves / seconds:>11,.0f} {used / report.moves * 1e6:>12.1f} "
         f"{floor:>9.3f} {seconds / floor:>8,.0f} {peak:>8.0f}",

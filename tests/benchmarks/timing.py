@@ -46,6 +46,12 @@ def ratio(other: Timing, ours: Timing) -> str:
     return f"{best:>9} times ours ({low} to {high})"
 
 
+def peak_mb() -> float:
+    """Most memory this process has had; ``ru_maxrss`` would be that of whoever started it, if that had more."""
+    status = Path("/proc/self/status").read_text()
+    return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1024.0
+
+
 def machine_name() -> str:
     """Processor, cores, and how busy they are."""
     info = Path("/proc/cpuinfo")
