@@ -178,13 +178,13 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             if isinstance(built, ThermalDrift):
                 columns = [of_unit(built, machine, state)]
         raw = problem.signature(columns)
-        seen = np.diag(problem.inner(raw, raw)) > 25.0
+        seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen
         if candidate.space is not None:
             # In the datum of the calibration: a constant is a zero, a slope of a straightness a squareness.
             values[: 2 if effect == "straightness" else 1] = 0.0
         signature = raw @ values
-        after = float(problem.inner(signature[:, None], signature[:, None])[0, 0])
+        after = float(problem.inner(signature[:, None])[0, 0])
         # As large as plausible it must be seen: what the set-up absorbs is no hidden effect.
         if after > size and after > 1e-7 * float(signature @ signature):
             factor = np.sqrt(size / after)
@@ -201,7 +201,7 @@ def some_effects(
         if len({one[0] for one in found}) < count:
             continue
         signatures = np.stack([one[1] for one in found], axis=1) if found else np.zeros((len(problem.residual), 0))
-        gram = problem.inner(signatures, signatures)
+        gram = problem.inner(signatures)
         if count < 2 or np.all(1.0 / np.diag(np.linalg.inv(gram + 1e-9 * np.eye(count))) > 0.5 * size):
             return found
 
@@ -222,7 +222,7 @@ def outside(rng: np.random.Generator, problem: Problem, size: float) -> tuple[tu
     direction = rng.standard_normal(3)
     moved = (problem.view.by_base @ direction) * (total * (data.carrier == side))[:, None] * 1e-6
     signature = moved.reshape(-1)
-    after = float(problem.inner(signature[:, None], signature[:, None])[0, 0])
+    after = float(problem.inner(signature[:, None])[0, 0])
     return names, signature * np.sqrt(size / after)
 
 

@@ -297,6 +297,26 @@ def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
         list(in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 
 
+def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
+    """A worker started in a folder is refused with these words, and the others are asked again once it is gone."""
+
+    def refused() -> bool:
+        try:
+            list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
+        except InputError as error:
+            assert all(word in str(error) for word in words)
+            return True
+        return False
+
+    stranger = worker(scheduler, folder, folder)
+    try:
+        until(refused)
+    finally:
+        stranger.terminate()
+        stranger.wait(30)
+    until(lambda: not refused())
+
+
 def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -> None:
     """Another text, of the same version: the digits could be others."""
     shutil.copytree(ROOT / "twin", tmp_path / "twin", ignore=shutil.ignore_patterns("__pycache__"))
@@ -305,21 +325,7 @@ def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -
     (tmp_path / "urdf").symlink_to(ROOT / "urdf")
     list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
 
-    def refused() -> bool:
-        try:
-            list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
-        except InputError as error:
-            assert "other versions" in str(error) and "twin 0" in str(error)
-            return True
-        return False
-
-    stranger = worker(scheduler, tmp_path, tmp_path)
-    try:
-        until(refused)
-    finally:
-        stranger.terminate()
-        stranger.wait(30)
-    until(lambda: not refused())
+    _refused_while_there(scheduler, tmp_path, "other versions", "twin 0")
 
 
 @pytest.mark.slow
@@ -342,21 +348,7 @@ importlib.metadata.version = without
 """
     (tmp_path / "sitecustomize.py").write_text(hidden)
 
-    def refused() -> bool:
-        try:
-            list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
-        except InputError as error:
-            assert "a worker without twin" in str(error)
-            return True
-        return False
-
-    stranger = worker(scheduler, tmp_path, tmp_path)
-    try:
-        until(refused)
-    finally:
-        stranger.terminate()
-        stranger.wait(30)
-    until(lambda: not refused())
+    _refused_while_there(scheduler, tmp_path, "a worker without twin")
 
 
 @pytest.mark.slow

@@ -1,19 +1,17 @@
 """The figures README and the notes quote, measured: run ``python -m tests.benchmarks.figures``.
 
-Agreement of the formulations, what the inverse leaves, the thesis's method beside ours (on known and on measured errors), and the time
-for 100,000 poses.
+Agreement of the formulations, what the inverse leaves, and the thesis's method beside ours (on known and on measured errors). Times are
+those of `tests.benchmarks.solve`.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import root
 
 from tests.errors import random_calibration
 from tests.plans import volumetric
@@ -86,56 +84,6 @@ def inverse(machine: Machine) -> None:
         print(f"inverse, {name}: {solution.point_residual_mm.max():.1e} mm{turned}; {counts}")
 
 
-def timing(machine: Machine, calibration: Calibration) -> None:
-    """100,000 poses, all 30 curves; peer: scipy.optimize.root on Pinocchio's forward kinematics, in the same run."""
-    n = 100_000
-    rng = np.random.default_rng(3)
-    real = Kinematics(machine, calibration, tool_length_mm=100.0)
-    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=100.0)
-    q = random_commands(machine, n, rng)
-    q[:, :4] = np.clip(q[:, :4], [8, 8, -392, 20], [492, 442, -8, 160])
-    meant = nominal.forward(q)
-    solver = Inverse(real)
-    solver.solve(nominal.forward(q[:10]), q[:10])
-    real.forward(q[:10])
-
-    def seconds(work: Callable[[], object]) -> float:
-        best = np.inf
-        for _ in range(3):
-            start = time.perf_counter()
-            work()
-            best = min(best, time.perf_counter() - start)
-        return float(best)
-
-    forward, five, linear = (
-        seconds(work)
-        for work in (
-            lambda: real.forward(q),
-            lambda: solver.solve(meant, q),
-            lambda: solver.solve(meant, q, rotary=False),
-        )
-    )
-    data = machine.model.createData()
-
-    def residual(position: np.ndarray, i: int) -> np.ndarray:
-        errors = np.array(real.errors(position * machine.scale)).reshape(-1, 6)
-        pin.framesForwardKinematics(machine.model, data, machine.configuration(position * machine.scale, errors))
-        pose = data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame])
-        axis = pose.rotation[:, 2]
-        point = (pose.translation - 0.1 * axis) * 1e3
-        return np.concatenate([point - meant.point_mm[i], 1e3 * np.cross(axis, meant.axis[i])[:2]])
-
-    start = time.perf_counter()
-    peers = 100
-    for i in range(peers):
-        root(residual, q[i], args=(i,))
-    peer = (time.perf_counter() - start) / peers
-    print(
-        f"100,000 poses, 30 curves, two cores: forward {forward:.2f} s, inverse five axes {five:.2f} s, linear only {linear:.2f} s"
-    )
-    print(f"  scipy.optimize.root on Pinocchio: {peer * 1e6:.0f} µs a pose, {peer * n / five:.0f} times ours")
-
-
 def methods(machine: Machine, calibration: Calibration) -> None:
     """The thesis's method beside ours, on the same machine."""
     figure = dialect_for(find_program("cone_frustum.nc"))
@@ -192,7 +140,6 @@ def main() -> None:
     inverse(machine)
     methods(machine, calibration)
     identified(machine, calibration)
-    timing(machine, calibration)
     identification(machine, calibration)
 
 

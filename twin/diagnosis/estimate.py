@@ -216,7 +216,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and least-squares step; nothing along what the data do not see of the largest plausible size."""
     scaled = columns * scale
-    inverse, _ = pseudo(problem.inner(scaled, scaled))
+    inverse, _ = pseudo(problem.inner(scaled))
     slope = problem.along(scaled, problem.project(residual))
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 

@@ -14,6 +14,7 @@ import numpy as np
 from twin.arrays import locked
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.signatures import Column
+from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
@@ -79,9 +80,8 @@ def from_repeats(
         for column in cell.columns
     ]
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    residual = np.einsum("nij,nj->ni", raw, view.residual)
-    nuisance = [np.einsum("nij,nj->ni", raw, column.reading(view) * column.scale) for column in columns]
-    every = np.stack([residual, *nuisance], axis=2)
+    nuisance = Signatures(view, columns).at(Block(view, slice(None)))
+    every = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
     every *= read[:, :, None]
     total = np.zeros((len(size), *every.shape[1:]))
     np.add.at(total, group, every)
@@ -109,10 +109,12 @@ def from_the_rest(
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.by_setup(view, setup, by_setup)
     read = network.read[view.rows]
-    taken = [by_setup[:, :, k] * size for k, size in enumerate(setup.plausible)]
-    taken += [column.reading(view) * column.scale for column in columns]
+    taken = Signatures(view, columns).at(Block(view, slice(None)))
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    every = np.einsum("nij,njk->nik", raw, np.stack([view.residual, *taken], axis=2)) * read[:, :, None]
+    every = np.einsum(
+        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, taken], axis=2)
+    )
+    every *= read[:, :, None]
     return _scatter(every, float(len(view.rows)), view, read, seen, "what no plain form of any cause accounts for")
 
 

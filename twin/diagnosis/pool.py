@@ -112,6 +112,7 @@ class Pool:
         self._place = {int(i): (kind, k) for kind, rows in enumerate(self._rows) for k, i in enumerate(rows)}
         self.products = Products(problem, list(at), self._columns, parts=parts)
         self._project(problem)
+        self.judge(problem)
         self.calibrate()
 
     def calibrate(self) -> None:
@@ -172,7 +173,7 @@ class Pool:
         # Inner products with all columns of those that were asked for, a row each, and which row is whose.
         self._cross = np.zeros((0, self._within.shape[1]))
         self._row = np.full(self._within.shape[1], -1)
-        self.judge(problem)
+        self._scans = {}
 
     def _beside(self, products: Products, root: np.ndarray) -> list[np.ndarray]:
         """Inner products within each form, by width, (forms, w, w), beside the set-up."""
@@ -186,6 +187,8 @@ class Pool:
         self.products.judge(problem.residual)
         for form in self._tried.values():
             self._put(form)
+        if self._tried:
+            self._project(problem)
         self._tried = {}
         self._sloped()
         self._costs = self._all_costs
@@ -204,6 +207,7 @@ class Pool:
         other.forms = list(self.forms)
         other.products = self.products.less(part.held) if len(part.held) else self.products
         other._project(part)
+        other.judge(part)
         return other
 
     def refine(self, form: Form, cell: Cell) -> None:
@@ -215,15 +219,12 @@ class Pool:
         """
         self._tried.setdefault(form.index, self.forms[form.index])
         self._put(replace(form, cell=cell))
+        self._project(self.problem)
         self._sloped()
-        self._scans = {}
 
     def _put(self, form: Form) -> None:
         self.forms[form.index] = form
         self.products.replace(form.columns, form.cell.columns)
-        self._within = self.problem.root.T @ self.products.by_basis
-        self._inner = self._beside(self.products, self.problem.root)
-        self._cross, self._row = self._cross[:0], np.full_like(self._row, -1)
 
     def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The columns of some forms, how much of each (plausible sizes), and the covariance of that."""

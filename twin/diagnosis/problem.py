@@ -168,13 +168,11 @@ class Problem:
         """(points, 3, directions) the basis at some points."""
         return np.asarray(self.basis.reshape(len(self.view.rows), 3, -1)[points])
 
-    def inner(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """aᵀMb of signatures."""
-        same = b is a
+    def inner(self, a: np.ndarray) -> np.ndarray:
+        """aᵀMa of signatures."""
         a = self._kept(a)
-        b = a if same else self._kept(b)
-        one = self.root.T @ (self.basis.T @ a)
-        return np.asarray(a.T @ b - one.T @ (one if same else self.root.T @ (self.basis.T @ b)))
+        within = self.root.T @ (self.basis.T @ a)
+        return np.asarray(a.T @ a - within.T @ within)
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """aᵀMr; the data's residual, or another that is projected already."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -22,7 +23,7 @@ from twin.identification.spread import repeats
 from twin.identification.unknowns import Unknowns
 from twin.instruments import Instrument
 from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.measurement import Measurements, RowNote
 from twin.units import MM
 
 ROBUST: Final = 4
@@ -47,13 +48,19 @@ class Readings:
     calibration: Calibration
     bad: np.ndarray
 
-    def some(self, rows: np.ndarray) -> Readings:
-        """Some of the rows (their numbers), the set-up as it was fitted to all."""
+    def some(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
+        """Some of the rows, the set-up as it was fitted to all.
+
+        Args:
+            rows: their numbers.
+            notes: of those that are left out.
+        """
         network = self.network
         covariance = locked(np.array(self.scatter.covariance[rows]))
+        data = network.data.select(rows)
         fewer = Network(
             network.machine,
-            network.data.select(rows),
+            replace(data, set_aside=(*data.set_aside, *notes)),
             network.instrument,
             network.unknowns,
             self.calibration,
@@ -69,21 +76,16 @@ class Readings:
         Args:
             bad: (n,) rows to leave out.
         """
-        network, data = self.network, self.network.data
-        if not np.any(bad):
-            return (
-                Problem(network, self.setup, self.calibration),
-                tried(network.machine, data, self.calibration),
-                self.scatter,
-            )
-        difference = network.difference(np.zeros(0), self.setup, np.arange(len(data)))
-        notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
-        left = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
-        scatter = replace(self.scatter, covariance=locked(np.array(self.scatter.covariance[~bad])))
-        fresh = Network(
-            network.machine, left, network.instrument, network.unknowns, self.calibration, scatter.covariance
+        left, network = self, self.network
+        if np.any(bad):
+            difference = network.difference(np.zeros(0), self.setup, np.arange(len(network.data)))
+            notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
+            left = self.some(np.flatnonzero(~bad), notes)
+        return (
+            Problem(left.network, self.setup, self.calibration),
+            tried(network.machine, left.network.data, self.calibration),
+            left.scatter,
         )
-        return Problem(fresh, self.setup, self.calibration), tried(network.machine, left, self.calibration), scatter
 
 
 def tried(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:

@@ -98,14 +98,6 @@ class Column:
     parts: tuple[Part, ...]
     scale: float
 
-    def reading(self, view: View) -> np.ndarray:
-        """(rows, 3) whitened, a unit of the parameter, of all that a view has."""
-        fields = Fields(view, slice(None))
-        found = np.zeros((len(view.rows), 3))
-        for part in self.parts:
-            found += fields[part.field] * (part.weight * part.functions.values(view.rows)[:, part.index, None])
-        return found
-
 
 def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> list[Column]:
     """Columns of a machine's effect, one a parameter.

@@ -44,20 +44,21 @@ class Block:
     """Some points: their derivatives, and functions of their state, each worked out once.
 
     Args:
-        view: of all points.
-        rows: which points.
+        view: of some or all points of the data.
+        rows: which of the view.
     """
 
     def __init__(self, view: View, rows: Rows) -> None:
         self.rows = rows
+        self._numbers = view.rows[rows]
         self.fields = Fields(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
 
     def values(self, functions: Functions) -> np.ndarray | None:
         """(points, count), or None where they are all zero."""
         if functions not in self._values:
-            nowhere = functions.where is not None and not functions.where[self.rows].any()
-            self._values[functions] = None if nowhere else functions.values(self.rows)
+            nowhere = functions.where is not None and not functions.where[self._numbers].any()
+            self._values[functions] = None if nowhere else functions.values(self._numbers)
         return self._values[functions]
 
 
@@ -96,7 +97,7 @@ class Signatures:
         def share(own: Sequence[int]) -> np.ndarray:
             total: dict[tuple[int, Functions, Field, int], np.ndarray] = {}
             for run in own:
-                part = 0 if rows is not None else int(self._parts[runs[run][0]])
+                part = part_of(run)
                 block = self._block(run, runs)
                 right = vectors(block)
                 for few in pieces(right.shape[2], FEW):
@@ -125,7 +126,7 @@ class Signatures:
                 np.add.at(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)
             return found
 
-        runs, count = self._runs_of(rows), 1 if rows is not None else int(self._parts.max(initial=0)) + 1
+        runs, part_of, count = self._runs_of(rows)
         return np.asarray(sum(side_by_side(range(len(runs)), share)))
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
@@ -146,7 +147,7 @@ class Signatures:
         def share(own: Sequence[int]) -> np.ndarray:
             total: dict[tuple[int, Functions, Functions], np.ndarray] = {}
             for run in own:
-                part = 0 if rows is not None else int(self._parts[runs[run][0]])
+                part = part_of(run)
                 block = self._block(run, runs)
                 turned: dict[Functions, np.ndarray] = {}
                 dots: dict[tuple[Field, Field], np.ndarray] = {}
@@ -173,7 +174,7 @@ class Signatures:
                 np.add.at(found[part], own_of[place], weight * values[product, field])
             return found
 
-        runs, count = self._runs_of(rows), 1 if rows is not None else int(self._parts.max(initial=0)) + 1
+        runs, part_of, count = self._runs_of(rows)
         values = np.asarray(sum(side_by_side(range(len(runs)), share)))
         # The other way round they are the same.
         values[:, ~lower] = values[:, twins]
@@ -248,15 +249,18 @@ class Signatures:
         self._keep = size <= KEPT
         self._runs = self._run_together(np.arange(len(self.view.rows)), self._parts)
 
-    def _runs_of(self, rows: np.ndarray | None) -> list[np.ndarray]:
-        return self._runs if rows is None else self._run_together(rows, np.zeros(len(self._parts), dtype=int))
+    def _runs_of(self, rows: np.ndarray | None) -> tuple[list[np.ndarray], Callable[[int], int], int]:
+        """Runs of all points or some, which part each is in, and how many parts there are."""
+        if rows is not None:
+            return self._run_together(rows, np.zeros(len(self._parts), dtype=int)), lambda run: 0, 1
+        return self._runs, lambda run: int(self._parts[self._runs[run][0]]), int(self._parts.max(initial=0)) + 1
 
     def _run_together(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
         """Points in runs of one part each; those at which the same functions are zero come together: these are passed over there."""
         alike = parts[rows]
         for functions in self._wanted:
             if functions.where is not None:
-                alike = 2 * alike + functions.where[rows]
+                alike = 2 * alike + functions.where[self.view.rows[rows]]
         order = np.argsort(alike, kind="stable")
         ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
         return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
@@ -272,17 +276,12 @@ class Signatures:
                 functions, index = self._stand(part)
                 own = lists.setdefault(functions, {}).setdefault(part.field, [])
                 own.append((place, index, part.weight * column.scale))
-        return {
-            functions: {
-                field: (
-                    np.array([one[0] for one in own]),
-                    np.array([one[1] for one in own]),
-                    np.array([one[2] for one in own]),
-                )
-                for field, own in of.items()
-            }
-            for functions, of in lists.items()
-        }
+        return {functions: {field: _three(own) for field, own in of.items()} for functions, of in lists.items()}
+
+
+def _three(entries: Sequence[tuple[int, int, float]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    first, second, third = zip(*entries, strict=True)
+    return np.array(first), np.array(second), np.array(third)
 
 
 _Codes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]

@@ -181,18 +181,17 @@ class Network:
 
     def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
         """Some points as the stations see them, with every derivative an effect may need."""
+        first = self._view(theta, setup, rows[:WHOLE])
         if len(rows) <= WHOLE:
-            return self._view(theta, setup, rows)
+            return first
         # In pieces, or what they are worked out from would take more room than they do.
-        found = None
+        found = View(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
         for start in range(0, len(rows), WHOLE):
             some = slice(start, start + WHOLE)
-            part = self._view(theta, setup, rows[some])
-            if found is None:
-                found = View(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in part.arrays()))
+            part = first if start == 0 else self._view(theta, setup, rows[some])
             for whole, own in zip(found.arrays(), part.arrays(), strict=True):
                 whole[some] = own
-        return found if found is not None else self._view(theta, setup, rows)
+        return found
 
     def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
         station, target = (of[rows] for of in self._order(setup))
