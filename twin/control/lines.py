@@ -1,0 +1,77 @@
+"""Lines of a control's file: numbered, and numbers in them that must be numbers."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.files import read_text
+from twin.machine import Axis, Machine
+
+UM_IN_MM = 1e-3
+URAD_IN_DEG = 180e-6 / 3.141592653589793
+
+
+def numbered(path: Path) -> list[tuple[int, str]]:
+    """Every line with its number from 1 on, without blanks at its ends.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    return [(number, text.strip()) for number, text in enumerate(read_text(path).splitlines(), start=1)]
+
+
+def number(text: str, path: Path, line: int, what: str) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InputError(f"{what} is no number", expected="a number", file=path, line=line, value=text)
+    return value
+
+
+def rising(at: tuple[float, ...], lines: tuple[int, ...], path: Path) -> None:
+    """Nothing, if positions rise from line to line.
+
+    Raises:
+        InputError: one does not.
+    """
+    for before, after, line in zip(at, at[1:], lines[1:], strict=False):
+        if after <= before:
+            raise InputError(
+                "positions do not rise", expected=f"more than {before:g}", file=path, line=line, value=f"{after:g}"
+            )
+
+
+def axis_named(name: str, machine: Machine, path: Path, line: int | None) -> Axis:
+    """An axis of the machine.
+
+    Raises:
+        InputError: it has none of that name.
+    """
+    if name not in machine.by_name:
+        raise InputError(
+            f"{machine.name} has no such axis",
+            expected=f"one of {' '.join(machine.names)}",
+            file=path,
+            line=line,
+            value=name,
+        )
+    return machine.by_name[name]
+
+
+def unit_of(axis: Axis) -> float:
+    """Mm a µm for a linear axis, degrees a µrad for a rotary one: what a control's file has for one of ours."""
+    return UM_IN_MM if axis.linear else URAD_IN_DEG
+
+
+def plain(value: float, digits: int) -> str:
+    """A number with so many digits behind the point; no minus before a zero."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"

@@ -1,0 +1,175 @@
+"""What tables leave: the error at the tool over the volume, and the error motions they do not carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin.budget import drawn_sides, volume
+from twin.calibration import Calibration
+from twin.channels import Listening
+from twin.control_tables.wanted import Wanted
+from twin.effects import ControlCorrection, Effect
+from twin.kinematics import Kinematics, Poses, rms_and_max
+
+Share = Literal["whole", "line", "no"]
+STEPS: Final = 2
+"""Of the linear axes, so that what they can take out is gone to a nanometre."""
+
+
+@final
+@dataclass(frozen=True)
+class Left:
+    """The error at the tool over the volume.
+
+    Attributes:
+        rms_um, max_um: of the point.
+        tilt_rms_urad: of the tool axis, about x and about y.
+    """
+
+    rms_um: float
+    max_um: float
+    tilt_rms_urad: tuple[float, float]
+
+
+@final
+@dataclass(frozen=True)
+class Remains:
+    """Before, after the tables, after a compensated program on top of them.
+
+    Attributes:
+        before, tables, program: the errors.
+        poses: over how many.
+        at_limits: of these, in how many an axis would have to leave its range to correct the rest.
+    """
+
+    before: Left
+    tables: Left
+    program: Left
+    poses: int
+    at_limits: int
+
+
+def remains(wanted: Wanted, calibration: Calibration) -> Remains:
+    """The error at the tool as the control with its tables leaves it.
+
+    Args:
+        wanted: the machine, its errors alone, tool length and conditions.
+        calibration: the same errors under the control with its tables; none whose channel nobody gave.
+    """
+    machine = wanted.machine
+
+    def real(errors: Calibration) -> Kinematics:
+        return Kinematics(machine, errors, tool_length_mm=wanted.tool_length_mm, conditions=wanted.conditions)
+
+    meant, bare, with_tables = real(Calibration.zero(machine)), real(wanted.calibration), real(calibration)
+    q = volume(machine)
+    q = q[~calibration.outside(q).any(axis=1)]
+    sides, goal = drawn_sides(q), meant.forward(q)
+    commands, limits = q.copy(), np.array([wanted.range_of(axis) for axis in machine.axes])
+    linear = list(machine.linear)
+    limited = np.zeros(len(q), dtype=bool)
+    for _ in range(STEPS):
+        off = with_tables.forward(commands, sides).point_mm - goal.point_mm
+        by = with_tables.sensitivities(commands, sides).command[:, :3, linear]
+        step = commands[:, linear] - np.linalg.solve(by, off[:, :, None])[:, :, 0]
+        commands[:, linear] = np.clip(step, *limits[linear].T)
+        limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
+    return Remains(
+        _left(bare.forward(q, sides), goal),
+        _left(with_tables.forward(q, sides), goal),
+        _left(with_tables.forward(commands, sides), goal),
+        len(q),
+        int(limited.sum()),
+    )
+
+
+def _left(reached: Poses, goal: Poses) -> Left:
+    off = np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3
+    tilt, _ = rms_and_max(reached.tilt_urad(goal))
+    return Left(float(np.sqrt(np.mean(off**2))), float(off.max()), tilt)
+
+
+@final
+@dataclass(frozen=True)
+class Carried:
+    """One error of the calibration, and what the format does with it.
+
+    Attributes:
+        name: of the error.
+        iso_class: its class.
+        share: ``whole``; ``line``: where the other axes stand as the tables have them, elsewhere in part; ``no``.
+        why: in words, where it is not whole.
+    """
+
+    name: str
+    iso_class: str
+    share: Share
+    why: str
+
+
+def carried(wanted: Wanted, kind: str, classes: frozenset[str], *, products: bool) -> tuple[Carried, ...]:
+    """Every error of the calibration."""
+    return tuple(
+        Carried(effect.name, iso_class, *_share(effect, iso_class, wanted, kind, products=products))
+        if iso_class in classes
+        else Carried(effect.name, iso_class, "no", "not in --scope")
+        for effect in wanted.calibration.effects
+        if not isinstance(effect, ControlCorrection)
+        for iso_class in (wanted.class_of(effect),)
+    )
+
+
+def _share(effect: Effect, iso_class: str, wanted: Wanted, kind: str, *, products: bool) -> tuple[Share, str]:
+    axis = wanted.machine.by_name[effect.frame.axis]
+    heard = _Heard(wanted)
+    effect.components(heard)
+    others = sorted(name for name in heard.used if name != axis.name and name in wanted.machine.by_name)
+    directed = f"approach_{axis.name}" in heard.asked
+    if kind in ("isg", "grid") and directed:
+        return "no", "the format has no directions: the mean of both is taken"
+    if kind == "grid":
+        if not axis.linear:
+            return "no", "an error of a rotary axis: a grid knows X, Y and Z only"
+        rotary = [name for name in others if not wanted.machine.by_name[name].linear]
+        return ("line", f"depends on {' '.join(rotary)} too") if rotary else ("whole", "")
+    if kind == "isg":
+        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
+    if not axis.linear:
+        if iso_class != "R-POS":
+            return "no", "moves the point in a direction that turns with the rotary axes"
+        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
+    if kind == "linuxcnc" and iso_class in ("L-STR", "L-SQU"):
+        return "no", "moves other axes than its own: the format has no such tables"
+    if others:
+        return "line", f"depends on {' '.join(others)} too"
+    if iso_class == "L-ANG" and kind == "linuxcnc":
+        return "line", "along its own axis only, and there with the lever of the reference position"
+    if iso_class == "L-ANG" and not (kind == "siemens" and products):
+        return "line", "with the lever of the reference position"
+    return "whole", ""
+
+
+@final
+class _Heard(dict[str, Any]):
+    """One pose that remembers which axes, and which channels beside, an effect asks for."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._source = Listening(wanted.machine)
+        super().__init__(self._source)
+        self.used: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __getitem__(self, name: str) -> Any:
+        self.used.add(name)
+        return self._source[name]
+
+    @property
+    def asked(self) -> Mapping[str, None]:
+        """Channels beside the positions."""
+        return dict.fromkeys(self._source.asked)
