@@ -2,5 +2,6 @@
 
 from twin.scene.draw import scene_html
 from twin.scene.path import ScenePath
+from twin.scene.program import Scene, draw_program
 
-__all__ = ["ScenePath", "scene_html"]
+__all__ = ["Scene", "ScenePath", "draw_program", "scene_html"]

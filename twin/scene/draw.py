@@ -27,6 +27,7 @@ from meshcat.path import Path as NodePath
 
 from twin.errors import InputError
 from twin.kinematics import Kinematics
+from twin.scene.camera import CAMERA
 from twin.scene.page import PAGE
 from twin.scene.path import (
     MAX_POINTS,
@@ -109,15 +110,15 @@ def scene_html(
 
     commands: list[Any] = []
     for number, visual in enumerate(visuals):
-        commands += visual.commands(_node(visual.link, f"shape{number}"))
+        commands += visual.commands(node_of(visual.link, f"shape{number}"))
         if visual.link == work:
-            commands += visual.commands(_node(work, f"pale{number}"), pale=True)
+            commands += visual.commands(node_of(work, f"pale{number}"), pale=True)
     for link in links:
         edges = [visual.edges for visual in visuals if visual.link == link]
         if edges:
-            commands.append(_lines(np.concatenate(edges), None, _node(link, "edges")))
-    commands += _tool_commands(kinematics, _node(tool), tool_radius_mm * MM, 0.008 * path.extent_mm * MM)
-    commands += _path_commands(path, factor, top_um, vectors, _node(work), size)
+            commands.append(lines_command(np.concatenate(edges), None, node_of(link, "edges")))
+    commands += _tool_commands(kinematics, node_of(tool), tool_radius_mm * MM, 0.008 * path.extent_mm * MM)
+    commands += _path_commands(path, factor, top_um, vectors, node_of(work), size)
     commands += _motion_commands(frames, links, poses, seconds)
     commands += _stage_commands(box)
 
@@ -128,7 +129,7 @@ def scene_html(
         "pathOutline": (np.where(_CORNERS > 0, shown.max(axis=0), shown.min(axis=0))).round(6).tolist(),
         "work": _FIRST_LINK + "/" + work,
         "tool": _FIRST_LINK + "/" + tool,
-        "worst": {"at": worst.round(6).tolist(), "um": _figure(path.max_um), "line": int(path.lines[path.worst])},
+        "worst": {"at": worst.round(6).tolist(), "um": short(path.max_um), "line": int(path.lines[path.worst])},
         "seconds": seconds,
         "axes": [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes],
         "share": frames.share.round(6).tolist(),
@@ -140,15 +141,16 @@ def scene_html(
     legend = viridis(np.linspace(0.0, 1.0, 17))
     return PAGE.substitute(
         title=html.escape(title),
+        camera=CAMERA,
         machine=html.escape(machine.name),
-        viewer=_viewer_source(),
-        commands=json.dumps([_packed(command) for command in commands]),
+        viewer=viewer_source(),
+        commands=json.dumps([packed(command) for command in commands]),
         page=json.dumps(page).replace("</", "<\\/"),
         gradient=", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in legend),
-        ticks="".join(f"<span>{_figure(top_um * share / 4)}</span>" for share in range(5)),
-        factor=_figure(factor),
-        max_um=_figure(path.max_um),
-        rms_um=_figure(path.rms_um),
+        ticks="".join(f"<span>{short(top_um * share / 4)}</span>" for share in range(5)),
+        factor=short(factor),
+        max_um=short(path.max_um),
+        rms_um=short(path.rms_um),
         max_line=int(path.lines[path.worst]),
         what="cutting moves" if np.any(path.cutting) else "all moves",
         notice='<p class="notice">ILLUSTRATIVE calibration: drawn, not measured</p>' if illustrative else "",
@@ -326,12 +328,14 @@ def _path_commands(
         pieces = thinned(cuts, limit, path.worst)
         # A program of ten thousand short cuts has too many ends for tubes, in a file and in a browser.
         if sum(len(piece) for piece in pieces) > 2 * limit:
-            commands.append(_lines(*_pairs(points, tints, pieces), node.append(name)))
+            commands.append(lines_command(*_pairs(points, tints, pieces), node.append(name)))
         elif pieces and radius > 0:
             tubes = [tube(points[piece], np.full(len(piece), radius), tints[piece], sides) for piece in pieces]
-            commands.append(_mesh(joined(tubes), node.append(name)))
+            commands.append(mesh_command(joined(tubes), node.append(name)))
     if rapids:
-        commands.append(_lines(*_pairs(nominal, pale, thinned(rapids, MAX_POINTS, path.worst)), node.append("rapids")))
+        commands.append(
+            lines_command(*_pairs(nominal, pale, thinned(rapids, MAX_POINTS, path.worst)), node.append("rapids"))
+        )
     blocks = [block for block in arrow_blocks(path, vectors) if path.deviation_um[block] > 0]
     if blocks and fine > 0:
         arrows = [
@@ -343,7 +347,7 @@ def _path_commands(
             )
             for block in blocks
         ]
-        commands.append(_mesh(joined(arrows), node.append("arrows")))
+        commands.append(mesh_command(joined(arrows), node.append("arrows")))
     return commands
 
 
@@ -353,7 +357,7 @@ def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarra
     animation = Animation()
     for number, link in enumerate(links):
         track = poses[:, number]
-        commands.append(SetTransform(track[0], _node(link)))
+        commands.append(SetTransform(track[0], node_of(link)))
         if len(track) > 1 and np.ptp(track, axis=0).max() > 1e-9:
             # With one frame a second the keys' times are seconds.
             times = (frames.share * seconds).tolist()
@@ -361,7 +365,7 @@ def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarra
             quaternions = [pin.Quaternion(pose[:3, :3]).coeffs().tolist() for pose in track]
             clip.tracks["position"] = AnimationTrack("position", "vector3", times, track[:, :3, 3].tolist())
             clip.tracks["quaternion"] = AnimationTrack("quaternion", "quaternion", times, quaternions)
-            animation.clips[_node(link)] = clip
+            animation.clips[node_of(link)] = clip
     if animation.clips:
         commands.append(SetAnimation(animation, play=True, repetitions=1_000_000))
     return commands
@@ -384,9 +388,7 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
     return [
         SetObject(slab, shapes.MeshLambertMaterial(color=0xE3E7EB), floor),
         SetTransform(transformations.translation_matrix([centre[0], centre[1], low[2] - thickness]), floor),
-        SetProperty("visible", False, NodePath(("Grid",))),
-        SetProperty("visible", False, NodePath(("Axes",))),
-        SetProperty("visible", False, NodePath(("Background",))),
+        *bare_stage(),
         *(
             SetProperty(key, value, NodePath(("Lights", light, "<object>")))
             for light, entries in lights.items()
@@ -395,7 +397,13 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
     ]
 
 
-def _mesh(mesh: Mesh, node: NodePath) -> SetObject:
+def bare_stage() -> list[Any]:
+    """Commands that take away what the viewer shows by itself."""
+    return [SetProperty("visible", False, NodePath((name,))) for name in ("Grid", "Axes", "Background")]
+
+
+def mesh_command(mesh: Mesh, node: NodePath) -> SetObject:
+    """Draws a mesh, metres."""
     # Unlit, so that a colour in the picture is the colour of the legend.
     return SetObject(
         shapes.TriangularMeshGeometry(mesh.vertices, mesh.faces, mesh.colours),
@@ -404,7 +412,7 @@ def _mesh(mesh: Mesh, node: NodePath) -> SetObject:
     )
 
 
-def _lines(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
+def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
     """(2k, 3) ends of segments with their colours; the colour of edges where none are given."""
     ends = segments.astype(np.float32).T
     if colours is None:
@@ -420,7 +428,7 @@ def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) ->
     return points[ends], colours[ends]
 
 
-def _packed(command: Any) -> str:
+def packed(command: Any) -> str:
     """A drawing command as the viewer takes it: msgpack in base64. Names of objects are fixed: same input, same page."""
     data = command.lower()
     if isinstance(command, SetObject):
@@ -441,7 +449,8 @@ def _plain(data: Any) -> Any:
     return data.item() if isinstance(data, np.generic) else data
 
 
-def _node(*names: str) -> NodePath:
+def node_of(*names: str) -> NodePath:
+    """A place in the viewer's tree."""
     return NodePath(("meshcat", _FIRST_LINK, *names))
 
 
@@ -454,7 +463,7 @@ def _hex(colour: tuple[float, float, float]) -> int:
     return red << 16 | green << 8 | blue
 
 
-def _figure(value: float) -> str:
+def short(value: float) -> str:
     """A number with three significant digits, and no exponent."""
     if value == 0 or not 1e-3 <= abs(value) < 1e9:
         return "0" if value == 0 else f"{value:.2g}"
@@ -463,6 +472,7 @@ def _figure(value: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else f"{int(text):,}".replace(",", "\u202f")
 
 
-def _viewer_source() -> str:
+def viewer_source() -> str:
+    """The viewer of meshcat, as one script."""
     file = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return file.read_text(encoding="utf-8")

@@ -37,7 +37,7 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
   font-size: 12.5px; font-weight: 600; white-space: nowrap; pointer-events: none; }
 #bar { left: 16px; right: 16px; bottom: 14px; min-height: 34px; padding: 8px 12px; display: flex; align-items: center; gap: 14px;
   background: #ffffff; border: 1px solid #c3cad2; border-radius: 8px; }
-#bar button { font: inherit; font-weight: 600; min-width: 84px; padding: 5px 10px; border: 1px solid #97a1ad;
+#bar button { font: inherit; font-weight: 600; min-width: 84px; flex: none; padding: 5px 10px; border: 1px solid #97a1ad;
   border-radius: 6px; background: #f2f5f8; cursor: pointer; white-space: nowrap; }
 #bar button:hover { background: #e3e9ef; }
 #now { font-variant-numeric: tabular-nums; font-size: 13px; display: flex; gap: 12px; white-space: nowrap; }
@@ -47,7 +47,10 @@ html, body { margin: 0; height: 100%; overflow: hidden; background: linear-gradi
 .still #play, .still #slider { display: none; }
 #triad { left: 16px; bottom: 84px; width: 92px; height: 92px; pointer-events: none; }
 #triad text { font-size: 12px; font-weight: 650; text-anchor: middle; dominant-baseline: central; }
-@media (max-width: 1250px) { #hint { display: none; } #now { gap: 9px; font-size: 12px; } #title h1 { font-size: 17px; } }
+@media (max-width: 1450px) { #hint { display: none; } }
+@media (max-width: 1250px) { #now { gap: 9px; font-size: 12px; } #title h1 { font-size: 17px; } }
+@media (max-width: 900px) { #bar { gap: 8px; padding: 8px; } #bar button { min-width: 0; padding: 5px 8px; }
+  #now { gap: 2px; font-size: 11px; } }
 """
 
 _SCRIPT = """
@@ -72,7 +75,7 @@ _SCRIPT = """
   object(page.work).traverse(o => { if (o.parent.name.startsWith("pale")) o.layers.set(1); });
   viewer.scene.traverse(o => { if (o.isLight) o.layers.enable(1); });
 
-  // Cameras. The world of three.js is y up: base (x, y, z) is (x, z, -y) there.
+  // Cameras.
   const main = viewer.camera;
   const Controls = viewer.controls.constructor;
   const close = main.clone();
@@ -84,30 +87,7 @@ _SCRIPT = """
   closeControls.addEventListener("change", () => viewer.set_dirty());
   const upright = viewer.scene.matrix.clone();
   const fromUpright = upright.clone(); (fromUpright.invert ? fromUpright.invert() : fromUpright.getInverse(upright));
-  const vector = (x, y, z) => main.position.clone().set(x, y, z);
-  const world = p => vector(p[0], p[2], -p[1]);
-
-  // As near as it can be with all points inside tangents (tx, ty) of the middle of the picture.
-  function fit(camera, controls, points, direction, tx, ty) {
-    const seen = points.map(world), back = world(direction).normalize();
-    const right = vector(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
-    const centre = vector(0, 0, 0);
-    seen.forEach(p => centre.addScaledVector(p, 1 / seen.length));
-    // A single point still needs a distance.
-    let distance = 1e-3;
-    for (let round = 0; round < 8; round++) {
-      const local = seen.map(p => p.clone().sub(centre)).map(p => ({ x: p.dot(right), y: p.dot(up), z: p.dot(back) }));
-      distance = Math.max(1e-3, ...local.map(p => p.z + Math.max(Math.abs(p.x) / tx, Math.abs(p.y) / ty)));
-      const middle = key => { const s = local.map(p => p[key] / (distance - p.z)); return (Math.max(...s) + Math.min(...s)) / 2; };
-      centre.addScaledVector(right, 0.7 * distance * middle("x")).addScaledVector(up, 0.7 * distance * middle("y"));
-    }
-    camera.fov = FOV; camera.near = distance / 200; camera.far = distance * 40; camera.zoom = 1;
-    camera.position.copy(centre).addScaledVector(back, distance);
-    controls.target.copy(centre);
-    controls.update();
-  }
-  const FOV = 26, TANGENT = Math.tan(FOV * Math.PI / 360);
-
+$camera
   let touched = false, touchedClose = false;
   viewer.controls.addEventListener("start", () => { touched = true; });
   closeControls.addEventListener("start", () => { touchedClose = true; });

@@ -1,0 +1,387 @@
+"""What follows from the numbers, in words a shop can act on: what is wrong most, what to do, what to measure, what never."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+from twin.calibration import Calibration
+from twin.channels import options_of
+from twin.diagnosis.words import listed, lower
+from twin.report.after import After
+from twin.report.contributions import Budget, Contribution
+from twin.report.identified import Identified
+from twin.report.numbers import UNKNOWN, expanded, figure, with_half
+from twin.report.readings import Checked
+
+Kind = Literal["do", "measure", "never", "unknown"]
+Mood = Literal["well", "wrong", "unknown"]
+NAMED: Final = 3
+WORTH: Final = 0.05
+"""Share of the error over the volume that a step must take away to be worth a visit to the machine."""
+MECHANICAL: Final = ("L-SQU", "R-POR")
+TABLES: Final = ("L-POS", "L-STR", "R-POS")
+SMALL_UM: Final = 2.0
+"""About what rounding to a µm of three axes, and splitting, leave: what is smaller is nothing to act on."""
+REPEATS: Final = 1e-3
+
+
+@final
+@dataclass(frozen=True)
+class Step:
+    """One thing to do or to leave.
+
+    Attributes:
+        kind: ``do``, ``measure``, ``never`` or ``unknown``.
+        title: in a few words.
+        text: with its numbers.
+    """
+
+    kind: Kind
+    title: str
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class Advice:
+    """The first screen.
+
+    Attributes:
+        headline: one sentence.
+        mood: how it is coloured.
+        wrong: what is wrong most, a line each.
+        steps: what to do, to measure, to leave.
+    """
+
+    headline: str
+    mood: Mood
+    wrong: tuple[str, ...]
+    steps: tuple[Step, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "headline": self.headline,
+            "wrong_most": list(self.wrong),
+            "steps": [{"kind": step.kind, "title": step.title, "text": step.text} for step in self.steps],
+        }
+
+
+def advise(
+    calibration: Calibration,
+    found: Budget,
+    outcome: After,
+    identified: Identified | None,
+    left_out: Mapping[str, tuple[str, ...]],
+    points: Sequence[Checked] = (),
+) -> Advice:
+    """Put the numbers into words.
+
+    Args:
+        calibration: as given.
+        found: what each error makes.
+        outcome: what compensation would leave.
+        identified: what `identify` said, or None.
+        left_out: effects that could not be worked out, by channel.
+        points: measured ones against the calibration.
+    """
+    total = found.total.rms_um
+    if not found.errors and not left_out:
+        return Advice(
+            "This calibration says nothing is wrong: it names no error.",
+            "unknown",
+            (),
+            (
+                Step("measure", "Measure it", "A file without errors is no perfect machine. " + _IDENTIFY),
+                Step(
+                    "never", "Take it for accurate", "Every error of this machine counts as zero here: nobody has told."
+                ),
+            ),
+        )
+    headline = (
+        f"The tool point is off by {figure(total, 'µm')} RMS over the working volume, and by up to "
+        f"{figure(found.total.max_um, 'µm')}."
+    )
+    steps = [
+        *_illustrative(calibration),
+        *_incomplete(left_out, identified),
+        *_misfit(points),
+        *_control(calibration, outcome),
+        *_compensate(calibration, found, outcome),
+        *_adjust(found),
+        # Where tables are on already, what more of them would do is not what they leave out of these errors.
+        *(_tables(found) if calibration.control is None else []),
+        *_measure(found, outcome),
+        *_never(calibration, found),
+    ]
+    return Advice(
+        headline,
+        "well" if found.total.max_um <= SMALL_UM else "wrong",
+        tuple(_line(one) for one in found.errors[:NAMED]),
+        tuple(sorted(steps, key=lambda step: _ORDER.index(step.kind))),
+    )
+
+
+_ORDER: Final = ("unknown", "do", "measure", "never")
+_IDENTIFY: Final = (
+    "`twin plan` says where, `twin identify` makes a calibration of it, with its uncertainty; `twin report` shows that."
+)
+
+
+def _line(one: Contribution) -> str:
+    unit = "µrad" if one.unit == "urad" else "µm"
+    return (
+        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, unit)}, which makes "
+        f"{figure(one.rms_um, 'µm')} RMS at the tool, up to {figure(one.max_um, 'µm')} "
+        f"(U {expanded(one.u_rms_um, complete=one.u_complete)})"
+    )
+
+
+def _illustrative(calibration: Calibration) -> list[Step]:
+    drawn = [curve.name for curve in calibration.curves.values() if curve.illustrative]
+    if not drawn:
+        return []
+    return [
+        Step(
+            "never",
+            "Cut, adjust or fill tables with this calibration",
+            f"{len(drawn)} of its {len(calibration.curves)} error motions are ILLUSTRATIVE: drawn, not measured. The numbers "
+            "below show what such a report looks like, nothing about your machine.",
+        )
+    ]
+
+
+def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified | None) -> list[Step]:
+    steps = [
+        Step(
+            "unknown",
+            f"{listed(names)} left out",
+            f"It depends on {channel}, which nobody gave: {options_of([channel])}. Every number here is without it.",
+        )
+        for channel, names in left_out.items()
+    ]
+    if identified is None:
+        return steps
+    if not identified.converged:
+        steps.append(Step("never", "Use this calibration", "The estimate it comes from did not settle."))
+    if identified.others:
+        steps.append(
+            Step(
+                "unknown",
+                "The identification is not this calibration's",
+                f"{identified.path.name} gives other numbers for {listed(identified.others)}: it belongs to another calibration, or "
+                "this one was changed since. What it says of the fit does not hold for these numbers.",
+            )
+        )
+    lack = identified.lack_p_value
+    if lack is not None and lack < REPEATS:
+        steps.append(
+            Step(
+                "measure",
+                "Find out what the model leaves out",
+                f"The readings differ from the model by something that repeats (reduced chi² {identified.reduced_chi2:.3g}): the "
+                "uncertainties here do not cover it. `twin diagnose` names it.",
+            )
+        )
+    elif identified.p_value < REPEATS:
+        steps.append(
+            Step(
+                "measure",
+                "See why the readings scatter",
+                f"They scatter more than was stated (reduced chi² {identified.reduced_chi2:.3g}): the uncertainties here are too "
+                "small. Identify again with `--uncertainty repeats`, or `twin diagnose`.",
+            )
+        )
+    return steps
+
+
+def _misfit(points: Sequence[Checked]) -> list[Step]:
+    """Of measured points that this calibration does not explain."""
+    return [
+        Step(
+            "measure",
+            "Find out why points do not fit",
+            f"{one.far:,} of the {one.points:,} points of {Path(one.source).name} are further off than scatter goes "
+            f"({figure(one.rms_after_um, 'µm')} RMS a coordinate over all). `twin diagnose {Path(one.source).name}` names the cause.",
+        )
+        for one in points
+        if one.far
+    ]
+
+
+def _control(calibration: Calibration, outcome: After) -> list[Step]:
+    control = calibration.control
+    if control is None:
+        return []
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for one in control.tables:
+        alike.setdefault(one.classes, []).append(one.file.name)
+    names = "; ".join(f"{listed(files)}: {' '.join(classes)}" for classes, files in alike.items())
+    if control.errors_are == "remaining":
+        text = f"These errors were measured with its tables on ({names}): they are what is left. A new table is added to them."
+    else:
+        bare = outcome.bare
+        was = (
+            ""
+            if bare is None
+            else f", from {figure(bare.rms_um, 'µm')} to {figure(outcome.before.rms_um, 'µm')} RMS at the tool"
+        )
+        text = (
+            f"Its tables ({names}) take their part out by themselves{was}. All numbers here are with them switched on."
+        )
+    return [Step("do", "Leave the control's tables on", text)]
+
+
+def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list[Step]:
+    if outcome.exact is None:
+        return [
+            Step(
+                "unknown", "No programs on this machine", "Compensation needs three linear and at most two rotary axes."
+            )
+        ]
+    if found.total.rms_um <= 0.0:
+        return []
+    file = "" if calibration.path is None else f" --calibration {calibration.path.name}"
+    length = found.kinematics.tool_length_mm
+    how = f"`twin compensate part.nc -o part.compensated.nc{file} --tool-length {length:g}{_conditions(found)}`"
+    start = figure(outcome.before.rms_um, "µm")
+    if outcome.likely is None:
+        text = (
+            f"{how}. From {start} RMS to {figure(outcome.exact.rms_um, 'µm')} if the calibration were exactly true. What it really "
+            f"leaves is {UNKNOWN}: the calibration gives no uncertainty."
+        )
+    else:
+        least = "" if outcome.complete else "at least "
+        text = (
+            f"{how}. From {start} RMS to {least}{figure(outcome.likely.rms_um, 'µm')} to be expected "
+            f"({figure(outcome.exact.rms_um, 'µm')} if the calibration were exactly true); 95 % of positions within "
+            f"{least}{figure(outcome.likely.quantile(0.95), 'µm')}."
+        )
+    if outcome.out_of_range:
+        share = 100.0 * outcome.out_of_range / outcome.poses
+        text += (
+            f" At {share:.2g} % of the positions, at the ends of the travel, the correction asks for more than the axes have: up to "
+            f"{figure(outcome.out_of_range_um, 'µm')} stays there."
+        )
+    title = "With measured numbers: compensate the programs" if calibration.illustrative else "Compensate the programs"
+    return [Step("do", title, text)]
+
+
+def _conditions(found: Budget) -> str:
+    """The options that give what the numbers were taken at."""
+    at = found.kinematics.conditions
+    warm = "".join(f" {name}={value:g}" for name, value in at.temperature_degC.items())
+    return f"{' --temperature' if warm else ''}{warm}{'' if at.time_s is None else f' --time {at.time_s:g}'}"
+
+
+def _adjust(found: Budget) -> list[Step]:
+    """What a mechanic could put right, where it is large enough and known to be there."""
+    done, doubted = [], []
+    for one in found.errors:
+        if one.iso_class not in MECHANICAL or one.illustrative:
+            continue
+        unit = "µrad" if one.unit == "urad" else "µm"
+        saved = found.total.rms_um - found.rms_without_um(lambda other, name=one.name: other.name != name)  # type: ignore[misc]
+        size = with_half(one.peak, one.peak_half, unit)
+        if not isfinite(one.peak_half):
+            if saved >= WORTH * found.total.rms_um:
+                doubted.append(f"{lower(one.words)} ({one.name})")
+        elif one.peak > one.peak_half and saved >= WORTH * found.total.rms_um:
+            rest = found.total.rms_um - saved
+            done.append(f"{one.words} ({one.name}) by {size}: put right, the volume comes to {figure(rest, 'µm')} RMS.")
+    steps = []
+    if done:
+        text = f"{' '.join(done)} Service, by mechanical alignment; afterwards measure again: this calibration then no longer holds."
+        steps.append(Step("do", "Or have it adjusted", text))
+    if doubted:
+        steps.append(
+            Step(
+                "measure",
+                "Before anything is adjusted",
+                f"How well {listed(doubted)} is known is {UNKNOWN}: measure it first.",
+            )
+        )
+    return steps
+
+
+def _tables(found: Budget) -> list[Step]:
+    """What the control's own tables could take out."""
+    total = found.total.rms_um
+    of = [name for name in TABLES if any(_tabled(one) and one.iso_class == name for one in found.errors)]
+    if not of or not total:
+        return []
+    rest = found.rms_without_um(lambda one: not _tabled(one))
+    worth = total - rest >= WORTH * total
+    gain = f"from {figure(total, 'µm')} to {figure(rest, 'µm')} RMS at the tool"
+    text = f"They take out positioning and straightness ({' '.join(of)}) for all programs at once: {gain}."
+    if worth:
+        return [Step("do", "Or fill the control's axis tables", f"{text} `twin control` writes them.")]
+    text += (
+        " These errors partly cancel the others." if rest > total else " The rest is tilts, squareness and rotary axes."
+    )
+    return [Step("never", "Expect much of the control's axis tables alone", text)]
+
+
+def _tabled(one: Contribution) -> bool:
+    """Whether a table over the position of an axis can take it out: not what comes with temperature."""
+    return one.iso_class in TABLES and one.rms_um > 0.0 and not one.name.startswith("thermal")
+
+
+def _measure(found: Budget, outcome: After) -> list[Step]:
+    known = [one for one in found.errors if isfinite(one.u_rms_um) and one.u_rms_um > 0.0]
+    if not known:
+        if not found.errors:
+            return []
+        return [
+            Step(
+                "measure", "How sure this is", f"U at the tool is {UNKNOWN}: no number has an uncertainty. {_IDENTIFY}"
+            )
+        ]
+    steps = []
+    weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
+    if outcome.likely is not None and outcome.exact is not None and outcome.likely.rms_um > 2.0 * outcome.exact.rms_um:
+        names = listed([f"{lower(one.words)} ({one.name}, U {figure(one.u_rms_um, 'µm')})" for one in weak])
+        reduce = " ".join(one.name for one in weak if one.name.startswith("E_"))
+        text = f"What compensation leaves is mostly what is not known: {names}. `twin plan -o plan.csv --reduce {reduce or 'tool'}`"
+        steps.append(Step("measure", "Measure again what is known worst", f"{text} says where to measure."))
+    if found.without_uncertainty:
+        steps.append(
+            Step("unknown", "U is a lower bound", f"{listed(found.without_uncertainty)}: a value, but no uncertainty.")
+        )
+    return steps
+
+
+def _never(calibration: Calibration, found: Budget) -> list[Step]:
+    steps = []
+    unproven = [
+        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, 'µrad' if one.unit == 'urad' else 'µm')})"
+        for one in found.errors
+        if one.iso_class in MECHANICAL and isfinite(one.peak_half) and 0.0 < one.peak <= one.peak_half
+    ]
+    if unproven:
+        steps.append(
+            Step("never", "Adjust what is not proven", f"{listed(unproven)}: smaller than its own uncertainty.")
+        )
+    if found.total.rms_um > 0.0 and not calibration.illustrative:
+        steps.append(
+            Step(
+                "never",
+                "Correct the same error twice",
+                "In the control's tables and in the programs, or adjusted and still in this calibration. What is changed at the "
+                "machine makes this calibration void for it.",
+            )
+        )
+    tilts = [one for one in found.errors if one.unit == "urad" and one.peak > 0.0 and one.rms_um == 0.0]
+    if tilts and found.kinematics.tool_length_mm == 0.0:
+        steps.append(
+            Step(
+                "unknown",
+                "Taken without a tool",
+                f"At tool length 0 mm {listed([one.name for one in tilts])} show nothing: say `--tool-length` as it is used.",
+            )
+        )
+    return steps

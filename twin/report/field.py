@@ -1,0 +1,231 @@
+"""The error of the tool point as a field over the linear axes, the rotary ones standing still, and U of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.budget import volume
+from twin.kinematics import Kinematics
+from twin.report.contributions import as_drawn
+from twin.show import finite
+from twin.uncertainty import ToolUncertainty
+
+COUNTS: Final = {1: 101, 2: 25, 3: 13}
+"""Positions an axis, by the number of linear axes: odd, so that the middle is among them."""
+DRAWN: Final = 7
+"""Arrows an axis, at most."""
+POSES: Final = 300
+"""Of a machine without linear axes."""
+
+
+@final
+@dataclass(frozen=True)
+class Slice:
+    """One plane of the field.
+
+    Attributes:
+        horizontal, vertical: names of the axes it lies along.
+        fixed: where the other axes stand, mm and degrees.
+        across, up: (a,), (b,) positions of the two, mm.
+        error_um: (b, a) size of the error of the tool point.
+        u_um: (b, a) U of it; NaN where it is not known.
+    """
+
+    horizontal: str
+    vertical: str
+    fixed: dict[str, float]
+    across: np.ndarray
+    up: np.ndarray
+    error_um: np.ndarray
+    u_um: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "horizontal": self.horizontal,
+            "vertical": self.vertical,
+            "fixed": self.fixed,
+            "across": self.across.tolist(),
+            "up": self.up.tolist(),
+            "error_um": self.error_um.tolist(),
+            "U_um": [[finite(u) for u in row] for row in self.u_um],
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Field:
+    """Errors of the tool point at many positions.
+
+    Attributes:
+        axes: names, in the order of the columns of ``positions``.
+        spread: names of the axes it is spread over: the linear ones, or all where there is none.
+        positions: (n, axes) commands, mm and degrees; on a grid over the linear axes, or drawn where there is none.
+        counts: of the grid, an axis of ``spread`` each; empty where there is none.
+        point_mm: (n, 3) where the tool was meant to be, in the work frame.
+        error_um: (n, 3) by how much it misses, each axis between its two directions of approach.
+        u_um: (n,) U of it; NaN where it is not known.
+        complete: whether everything that has a value has an uncertainty; if not, a known U is a lower bound.
+        slices: planes of the grid.
+    """
+
+    axes: tuple[str, ...]
+    spread: tuple[str, ...]
+    positions: np.ndarray
+    counts: tuple[int, ...]
+    point_mm: np.ndarray
+    error_um: np.ndarray
+    u_um: np.ndarray
+    complete: bool
+    slices: tuple[Slice, ...]
+
+    @property
+    def standing(self) -> dict[str, float]:
+        """Where the other axes stand."""
+        return {name: float(self.positions[0, i]) for i, name in enumerate(self.axes) if name not in self.spread}
+
+    @property
+    def size_um(self) -> np.ndarray:
+        """(n,) size of the error."""
+        return np.asarray(np.linalg.norm(self.error_um, axis=1))
+
+    @property
+    def mean_um(self) -> np.ndarray:
+        """(3,) mean error: what touching off a workpiece takes out."""
+        return np.asarray(self.error_um.mean(axis=0))
+
+    @property
+    def known(self) -> bool:
+        """Whether U is."""
+        return bool(np.all(np.isfinite(self.u_um)))
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Indices of the positions drawn as arrows: those of a coarser grid, ends included."""
+        if not self.counts:
+            return np.arange(len(self.positions))
+        thin = [np.unique(np.round(np.linspace(0, count - 1, min(count, DRAWN))).astype(int)) for count in self.counts]
+        return np.asarray(np.ravel_multi_index(np.meshgrid(*thin, indexing="ij"), self.counts).reshape(-1))
+
+    def edges(self) -> tuple[tuple[str, np.ndarray, np.ndarray], ...]:
+        """Edges of the box the grid makes, ends in mm in the work frame; one of each axis named, with its range."""
+        if not self.counts:
+            return ()
+        found = []
+        for i, name in enumerate(self.spread):
+            others = [(0, count - 1) for k, count in enumerate(self.counts) if k != i]
+            for first, corner in enumerate(product(*others)):
+                ends = []
+                for end in (0, self.counts[i] - 1):
+                    at = [*corner[:i], end, *corner[i:]]
+                    ends.append(int(np.ravel_multi_index(at, self.counts)))
+                low, high = (self.positions[end, self.axes.index(name)] for end in ends)
+                text = "" if first else f"{name} {low:g} … {high:g} mm".replace("-", "−")
+                found.append((text, self.point_mm[ends[0]], self.point_mm[ends[1]]))
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "axes": list(self.axes),
+            "spread": list(self.spread),
+            "standing": self.standing,
+            "rms_um": float(np.sqrt(np.mean(self.size_um**2))),
+            "max_um": float(self.size_um.max()),
+            "mean_um": self.mean_um.tolist(),
+            "U_known": self.known,
+            "U_complete": self.known and self.complete,
+            "positions": self.positions.tolist(),
+            "point_mm": self.point_mm.tolist(),
+            "error_um": self.error_um.tolist(),
+            "U_um": [finite(u) for u in self.u_um],
+            "slices": [one.to_dict() for one in self.slices],
+        }
+
+
+def field(kinematics: Kinematics) -> Field:
+    """The field of a machine with errors: rotary axes at zero, or as near to it as their range comes.
+
+    Args:
+        kinematics: machine, errors, tool, conditions.
+    """
+    machine = kinematics.machine
+    bounds = _bounds(kinematics)
+    linear = machine.linear[:3]
+    if linear:
+        counts = tuple(COUNTS[len(linear)] for _ in linear)
+        steps = [
+            np.linspace(low, high, counts[linear.index(i)])
+            if i in linear
+            else np.array([(low + high) / 2.0 if axis.linear else float(np.clip(0.0, low, high))])
+            for i, (axis, (low, high)) in enumerate(zip(machine.axes, bounds, strict=True))
+        ]
+        q = np.array(list(product(*steps)))
+        # Command order may put the linear axes in any order among the rotary ones; these have one position each.
+        spread = tuple(machine.names[i] for i in linear)
+    else:
+        counts, spread = (), machine.names
+        q = volume(machine, POSES)
+        q = q[~kinematics.outside_domain(q).any(axis=1)]
+    meant, reached = as_drawn(kinematics).forward(q), kinematics.forward(q)
+    error = (reached.point_mm - meant.point_mm) * 1e3
+    u = ToolUncertainty(kinematics).at(q)
+    return Field(
+        axes=machine.names,
+        spread=spread,
+        positions=locked(q),
+        counts=counts,
+        point_mm=meant.point_mm,
+        error_um=locked(error),
+        u_um=u.expanded_um,
+        complete=u.complete,
+        slices=_slices(machine.names, spread, q, counts, np.linalg.norm(error, axis=1), u.expanded_um),
+    )
+
+
+def _bounds(kinematics: Kinematics) -> np.ndarray:
+    """(axes, 2) ranges as far as the curves are defined, mm and degrees; of an axis without limits one turn."""
+    ranges = np.array([axis.domain for axis in kinematics.machine.axes])
+    domains = kinematics.calibration.domains()
+    return np.stack([np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1)
+
+
+def _slices(
+    axes: tuple[str, ...],
+    spread: tuple[str, ...],
+    q: np.ndarray,
+    counts: tuple[int, ...],
+    size: np.ndarray,
+    u: np.ndarray,
+) -> tuple[Slice, ...]:
+    """Of three axes three planes each way, at both ends and in the middle; of two the one there is; of one none."""
+    if len(counts) < 2:
+        return ()
+    columns = [axes.index(name) for name in spread]
+    at = [np.unique(q[:, column]) for column in columns]
+    grids = [values.reshape(counts) for values in (size, u)]
+    found = []
+    fixings: list[tuple[int, int] | None] = [None]
+    if len(counts) == 3:
+        fixings = [(axis, level) for axis in (2, 1, 0) for level in (0, counts[axis] // 2, counts[axis] - 1)]
+    for fixing in fixings:
+        left = [i for i in range(len(counts)) if fixing is None or i != fixing[0]]
+        planes = [grid if fixing is None else np.take(grid, fixing[1], axis=fixing[0]) for grid in grids]
+        fixed = {} if fixing is None else {spread[fixing[0]]: float(at[fixing[0]][fixing[1]])}
+        found.append(
+            Slice(
+                spread[left[0]],
+                spread[left[1]],
+                fixed,
+                locked(at[left[0]]),
+                locked(at[left[1]]),
+                locked(planes[0].T.copy()),
+                locked(planes[1].T.copy()),
+            )
+        )
+    return tuple(found)

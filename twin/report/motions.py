@@ -1,0 +1,194 @@
+"""Each error motion along its axis: value, 95 % interval, both directions where an axis loses motion, what the control takes out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.channels import APPROACH
+from twin.covariance import Covariance
+from twin.effects import Effect, PitchError, unit_of
+from twin.kinematics import Kinematics
+from twin.machine import DIRECTIONS
+from twin.report.words import named
+from twin.show import finite
+from twin.uncertainty import NORMAL_95
+
+FINE: Final = 361
+A_PERIOD: Final = 16
+"""Points a period of a periodic error is drawn with."""
+MOST: Final = 4001
+
+
+@final
+@dataclass(frozen=True)
+class Motion:
+    """One error motion of an axis as its commands go over the range, the other axes in the middle of theirs.
+
+    Attributes:
+        name: ISO 230-1 name.
+        words: the same in words.
+        axis: the axis.
+        linear: whether that is a linear one.
+        unit: ``um`` or ``urad``.
+        position: (k,) mm or degrees.
+        value: (k,) the mean of both directions of approach.
+        half: (k,) half width of the 95 % interval; NaN where it is not known.
+        ways: (2, k) coming from below and coming from above; None where it makes no difference.
+        corrected: (k,) what the control's own tables leave of it; None where they leave it alone.
+        order: degree, or harmonics, of its curve; None where it has none.
+        basis: of its curve, or empty.
+        source: where the numbers come from.
+        added: names of the effects in it beside its curve.
+        illustrative: whether it is drawn, not measured.
+    """
+
+    name: str
+    words: str
+    axis: str
+    linear: bool
+    unit: str
+    position: np.ndarray
+    value: np.ndarray
+    half: np.ndarray
+    ways: np.ndarray | None
+    corrected: np.ndarray | None
+    order: int | None
+    basis: str
+    source: str
+    added: tuple[str, ...]
+    illustrative: bool
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Its largest value by amount, either direction, and where."""
+        values = self.value[None] if self.ways is None else self.ways
+        row, column = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
+        return float(values[row, column]), float(self.position[column])
+
+    @property
+    def widest(self) -> float:
+        """Half width of its widest 95 % interval; NaN where it is not known."""
+        return float(self.half.max())
+
+    @property
+    def lost_um(self) -> float:
+        """Largest difference between the directions, by amount; zero where it makes no difference."""
+        return 0.0 if self.ways is None else float(np.abs(self.ways[0] - self.ways[1]).max())
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        peak, at = self.peak
+        return {
+            "name": self.name,
+            "words": self.words,
+            "axis": self.axis,
+            "unit": self.unit,
+            "peak": peak,
+            "peak_at": at,
+            "half_95_max": finite(self.widest),
+            "order": self.order,
+            "basis": self.basis,
+            "source": self.source,
+            "added": list(self.added),
+            "illustrative": self.illustrative,
+            "position": self.position.tolist(),
+            "value": self.value.tolist(),
+            "half_95": [finite(half) for half in self.half],
+            "from_below": None if self.ways is None else self.ways[0].tolist(),
+            "from_above": None if self.ways is None else self.ways[1].tolist(),
+            "with_control": None if self.corrected is None else self.corrected.tolist(),
+        }
+
+
+def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
+    """Every error motion that the calibration gives a value, in the order of the machine's names.
+
+    Args:
+        kinematics: machine, errors, conditions.
+    """
+    return tuple(found for name in kinematics.machine.motion_names if (found := _motion(kinematics, name)) is not None)
+
+
+def _motion(kinematics: Kinematics, name: str) -> Motion | None:
+    machine, calibration = kinematics.machine, kinematics.calibration
+    component, axis = DIRECTIONS.index(name[2]), machine.by_name[name[3:]]
+    own = [e for e in calibration.effects if e not in calibration.corrections and _acts(e, kinematics, axis.name)]
+    q = _positions(kinematics, axis.name, own)
+    state = _state(kinematics, axis.name, q)
+    parts = [effect for effect in own if component in effect.components(state)]
+    if not parts:
+        return None
+    value = _sum(parts, state, component)
+    ways = np.stack(
+        [_sum(parts, state | {f"{APPROACH}{axis.name}": side + 0.0 * q}, component) for side in (1.0, -1.0)]
+    )
+    tables = [table for table in calibration.corrections if table.axis.name == axis.name]
+    taken = _sum(tables, state, component)
+    curve = calibration.curves.get(name)
+    added = tuple(effect.name for effect in parts if effect.name != name)
+    count = 0 if curve is None else len(curve.coefficients)
+    return Motion(
+        name=name,
+        words=named(name, machine),
+        axis=axis.name,
+        linear=axis.linear,
+        unit=unit_of(name),
+        position=locked(q),
+        value=locked(value),
+        half=locked(_half(parts, state, component, calibration.covariance)),
+        ways=locked(ways) if np.any(ways[0] != ways[1]) else None,
+        corrected=locked(value + taken) if np.any(taken) else None,
+        order=None if curve is None else (count // 2 if curve.basis == "fourier" else count - 1),
+        basis="" if curve is None else curve.basis,
+        source="" if curve is None else curve.source,
+        added=added,
+        illustrative=curve is not None and curve.illustrative,
+    )
+
+
+def _acts(effect: Effect, kinematics: Kinematics, axis: str) -> bool:
+    """Whether it is a motion of that axis; squareness, a line, is told by its angle."""
+    squareness = kinematics.calibration.squareness
+    return effect.frame.axis == axis and effect.frame.role == "motion" and effect.name not in squareness
+
+
+def _positions(kinematics: Kinematics, axis: str, effects: Sequence[Effect]) -> np.ndarray:
+    """The range as far as the curves go, fine enough for what is periodic."""
+    one = kinematics.machine.by_name[axis]
+    low, high = one.domain
+    bounds = kinematics.calibration.domains()[kinematics.machine.names.index(axis)]
+    low, high = max(low, bounds[0]), min(high, bounds[1])
+    periods = [abs(effect.period) for effect in effects if isinstance(effect, PitchError)]
+    count = max([FINE, *(int((high - low) / period * A_PERIOD) + 1 for period in periods)])
+    return np.linspace(low, high, min(count, MOST))
+
+
+def _state(kinematics: Kinematics, axis: str, q: np.ndarray) -> dict[str, Any]:
+    machine = kinematics.machine
+    middle = {one.name: np.full(len(q), 0.0 if one.lower is None else sum(one.domain) / 2.0) for one in machine.axes}
+    state: dict[str, Any] = middle | {axis: q} | {f"{APPROACH}{one.name}": np.zeros(len(q)) for one in machine.axes}
+    return state | dict(kinematics.conditions.channels)
+
+
+def _sum(effects: Sequence[Effect], state: Mapping[str, Any], component: int) -> np.ndarray:
+    count = len(next(iter(state.values())))
+    return np.asarray(
+        sum((effect.components(state).get(component, 0.0) for effect in effects), np.zeros(count)), dtype=float
+    )
+
+
+def _half(effects: Sequence[Effect], state: Mapping[str, Any], component: int, covariance: Covariance) -> np.ndarray:
+    """1.96 √(fᵀ Σ f) with the derivatives f by all numbers; NaN where one of them has no uncertainty."""
+    count = len(next(iter(state.values())))
+    names = [parameter.name for effect in effects for parameter in effect.parameters]
+    if not set(names) <= set(covariance.names):
+        return np.full(count, np.nan)
+    rates = [rate.get(component, 0.0) for effect in effects for rate in effect.derivatives(state)]
+    shape = np.stack([np.broadcast_to(rate, count) for rate in rates])
+    variance = np.einsum("kn,kl,ln->n", shape, covariance.of(names).matrix, shape)
+    return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0)))

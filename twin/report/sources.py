@@ -1,0 +1,107 @@
+"""Where a report comes from: files with their digests, programs with their versions, seeds."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final, final
+
+from twin.budget import SEED
+from twin.calibration import Calibration
+from twin.control.section import digest
+from twin.parallel.versions import versions
+
+MORE: Final = ("matplotlib", "meshcat")
+MISSING: Final = "not installed"
+
+
+@final
+@dataclass(frozen=True)
+class Source:
+    """One file.
+
+    Attributes:
+        role: what it is.
+        path: where it was.
+        sha256: of its bytes.
+    """
+
+    role: str
+    path: Path
+    sha256: str
+
+
+@final
+@dataclass(frozen=True)
+class Sources:
+    """Everything a report was made of.
+
+    Attributes:
+        files: with their digests.
+        programs: name and version.
+        seeds: of draws, by what is drawn.
+        made: when.
+    """
+
+    files: tuple[Source, ...]
+    programs: tuple[tuple[str, str], ...]
+    seeds: tuple[tuple[str, int], ...]
+    made: datetime
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "files": [{"role": one.role, "path": str(one.path), "sha256": one.sha256} for one in self.files],
+            "programs": dict(self.programs),
+            "seeds": dict(self.seeds),
+            "made": self.made.isoformat(timespec="seconds"),
+        }
+
+
+def sources(
+    calibration: Calibration, identified: Path | None, measured: Sequence[Path], seed: int, made: datetime
+) -> Sources:
+    """What a report of a calibration is made of.
+
+    Args:
+        calibration: and its machine.
+        identified: JSON of the identification, if given.
+        measured: tables, if given.
+        seed: of the draws of what is not known.
+        made: when.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    machine = calibration.machine
+    files = [("machine file", machine.path), ("URDF", machine.urdf)]
+    if calibration.path is not None:
+        files.append(("calibration", calibration.path))
+    if identified is not None:
+        files.append(("identification", identified))
+    files += [("measured", path) for path in measured]
+    # Of the control's tables what the calibration says of them: where they are not read, they need not be here.
+    tables = () if calibration.control is None else calibration.control.tables
+    return Sources(
+        files=(
+            *(Source(role, path, digest(path)) for role, path in files),
+            *(Source(f"table in the control ({one.format})", one.file, one.sha256) for one in tables),
+        ),
+        programs=(
+            *(versions() | {"python": platform.python_version()}).items(),
+            *((name, _version(name)) for name in MORE),
+        ),
+        seeds=(("poses of the volume and sides of approach", SEED), ("what is not known of the calibration", seed)),
+        made=made,
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return MISSING
