@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import sys
 
-from twin.cli import info, volume, compensate, path, scene, simulate, identify, axis_run, diagnose, plan  # isort: skip  # in this order in the help
+# In this order in the help.
+from twin.cli import info, compare, volume, compensate, path, scene, simulate  # isort: skip
+from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
+from twin.cli.complete import told_word_by_word
+from twin.cli.usage import UsageError, help_of, line_of_usage
 from twin.errors import InputError, OutputError
 from twin.options import gathered
 
 __all__ = [
     "app",
     "axis_run",
+    "compare",
     "compensate",
+    "control",
     "diagnose",
+    "doc",
+    "doctor",
     "identify",
     "info",
     "main",
     "path",
     "plan",
+    "report",
     "scene",
     "simulate",
     "volume",
@@ -28,7 +37,20 @@ __all__ = [
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: exit 0 done, 2 bad input or usage, 3 done but something could not be met, all of it listed."""
     try:
-        app(args=gathered(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        # Not standalone: the parser's own errors are told in one line, as all others.
+        told_word_by_word()
+        words = gathered(sys.argv[1:] if arguments is None else arguments)
+        status = app(args=words, prog_name="twin", standalone_mode=False)
+        if status == INTERRUPTED:  # the parser's own way to pass on Ctrl-C
+            raise KeyboardInterrupt
+        sys.exit(status if isinstance(status, int) else 0)
+    except UsageError as error:
+        shown = help_of(error)
+        if shown is None:
+            print(f"twin: {line_of_usage(error)}", file=sys.stderr)
+        else:
+            print(shown, end="")
+        sys.exit(BAD_INPUT)
     except InputError as error:
         print(f"twin: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -36,5 +58,5 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"twin: defect, nothing written: {error}", file=sys.stderr)
         sys.exit(NOT_ALL_MET)
     except KeyboardInterrupt:
-        print("twin: interrupted, nothing written", file=sys.stderr)
+        print("twin: interrupted, nothing half written", file=sys.stderr)
         sys.exit(INTERRUPTED)

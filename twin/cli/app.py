@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from twin.calibration import Calibration
 from twin.channels import Conditions
+from twin.cli import complete
 from twin.iso16907 import NAMES
 from twin.machine import Machine
 
@@ -38,10 +39,22 @@ class Mode(StrEnum):
 
 
 MachineOption = Annotated[
-    str, typer.Option("--machine", "-m", help="Machine file, or the name of one that comes with twin.")
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        help="Machine file, or the name of one that comes with twin.",
+        autocompletion=complete.machines,
+    ),
 ]
 CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", "-c", help="Calibration file; the machine file's own if not given.")
+    Path | None,
+    typer.Option(
+        "--calibration",
+        "-c",
+        help="Calibration file; the machine file's own if not given.",
+        autocompletion=complete.calibrations,
+    ),
 ]
 ToolOption = Annotated[float | None, typer.Option("--tool-length", help="mm from spindle nose to tool tip.")]
 OffsetOption = Annotated[
@@ -66,7 +79,10 @@ TimeOption = Annotated[
         "the whole program, so take its middle. A machine warmed through: a large number.",
     ),
 ]
-ScopeOption = Annotated[list[str] | None, typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.")]
+ScopeOption = Annotated[
+    list[str] | None,
+    typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.", autocompletion=complete.classes),
+]
 RotaryLimitOption = Annotated[
     float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
 ]
@@ -90,6 +106,11 @@ def tell_unused(at: Conditions, errors: Calibration) -> None:
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     """The calibration of that file, or the machine file's own."""
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
+
+
+def examples(*lines: str) -> str:
+    """What stands under a command's ``--help``: calls to copy, one a line."""
+    return "\n\n".join(("Examples:", *lines))
 
 
 @contextmanager

@@ -12,14 +12,21 @@ import numpy as np
 import typer
 
 from twin.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run, to_dict, to_text
-from twin.cli.app import NOT_ALL_MET, CalibrationOption, JsonOption, MachineOption, app, calibration_of
-from twin.errors import InputError
+from twin.cli import complete
+from twin.cli.app import NOT_ALL_MET, CalibrationOption, JsonOption, MachineOption, app, calibration_of, examples
+from twin.errors import InputError, nearest
 from twin.files import check_writable, write_whole
 from twin.machine import Machine
 from twin.nc import find_program
 
 LayoutOption = Annotated[
-    Path, typer.Option("--layout", "-l", help="The interferometer's layout file, or one that comes with twin.")
+    Path,
+    typer.Option(
+        "--layout",
+        "-l",
+        help="The interferometer's layout file, or one that comes with twin.",
+        autocompletion=complete.layouts,
+    ),
 ]
 
 
@@ -30,9 +37,17 @@ class RunScatter(StrEnum):
     repeats = "repeats"
 
 
-@app.command("axis-run")
+@app.command(
+    "axis-run",
+    epilog=examples(
+        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv",
+        "twin axis-run run.csv --layout nine_beams_x.yaml -o x_axis.yaml --json x_axis.json",
+    ),
+)
 def axis_run(
-    readings: Annotated[Path, typer.Argument(help="The table of readings: a column a beam.")],
+    readings: Annotated[
+        Path, typer.Argument(help="The table of readings: a column a beam.", autocompletion=complete.tables)
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis.")],
     layout: LayoutOption,
     machine: MachineOption = "dmu50",
@@ -42,10 +57,7 @@ def axis_run(
     ] = RunScatter.stated,
     json_file: JsonOption = None,
 ) -> None:
-    """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty.
-
-    twin axis-run run.csv --layout nine_beams_x.yaml -o x_axis.yaml
-    """
+    """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty."""
     loaded = Machine.load(machine)
     written = [path for path in (output, json_file) if path is not None]
     check_writable(written)
@@ -66,7 +78,13 @@ def axis_run(
         raise typer.Exit(NOT_ALL_MET)
 
 
-@app.command("simulate-run")
+@app.command(
+    "simulate-run",
+    epilog=examples(
+        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv --seed 7",
+        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o quiet.csv --no-noise --json quiet.json",
+    ),
+)
 def simulate_axis_run(
     output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings.")],
     layout: LayoutOption,
@@ -76,16 +94,16 @@ def simulate_axis_run(
     rounds: Annotated[int, typer.Option("--rounds", help="Forth and back so often.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+    json_file: JsonOption = None,
 ) -> None:
-    """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer.
-
-    twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv --seed 7
-    """
+    """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer."""
     loaded = Machine.load(machine)
-    check_writable([output])
+    outputs = [path for path in (output, json_file) if path is not None]
+    check_writable(outputs)
     standing = AxisLayout.load(_layout_file(layout), loaded)
-    if _layout_file(layout).resolve() == output.resolve():
-        raise InputError("the output is the layout itself", expected="another file", file=output)
+    inputs = {path.resolve() for path in (_layout_file(layout), calibration) if path is not None}
+    if inputs & {path.resolve() for path in outputs}:
+        raise InputError("the output is an input itself", expected="another file", file=output)
     for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
         if value < 0:
             raise InputError(f"{name} is too small", expected="--seed 0 or more, --rounds 1 or more", value=value)
@@ -110,7 +128,22 @@ def simulate_axis_run(
         f"seed {seed}, {'with' if noise else 'without'} noise\nthe layout really stands off by (m, rad, 1): {known}"
     )
     table.save(output, standing, comment=comment)
-    print(f"written: {output}, {len(table)} rows")
+    if json_file is not None:
+        told = {
+            "schema": "twin.simulated_run/1",
+            "readings": str(output),
+            "machine": loaded.name,
+            "calibration": None if truth.path is None else str(truth.path),
+            "illustrative": truth.illustrative,
+            "layout": standing.name,
+            "axis": standing.axis.name,
+            "seed": seed,
+            "noise": noise,
+            "rows": len(table),
+            "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
+        }
+        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+    print(f"written: {', '.join(str(path) for path in outputs)}, {len(table)} rows")
 
 
 def _layout_file(path: Path) -> Path:
@@ -118,7 +151,10 @@ def _layout_file(path: Path) -> Path:
         return find_program(path)  # looks for a file of any kind
     except InputError:
         raise InputError(
-            "no such layout", expected="a layout file, or one that comes with twin: nine_beams_x.yaml", file=path
+            "no such layout",
+            expected="a layout file, or one that comes with twin: nine_beams_x.yaml",
+            file=path,
+            nearest=nearest(path.name, ["nine_beams_x.yaml"]),
         ) from None
 
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from twin.calibration import Calibration
+from twin.cli import complete
 from twin.cli.app import (
     BAD_INPUT,
     INTERRUPTED,
@@ -33,6 +34,7 @@ from twin.cli.app import (
     WorkersOption,
     app,
     calibration_of,
+    examples,
     progress,
 )
 from twin.compensation import Compensator, Options
@@ -56,13 +58,21 @@ class Method(StrEnum):
     thesis = "thesis"
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin compensate cone_frustum.nc -o compensated.nc --tool-length 120 --json report.json",
+        "twin compensate part.nc -o part.compensated.nc --calibration mine.yaml --scope L-VOL R-VOL",
+        "twin compensate warm.h -o warm.compensated.h -c better.yaml --temperature X=23.1 bed=21 --time 7200",
+        "twin compensate a.nc b.nc c.h -o out/ --workers 2",
+    )
+)
 def compensate(
     programs: Annotated[
         list[Path],
         typer.Argument(
             metavar="PROGRAM",
             help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin. Or several.",
+            autocompletion=complete.programs,
         ),
     ],
     output: Annotated[
@@ -91,12 +101,8 @@ def compensate(
 ) -> None:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
-    twin compensate part.nc -o part.compensated.nc --tool-length 120 --json report.json
-
     A calibration extended by twin diagnose may need more: temperatures (--temperature X=23.1 bed=21) and, for a warm-up, the time
     (--time). Reversals need nothing: the side each axis comes from follows from the program.
-
-    twin compensate a.nc b.nc c.h -o out/ --workers 8
 
     Several programs go into a folder, each under its own name, with its report beside it (.report.txt, .report.json); --json and
     --report then take the account of all of them. One that cannot be compensated does not stop the others. The exit status is the
@@ -215,5 +221,6 @@ def _several(
         print(f"twin: {outcome.error}", file=sys.stderr)
     if interrupted:
         print(f"twin: interrupted, {len(told) - len(failed)} of {len(programs)} programs written", file=sys.stderr)
+        sys.exit(status)
     if status:
         raise typer.Exit(status)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
@@ -15,6 +16,7 @@ from twin.cli.app import (
     MachineOption,
     app,
     calibration_of,
+    examples,
     progress,
 )
 from twin.diagnosis import diagnose as run_diagnosis
@@ -26,15 +28,25 @@ from twin.measurement import load as load_measurements
 from twin.options import instrument_named
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin diagnose measured.csv --calibration mine.yaml --html diagnosis.html",
+        "twin diagnose first.csv second.csv -c mine.yaml --json diagnosis.json --extended better.yaml",
+    )
+)
 def diagnose(
-    measured: Annotated[list[Path], typer.Argument(help="The measurement table, or several of one machine.")],
+    measured: Annotated[
+        list[Path],
+        typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
+    ],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     instrument: Annotated[
         str | None,
         typer.Option(
-            "--instrument", help="Whose scatter to take; if not given: the table's uncertainties, else the repeats'."
+            "--instrument",
+            help="Whose scatter to take; if not given: the table's uncertainties, else the repeats'.",
+            autocompletion=complete.instruments,
         ),
     ] = None,
     json_file: JsonOption = None,
@@ -43,10 +55,7 @@ def diagnose(
         Path | None, typer.Option("--extended", help="Write the calibration with what was found of the machine.")
     ] = None,
 ) -> None:
-    """Show what the model gets wrong about measured data, and name the cause.
-
-    twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --extended better.yaml
-    """
+    """Show what the model gets wrong about measured data, and name the cause."""
     loaded = Machine.load(machine)
     outputs = [path for path in (json_file, html_file, extended) if path is not None]
     check_writable(outputs)

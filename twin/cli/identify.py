@@ -10,21 +10,23 @@ from typing import Annotated
 
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     JsonOption,
     MachineOption,
     app,
+    examples,
     progress,
 )
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.files import check_writable, write_whole
 from twin.identification import identify as run_identification
 from twin.instruments import INSTRUMENTS
 from twin.machine import Machine
 from twin.measurement import joined
 from twin.measurement import load as load_measurements
-from twin.options import instrument_named
+from twin.options import instrument_named, tables_on
 
 
 class Scatter(StrEnum):
@@ -36,9 +38,19 @@ class Scatter(StrEnum):
     between_rounds = "between rounds"
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin identify measured.csv -o mine.yaml --json identified.json",
+        "twin identify measured.csv -o x.yaml --only E_*X",
+        "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
+        "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
+    )
+)
 def identify(
-    measured: Annotated[list[Path], typer.Argument(help="The measurement table, or several of one machine.")],
+    measured: Annotated[
+        list[Path],
+        typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
     machine: MachineOption = "dmu50",
     instrument: Annotated[
@@ -46,6 +58,7 @@ def identify(
         typer.Option(
             "--instrument",
             help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
+            autocompletion=complete.instruments,
         ),
     ] = None,
     spread: Annotated[
@@ -56,14 +69,23 @@ def identify(
         ),
     ] = Scatter.stated,
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.")
+        list[str] | None,
+        typer.Option(
+            "--only",
+            help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.",
+            autocompletion=complete.errors,
+        ),
+    ] = None,
+    control: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--control",
+            help="FORMAT=FILE, once a file: the control's own tables that were on while it was measured (twin doc control).",
+        ),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Identify error motions, squareness and axis locations from measured points, with their uncertainty.
-
-    twin identify measured.csv -o mine.yaml --json report.json
-    """
+    """Identify error motions, squareness and axis locations from measured points, with their uncertainty."""
     loaded = Machine.load(machine)
     check_writable([path for path in (output, json_file) if path is not None])
     if {path.resolve() for path in measured} & {path.resolve() for path in (output, json_file) if path is not None}:
@@ -72,8 +94,12 @@ def identify(
     for pattern in only or []:
         if not fnmatch.filter(names, pattern):
             raise InputError(
-                "--only names no error of this machine", expected=f"among {', '.join(names)}", value=pattern
+                "--only names no error of this machine",
+                expected=f"among {', '.join(names)}",
+                value=pattern,
+                nearest=nearest(pattern, names),
             )
+    tables = tables_on(control, loaded) if control else None
     with progress() as say:
         say("reading", 0.0)
         data = joined([load_measurements(path, loaded) for path in measured])
@@ -85,10 +111,14 @@ def identify(
             spread=spread.value,
             say=say,
         )
-    found.calibration.save(output)
+    found.calibration.with_control(tables).save(output)
     if json_file is not None:
         write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
     print(found.to_text(), end="")
+    if tables is not None:
+        print(
+            "\nThese errors are what the control's tables left: leave them on; add to them, never replace them (twin control --add)."
+        )
     print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
     if not found.complete:
         raise typer.Exit(NOT_ALL_MET)

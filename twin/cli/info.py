@@ -2,44 +2,82 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from twin.budget import BudgetRow, error_budget, known_at
+from twin.calibration import Calibration
 from twin.channels import options_of
 from twin.cli.app import (
     CalibrationOption,
+    JsonOption,
     MachineOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
     app,
     calibration_of,
+    examples,
+    progress,
     tell_unused,
 )
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.native import in_use
 from twin.options import conditions
-from twin.uncertainty import DEFINITION, ToolUncertainty
+from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
+
+SCHEMA = "twin.info/1"
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin info",
+        "twin info --machine trunnion_ac",
+        "twin info --calibration mine.yaml --tool-length 120 --json budget.json",
+    )
+)
 def info(
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Axes, ranges, frames and the error budget of a machine."""
     loaded = Machine.load(machine)
+    outputs = [] if json_file is None else [json_file]
+    check_writable(outputs)
+    given = (calibration, loaded.path, loaded.urdf, loaded.default_calibration)
+    inputs = {path.resolve() for path in given if path is not None}
+    if inputs & {path.resolve() for path in outputs}:
+        raise InputError("an output is one of the inputs", expected="another file", file=json_file)
     errors = calibration_of(calibration, loaded)
     at = conditions(temperature, time)
     at.check(errors)
+    known, missing = known_at(at, errors)
+    kinematics = Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)
+    with progress() as say:
+        say("budget", 0.0)
+        rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
+        say("uncertainty", 0.8)
+        over, without = _uncertainty(kinematics)
+    if json_file is not None:
+        told = _told(loaded, errors, kinematics, rows, classes)
+        told["uncertainty"] = {
+            **(over.to_dict() if over is not None else {"known": False}),
+            "without_uncertainty": without,
+        }
+        told["left_out"] = {channel: list(by) for channel, by in missing.items()}
+        write_whole(json_file, json.dumps(told, indent=1) + "\n")
     console = Console()
     console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
     console.print(
@@ -79,12 +117,8 @@ def info(
         f"squareness {' '.join(loaded.squareness_names) or 'none'}, locations {' '.join(loaded.location_names) or 'none'}\n",
         highlight=False,
     )
-    known, missing = known_at(at, errors)
-    rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
-    length = loaded.tool_length_mm if tool_length is None else tool_length
-    console.print(
-        _budget_table(f"Error budget at the tool over the volume, tool length {length:g} mm", rows, peak=True)
-    )
+    title = f"Error budget at the tool over the volume, tool length {kinematics.tool_length_mm:g} mm"
+    console.print(_budget_table(title, rows, peak=True))
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
@@ -97,19 +131,82 @@ def info(
     tell_unused(at, errors)
     for channel, effects in missing.items():
         console.print(f"left out: {', '.join(effects)} (needs {options_of([channel])})", highlight=False)
-    for line in _uncertainty_lines(Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)):
-        console.print(line, highlight=False, soft_wrap=True)
+    if not known.empty:
+        for line in _uncertainty_lines(over, without):
+            console.print(line, highlight=False, soft_wrap=True)
+    if outputs:
+        console.print(f"\nwritten: {json_file}", highlight=False, soft_wrap=True)
 
 
-def _uncertainty_lines(kinematics: Kinematics) -> list[str]:
-    """What is known of the tool point over the volume, and what is not."""
-    if kinematics.calibration.empty:
-        return []
+def _uncertainty(kinematics: Kinematics) -> tuple[UncertaintyMap | None, list[str]]:
+    """U over the volume, None if nothing has a covariance; and what has none."""
     found = ToolUncertainty(kinematics)
-    missing = ", ".join(found.without_uncertainty)
-    if not found.parameters:
+    return found.over_volume() if found.parameters else None, list(found.without_uncertainty)
+
+
+def _told(
+    machine: Machine,
+    calibration: Calibration,
+    kinematics: Kinematics,
+    rows: tuple[BudgetRow, ...],
+    classes: tuple[BudgetRow, ...],
+) -> dict[str, Any]:
+    """For JSON: what is printed; null where it is unknown."""
+    return {
+        "schema": SCHEMA,
+        "twin": version("twin"),
+        "machine": machine.name,
+        "machine_file": str(machine.path),
+        "urdf": str(machine.urdf),
+        "calibration": None if calibration.path is None else str(calibration.path),
+        "source": calibration.source,
+        "illustrative": calibration.illustrative,
+        "inverse": in_use(),
+        "axes": [
+            {
+                "name": axis.name,
+                "kind": "linear" if axis.linear else "rotary",
+                "range": None if axis.lower is None else [axis.lower, axis.upper],
+                "unit": axis.unit,
+                "least_increment": axis.increment,
+                "side": axis.side,
+                "joint": axis.joint,
+            }
+            for axis in machine.axes
+        ],
+        "error_frames": [
+            {"axis": frame.axis, "role": frame.role, "components": list(machine.error_names(frame))}
+            for frame in machine.frames
+        ],
+        "squareness": list(machine.squareness_names),
+        "location": list(machine.location_names),
+        "tool_length_mm": kinematics.tool_length_mm,
+        "conditions": dict(kinematics.conditions.channels),
+        "errors": [_row(row) for row in rows],
+        "classes": [_row(row) for row in classes],
+    }
+
+
+def _row(row: BudgetRow) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "class": row.iso_class,
+        "unit": row.unit or None,
+        "peak": row.peak if np.isfinite(row.peak) else None,
+        "peak_u": row.peak_u if np.isfinite(row.peak_u) else None,
+        "tool_rms_um": row.tool_rms_um,
+        "tool_max_um": row.tool_max_um,
+        "tilt_rms_urad": list(row.tilt_rms_urad),
+        "tilt_max_urad": list(row.tilt_max_urad),
+        "illustrative": row.illustrative,
+    }
+
+
+def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
+    """What is known of the tool point over the volume, and what is not."""
+    missing = ", ".join(without)
+    if over is None:
         return ["uncertainty of the tool point: unknown (no covariance in the calibration)"]
-    over = found.over_volume()
     place = ", ".join(f"{name} {round(value)}" for name, value in over.where.items())
     least = "at least " if missing else ""
     lines = [

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
@@ -24,6 +25,7 @@ from twin.cli.app import (
     ToolOption,
     app,
     calibration_of,
+    examples,
     progress,
 )
 from twin.compensation import Options
@@ -39,7 +41,12 @@ from twin.paths.points import is_points
 from twin.paths.refit import DEFAULT_TOLERANCE_MM
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin path cone_frustum.nc -o fewer.nc --tolerance 0.02 --tool-length 120 --json fewer.json",
+        "twin path points.csv -o points.nc --no-compensate --feed 2000",
+    )
+)
 def path(
     source: Annotated[
         Path,
@@ -47,6 +54,7 @@ def path(
             metavar="INPUT",
             help="NC program: ISO, Heidenhain .h, APT .cls, or one that comes with twin; or points: .csv with x_mm,y_mm,z_mm and "
             "nothing more, one column a rotary axis (B_deg,C_deg), or a tool vector i,j,k.",
+            autocompletion=lambda incomplete: complete.programs(incomplete) + complete.tables(incomplete),
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks.")],
@@ -71,8 +79,6 @@ def path(
     json_file: JsonOption = None,
 ) -> None:
     """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
-
-    twin path part.nc -o part.fewer.nc --tolerance 0.01 --tool-length 120 --json report.json
 
     The tolerance holds for the path the machine with its errors executes; corners stay corners, everything that is no run passes
     through as it is.

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
@@ -16,6 +17,7 @@ from twin.cli.app import (
     ToolOption,
     app,
     calibration_of,
+    examples,
     progress,
 )
 from twin.errors import InputError
@@ -32,7 +34,14 @@ MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin plan -o plan.csv --minutes 120",
+        "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
+        'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
+        "twin plan --judge thesis_plan.csv --json judged.json",
+    )
+)
 def plan(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The plan: a table without coordinates.")
@@ -44,6 +53,7 @@ def plan(
         typer.Option(
             "--kit",
             help="What there is to measure with (schema twin.kit/1; dmu50 comes with twin); a guess if not given.",
+            autocompletion=complete.kits,
         ),
     ] = None,
     minutes: Annotated[
@@ -55,37 +65,46 @@ def plan(
         typer.Option(
             "--reduce",
             help="What to make small: tool (default), everything (D-optimal), weakest (the worst direction), or errors: E_C0Y E_*C.",
+            autocompletion=complete.aims,
         ),
     ] = None,
     causes: Annotated[
         tuple[str, str] | None,
         typer.Option(
-            "--separate", help='Two causes to tell apart, quoted: "reversal Y" "pitch_error X amplitude=2 period=10".'
+            "--separate",
+            help='Two causes to tell apart, quoted: "reversal Y" "pitch_error X amplitude=2 period=10".',
+            autocompletion=complete.causes,
         ),
     ] = None,
     after: Annotated[
-        Path | None, typer.Option("--after", help="With --separate: what has been measured already (a table).")
+        Path | None,
+        typer.Option(
+            "--after",
+            help="With --separate: what has been measured already (a table).",
+            autocompletion=complete.tables,
+        ),
     ] = None,
     judged: Annotated[
-        Path | None, typer.Option("--judge", help="Make no plan: say what this one will tell, and how long it takes.")
+        Path | None,
+        typer.Option(
+            "--judge",
+            help="Make no plan: say what this one will tell, and how long it takes.",
+            autocompletion=complete.plans,
+        ),
     ] = None,
     instrument: Annotated[
-        str, typer.Option("--instrument", help=f"With --judge: {', '.join(one.name for one in INSTRUMENTS)}.")
+        str,
+        typer.Option(
+            "--instrument",
+            help=f"With --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
+            autocompletion=complete.instruments,
+        ),
     ] = "tracker",
     tool_length: ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the poses tried.")] = 0,
     json_file: JsonOption = None,
 ) -> None:
-    """Plan the next measurement worth making: what tells most in the time there is.
-
-    twin plan -o plan.csv --minutes 120
-
-    twin plan -o plan.csv --kit kit.yaml --reduce E_C0Y E_A0Z
-
-    twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv
-
-    twin plan --judge thesis_plan.csv
-    """
+    """Plan the next measurement worth making: what tells most in the time there is."""
     loaded = Machine.load(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     errors = calibration_of(calibration, loaded)
@@ -108,14 +127,10 @@ def plan(
         raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     if judged is not None:
         table = load_measurements(plan_file(judged), loaded, plan=True)
-        told = judge(
-            table,
-            loaded,
-            instrument=instrument_named(instrument),
-            expected=errors,
-            known=own.known,
-            tool_length_mm=tool_length,
-        )
+        reader = instrument_named(instrument)
+        with progress() as say:
+            say("judging", 0.0)
+            told = judge(table, loaded, instrument=reader, expected=errors, known=own.known, tool_length_mm=tool_length)
         seconds = duration(loaded, own, table)
         print(f"{judged}: {len(table)} readings with {instrument}, {seconds / 60.0:.0f} minutes by the kit's times\n")
         print(told.to_text(), end="")

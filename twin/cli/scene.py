@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
+    JsonOption,
     MachineOption,
     Mode,
     ModeOption,
@@ -20,22 +24,27 @@ from twin.cli.app import (
     ToolOption,
     app,
     calibration_of,
+    examples,
     progress,
     tell_unused,
 )
 from twin.errors import InputError
-from twin.execute import execute
 from twin.files import check_writable, write_whole
-from twin.kinematics import Kinematics
 from twin.machine import Machine
-from twin.nc import find_program, read_program
+from twin.nc import find_program
 from twin.options import conditions, positive, setup
-from twin.toolpath import WordSpace, follow
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin scene cone_frustum.nc -o scene.html --tool-length 120",
+        "twin scene part.nc -o scene.html --calibration mine.yaml --exaggeration 500 --json scene.json",
+    )
+)
 def scene(
-    program: Annotated[Path, typer.Argument(help="NC program, or one that comes with twin.")],
+    program: Annotated[
+        Path, typer.Argument(help="NC program, or one that comes with twin.", autocompletion=complete.programs)
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file.")],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
@@ -46,45 +55,53 @@ def scene(
     exaggeration: Annotated[float | None, typer.Option("--exaggeration", help="Factor on the drawn deviation.")] = None,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    json_file: JsonOption = None,
 ) -> None:
-    """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network.
-
-    twin scene part.nc -o scene.html --tool-length 120
-    """
-    from twin.scene import ScenePath, scene_html  # meshcat takes its time, and only this command needs it
+    """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network."""
+    from twin.scene import draw_program  # meshcat takes its time, and only this command needs it
 
     loaded = Machine.load(machine)
     source = find_program(program)
-    read, dialect = read_program(source)
-    check_writable([output])
+    outputs = [path for path in (output, json_file) if path is not None]
+    check_writable(outputs)
+    if {path.resolve() for path in (source, calibration) if path is not None} & {path.resolve() for path in outputs}:
+        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     if exaggeration is not None:
         positive("--exaggeration", exaggeration)
     errors = calibration_of(calibration, loaded)
     at = conditions(temperature, time)
-    at.require(errors)
-    real = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
-    space = WordSpace(loaded, setup(loaded, work_offset, work_origin), tool_length)
     with progress() as say:
-        say("reading", 0.0)
-        path = follow(read, dialect.moves(read, space.axes, tcp=mode is Mode.tcp), space)
-        say("running", 0.2)
-        run = execute(read, path, space, real)
-        if len(run.positions) < 2:
-            raise InputError(
-                "nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source
-            )
-        say("drawing", 0.5)
-        drawn = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
-        html = scene_html(
-            real,
-            drawn,
-            title=f"{source.name} on {loaded.name}",
+        drawn = draw_program(
+            source,
+            loaded,
+            errors,
+            tool_length_mm=tool_length,
+            tcp=mode is Mode.tcp,
+            setup=setup(loaded, work_offset, work_origin),
+            conditions=at,
             exaggeration=exaggeration,
-            illustrative=errors.illustrative,
+            progress=say,
         )
-    write_whole(output, html)
+    run = drawn.execution
+    drawn.save(output)
+    if json_file is not None:
+        distance = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
+        told = {
+            "schema": "twin.scene/1",
+            "scene": str(output),
+            "program": str(source),
+            "machine": loaded.name,
+            "calibration": None if errors.path is None else str(errors.path),
+            "illustrative": errors.illustrative,
+            "tool_length_mm": loaded.tool_length_mm if tool_length is None else tool_length,
+            "points": len(run.positions),
+            "left_out": run.left_out,
+            "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
+            "largest_at_line": int(run.lines[int(np.argmax(distance))]),
+        }
+        write_whole(json_file, json.dumps(told, indent=1) + "\n")
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
-    print(f"written: {output}{left}")
+    print(f"written: {', '.join(str(path) for path in outputs)}{left}")
     tell_unused(at, errors)
     if run.left_out:
         raise typer.Exit(NOT_ALL_MET)

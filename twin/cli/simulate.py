@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -9,15 +10,19 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
+    JsonOption,
     MachineOption,
     app,
     calibration_of,
+    examples,
+    progress,
 )
 from twin.errors import InputError
-from twin.files import check_writable
+from twin.files import check_writable, write_whole
 from twin.instruments import INSTRUMENTS
 from twin.machine import Machine
 from twin.measurement import load as load_measurements
@@ -25,19 +30,31 @@ from twin.options import instrument_named, plan_file, surroundings
 from twin.simulate import simulate as run_simulation
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin simulate thesis_plan.csv -o measured.csv --seed 7",
+        "twin simulate thesis_plan.csv -o lengths.csv --instrument interferometer --json lengths.json",
+        "twin simulate plan.csv -o measured.csv --calibration mine.yaml --air 22,1000,40",
+    )
+)
 def simulate(
     plan: Annotated[
         Path,
         typer.Argument(
-            help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at."
+            help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at.",
+            autocompletion=complete.plans,
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The measured data.")],
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
     instrument: Annotated[
-        str, typer.Option("--instrument", help=", ".join(one.name for one in INSTRUMENTS))
+        str,
+        typer.Option(
+            "--instrument",
+            help=", ".join(one.name for one in INSTRUMENTS),
+            autocompletion=complete.instruments,
+        ),
     ] = "tracker",
     seed: Annotated[int, typer.Option("--seed", help="Of the noise, and of stations and targets nobody placed.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
@@ -49,24 +66,26 @@ def simulate(
         list[str] | None,
         typer.Option("--drift", help="STATION=x,y,z: how its frame creeps in the base frame (µm/h); needs time_s."),
     ] = None,
+    json_file: JsonOption = None,
 ) -> None:
-    """Measure a plan on the machine with the errors of a calibration, as an instrument would.
-
-    twin simulate thesis_plan.csv -o measured.csv --instrument tracker --seed 7
-    """
+    """Measure a plan on the machine with the errors of a calibration, as an instrument would."""
     loaded = Machine.load(machine)
     reader = instrument_named(instrument)
     if seed < 0:
         raise InputError("--seed is negative", expected="0 or more", value=seed)
     around = surroundings(air, drift)
     source = plan_file(plan)
-    check_writable([output])
-    if source.resolve() == output.resolve():
-        raise InputError("the output is the plan itself", expected="another file", file=output)
+    outputs = [path for path in (output, json_file) if path is not None]
+    check_writable(outputs)
+    if {path.resolve() for path in (source, calibration) if path is not None} & {path.resolve() for path in outputs}:
+        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     truth = calibration_of(calibration, loaded)
-    planned = load_measurements(source, loaded, plan=True)
-    rng = np.random.default_rng(seed)
-    measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
+    with progress() as say:
+        say("reading", 0.0)
+        planned = load_measurements(source, loaded, plan=True)
+        say("measuring", 0.3)
+        rng = np.random.default_rng(seed)
+        measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
     comment = [
         f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, instrument {reader.name}, "
         f"seed {seed}, {'with' if noise else 'without'} noise",
@@ -74,7 +93,25 @@ def simulate(
         setting.describe(),
     ]
     measured.save(output, loaded, comment="\n".join(part for part in comment if part))
-    print(f"written: {output}, {len(measured)} points")
+    if json_file is not None:
+        told = {
+            "schema": "twin.simulation/1",
+            "measured": str(output),
+            "plan": str(source),
+            "machine": loaded.name,
+            "calibration": None if truth.path is None else str(truth.path),
+            "illustrative": truth.illustrative,
+            "instrument": reader.name,
+            "seed": seed,
+            "noise": noise,
+            "surroundings": around.describe(),
+            "setting": setting.describe(),
+            "points": len(measured),
+            "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
+            "notices": list(planned.notices),
+        }
+        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+    print(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
     for note in planned.set_aside:
         print(f"  line {note.line} set aside: {note.text}")
     for notice in planned.notices:

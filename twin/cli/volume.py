@@ -19,6 +19,7 @@ from twin.cli.app import (
     WorkersOption,
     app,
     calibration_of,
+    examples,
     progress,
     tell_unused,
 )
@@ -31,7 +32,12 @@ from twin.parallel import Workers
 from twin.population import POSES, TRIALS, Population, Spread, draw_machines
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "twin volume --calibration mine.yaml --tool-length 120 --trials 1000000 --seed 1",
+        "twin volume -c mine.yaml --workers 2 --json volume.json",
+    )
+)
 def volume(
     machine: MachineOption = "dmu50",
     calibration: CalibrationOption = None,
@@ -52,8 +58,6 @@ def volume(
     json_file: JsonOption = None,
 ) -> None:
     """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
-
-    twin volume --calibration mine.yaml --tool-length 120 --trials 1000000 --seed 1
 
     The same seed gives the same numbers to the last bit on any number of workers, here or on a Dask cluster (--scheduler).
     """

@@ -1,0 +1,88 @@
+"""``twin compare``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.calibration import Calibration
+from twin.changes import compare as compared
+from twin.cli import complete
+from twin.cli.app import (
+    NOT_ALL_MET,
+    JsonOption,
+    MachineOption,
+    TemperatureOption,
+    TimeOption,
+    ToolOption,
+    app,
+    examples,
+    progress,
+)
+from twin.errors import InputError
+from twin.files import check_writable, write_whole
+from twin.machine import Machine
+from twin.options import conditions, positive
+
+
+@app.command(
+    epilog=examples(
+        "twin compare last_year.yaml this_year.yaml --tool-length 120",
+        "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json",
+    )
+)
+def compare(
+    first: Annotated[
+        Path,
+        typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations),
+    ],
+    second: Annotated[
+        Path,
+        typer.Argument(
+            metavar="NEWER", help="The newer calibration of the same machine.", autocompletion=complete.calibrations
+        ),
+    ],
+    machine: MachineOption = "dmu50",
+    tool_length: ToolOption = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance", help="mm the older calibration may leave on the machine as the newer describes it."
+        ),
+    ] = None,
+    temperature: TemperatureOption = None,
+    time: TimeOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """What changed between two calibrations of one machine, what of it is significant, and what it means at the tool.
+
+    The exit status is 0 whether anything changed or not, and 3 if an error could not be compared or judged: only one of the two gives
+    it, or one does not say how uncertain it is.
+    """
+    loaded = Machine.load(machine)
+    outputs = [] if json_file is None else [json_file]
+    check_writable(outputs)
+    if {path.resolve() for path in outputs} & {first.resolve(), second.resolve()}:
+        raise InputError("the output is an input itself", expected="another file", file=json_file)
+    if tolerance is not None:
+        positive("--tolerance", tolerance)
+    older, newer = (Calibration.load(path, loaded) for path in (first, second))
+    with progress() as say:
+        found = compared(
+            older,
+            newer,
+            tool_length_mm=tool_length,
+            conditions=conditions(temperature, time),
+            tolerance_mm=tolerance,
+            progress=say,
+        )
+    if json_file is not None:
+        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+    print(found.to_text(), end="")
+    if outputs:
+        print(f"\nwritten: {json_file}")
+    if found.unjudged:
+        raise typer.Exit(NOT_ALL_MET)

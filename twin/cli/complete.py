@@ -1,0 +1,164 @@
+"""What the shell offers at the Tab key: names the options take, and files beside them.
+
+`twin --install-completion` writes the shell's part once. Every function takes what is written so far and gives what may follow.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Final
+
+from twin.extension import PARAMETERS
+from twin.instruments import INSTRUMENTS
+from twin.iso16907 import NAMES
+from twin.machine import Machine, bundled_folder
+from twin.nc import DIALECTS, find_program
+from twin.options import MANY_WORDS, gathered
+from twin.samples import PLANS
+
+VARIABLE: Final = "_TWIN_COMPLETE"
+WORDS: Final = "COMP_WORDS"
+WORD: Final = "COMP_CWORD"
+"""What bash sets: the whole line, and the number of the word that is being written."""
+YAML: Final = (".yaml", ".yml")
+
+
+def machines(incomplete: str) -> list[str]:
+    """Machines that come with twin, and YAML files."""
+    return _begun(incomplete, _bundled(".yaml")) + _files(incomplete, YAML)
+
+
+def calibrations(incomplete: str) -> list[str]:
+    """YAML files."""
+    return _files(incomplete, YAML)
+
+
+def kits(incomplete: str) -> list[str]:
+    """Kits that come with twin, and YAML files."""
+    return _begun(incomplete, _bundled(".kit.yaml")) + _files(incomplete, YAML)
+
+
+def layouts(incomplete: str) -> list[str]:
+    """Interferometer layouts that come with twin, and YAML files."""
+    samples = find_program(PLANS[0].name).parent
+    own = [file.name for file in sorted(samples.glob("*.yaml"))]
+    return _begun(incomplete, own) + _files(incomplete, YAML)
+
+
+def programs(incomplete: str) -> list[str]:
+    """Programs that come with twin, and files with a program's suffix."""
+    suffixes = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
+    samples = find_program(PLANS[0].name).parent
+    own = [file.name for file in sorted(samples.iterdir()) if file.suffix in suffixes]
+    return _begun(incomplete, own) + _files(incomplete, suffixes)
+
+
+def plans(incomplete: str) -> list[str]:
+    """Plans that come with twin, and tables."""
+    return _begun(incomplete, [plan.name for plan in PLANS]) + _files(incomplete, (".csv",))
+
+
+def tables(incomplete: str) -> list[str]:
+    """Tables."""
+    return _files(incomplete, (".csv",))
+
+
+def classes(incomplete: str) -> list[str]:
+    """Classes of ISO/TR 16907."""
+    return _begun(incomplete.upper(), NAMES)
+
+
+def instruments(incomplete: str) -> list[str]:
+    """Instruments."""
+    return _begun(incomplete, [one.name for one in INSTRUMENTS])
+
+
+def errors(ctx: Any, incomplete: str) -> list[str]:
+    """ISO 230-1 names of the machine that was named before."""
+    return _begun(incomplete.upper(), _names(ctx))
+
+
+def aims(ctx: Any, incomplete: str) -> list[str]:
+    """What a plan can make small."""
+    return _begun(incomplete, ["tool", "everything", "weakest"]) + errors(ctx, incomplete)
+
+
+def causes(ctx: Any, incomplete: str) -> list[str]:
+    """Effects and where they can be, as two words in quotes."""
+    machine = _machine(ctx)
+    places: dict[str, list[str]] = {name: [axis.name for axis in machine.axes] for name in PARAMETERS}
+    linear = [axis.name for axis in machine.axes if axis.linear]
+    rotary = [axis.name for axis in machine.axes if not axis.linear]
+    places |= {"pitch_error": linear, "thermal_expansion": linear, "thermal_drift": list("XYZ"), "table_load": rotary}
+    places["thermal_growth"] = [f"{direction} by" for direction in "XYZ"]
+    places["harmonic"] = [name for name in machine.motion_names if name[3:] in rotary]
+    places["cross_axis"] = [
+        f"{name} by {axis.name}" for name in machine.motion_names for axis in machine.axes if axis.name != name[3:]
+    ]
+    places["squareness"] = list(machine.squareness_names)
+    places["axis_location"] = list(machine.location_names)
+    # Until the effect is written, its places would be a list of hundreds.
+    effects = _begun(incomplete, sorted(places))
+    if incomplete not in effects and " " not in incomplete:
+        return effects
+    return _begun(incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres])
+
+
+def told_word_by_word() -> None:
+    """Make the line that bash hands over one that the parser understands: an option of several words once for each of them."""
+    if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
+        return
+    line = os.environ[WORDS].split()
+    try:
+        at = int(os.environ.get(WORD, ""))
+    except ValueError:
+        return
+    before, now = line[1:at], line[at] if at < len(line) else ""
+    if any(mark in " ".join(line) for mark in "\"'\\"):
+        return  # quoted words are the shell's affair
+    words = gathered(before)
+    if len(words) >= 2 and words[-2] in MANY_WORDS and not now.startswith("-") and not Path(now).exists():
+        words.append(words[-2])
+    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, now])
+    os.environ[WORD] = str(len(words) + 1)
+
+
+def _machine(ctx: Any) -> Machine:
+    try:
+        return Machine.load(ctx.params.get("machine") or "dmu50")
+    except ValueError:
+        return Machine.load("dmu50")
+
+
+def _names(ctx: Any) -> tuple[str, ...]:
+    machine = _machine(ctx)
+    return (*machine.motion_names, *machine.squareness_names, *machine.location_names)
+
+
+def _begun(incomplete: str, names: Any) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _bundled(suffix: str) -> list[str]:
+    dots = suffix.count(".")
+    files = sorted(file.name for file in bundled_folder().glob(f"*{suffix}") if file.name.count(".") == dots)
+    return [name.removesuffix(suffix) for name in files]
+
+
+def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Files with one of the suffixes, and folders, whose path begins so."""
+    folder, _, begun = incomplete.rpartition("/")
+    lead = f"{folder}/" if folder or incomplete.startswith("/") else ""
+    try:
+        entries = sorted(Path(lead or ".").iterdir())
+    except OSError:
+        return []
+    found = []
+    for entry in entries:
+        if entry.name.startswith(begun) and (begun or not entry.name.startswith(".")):
+            if entry.is_dir():
+                found.append(f"{lead}{entry.name}/")
+            elif entry.suffix.lower() in suffixes:
+                found.append(f"{lead}{entry.name}")
+    return found

@@ -1,0 +1,69 @@
+"""``twin doc``."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+from typing import Annotated, Final
+
+import typer
+from rich.console import Console
+from rich.markdown import Markdown
+
+from twin.cli.app import JsonOption, app, examples
+from twin.errors import InputError, nearest
+from twin.files import check_writable, write_whole
+
+PAGES: Final = {
+    "programs": "twin.compensation",
+    "identify": "twin.identification",
+    "diagnose": "twin.diagnosis",
+    "plan": "twin.planning",
+    "report": "twin.report",
+    "compare": "twin.changes",
+    "control": "twin.control",
+    "interferometer": "twin.axis_run",
+    "paths": "twin.paths",
+    "many": "twin.parallel",
+    "files": "twin.files",
+    "curves": "twin.curves",
+    "speed": "twin.native",
+}
+"""Longer than a README: what a room says of itself, by the name it is asked for."""
+
+
+@app.command(epilog=examples("twin doc", "twin doc diagnose", "twin doc control"))
+def doc(
+    page: Annotated[
+        str | None,
+        typer.Argument(
+            help=f"One of {', '.join(PAGES)}; all of them listed if none.",
+            autocompletion=lambda incomplete: [name for name in PAGES if name.startswith(incomplete)],
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """A page of the manual: how one part works, what it is good for and what not.
+
+    The pages are the docstrings of the package: the same in a notebook by `help(twin.diagnosis)`.
+    """
+    check_writable([] if json_file is None else [json_file])
+    if page is not None and page not in PAGES:
+        raise InputError(
+            "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=nearest(page, PAGES)
+        )
+    if json_file is not None:
+        shown = {name: page_text(room) for name, room in PAGES.items() if page in (None, name)}
+        write_whole(json_file, json.dumps({"schema": "twin.doc/1", "pages": shown}, indent=1) + "\n")
+    console = Console()
+    if page is None:
+        for name, room in PAGES.items():
+            console.print(f"twin doc {name:<15} {page_text(room).splitlines()[0]}", markup=False, highlight=False)
+        return
+    console.print(Markdown(page_text(PAGES[page])))
+
+
+def page_text(room: str) -> str:
+    """The docstring of a room, as it is printed."""
+    return inspect.cleandoc(importlib.import_module(room).__doc__ or "")

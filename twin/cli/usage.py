@@ -1,0 +1,48 @@
+"""What is wrong with a command line, in one line: what was given, the nearest right name, where to read on."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import typer
+
+from twin.errors import is_it
+
+# The parser's own classes have no public name in every version of typer; their common base has this place.
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+
+def line_of_usage(error: Any) -> str:
+    """The line.
+
+    Args:
+        error: an instance of `UsageError`.
+    """
+    context = getattr(error, "ctx", None)
+    path = "twin" if context is None else str(context.command_path)
+    return f"{_said(error, context)}; expected what `{path} --help` lists"
+
+
+def help_of(error: Any) -> str | None:
+    """The help, where the error is that nothing was given at all; None otherwise."""
+    if type(error).__name__ != "NoArgsIsHelpError":
+        return None
+    return str(error.ctx.get_help())
+
+
+def _said(error: Any, context: Any) -> str:
+    text = " ".join(str(error.format_message()).split()).rstrip(".")
+    option = getattr(error, "option_name", None)
+    if option is not None and context is not None and type(error).__name__ == "NoSuchOption":
+        known = [name for one in context.command.params for name in (*one.opts, *one.secondary_opts)]
+        return f"no such option: {option!r}{is_it(option, [name for name in known if name.startswith('-')])}"
+    command = re.search(r"No such command '([^']*)'", text)
+    if command is not None and context is not None:
+        known = list(getattr(context.command, "commands", {}))
+        return f"no such command: {command[1]!r}{is_it(command[1], known)}"
+    choice = re.search(r"'([^']*)' is not one of (.*)$", text)
+    if choice is not None:
+        known = re.findall(r"'([^']*)'", choice[2])
+        text = text.replace("Value error, ", "") + is_it(choice[1], known)
+    return text[0].lower() + text[1:] if text else "cannot be used"
