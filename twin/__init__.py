@@ -4,6 +4,7 @@ The names a script needs; everything else lives in the room its name says.
 """
 
 from twin.calibration import Calibration, Curve
+from twin.changes import Changes, compare
 from twin.channels import Conditions
 from twin.compensation import Compensation, Compensator, Options, compensate, compensate_file
 from twin.diagnosis import Diagnosis, diagnose
@@ -25,6 +26,7 @@ from twin.uncertainty import ToolUncertainty
 __all__ = [
     "Axis",
     "Calibration",
+    "Changes",
     "Compensation",
     "Compensator",
     "Conditions",
@@ -46,6 +48,7 @@ __all__ = [
     "Status",
     "ToolUncertainty",
     "Workers",
+    "compare",
     "compensate",
     "compensate_file",
     "compensate_files",

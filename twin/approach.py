@@ -22,12 +22,19 @@ from typing import Final, final
 import numpy as np
 
 from twin.calibration import Calibration
-from twin.effects import Reversal
+from twin.effects import ControlCorrection, Reversal
+from twin.errors import InputError
 from twin.toolpath import Path
 from twin.units import UM, URAD
 
 STILL: Final = 1e-6
 """mm or degrees: closer than this an axis stands still; the control's kinematics are solved to a thousandth of it."""
+
+UNEVEN: Final = 0.05
+"""µm or µrad by which what a control takes up may change along an axis: a digit of its table."""
+
+NOTHING: Final = 1e-8
+"""mm or degrees: a reversal the control takes up whole, but for rounding."""
 
 TURN: Final = 1.5
 """Least increments: an axis that comes back by more has turned. Not by one, which is rounding, and by two for certain."""
@@ -35,23 +42,39 @@ TURN: Final = 1.5
 
 @final
 class LostMotion:
-    """The reversals of a calibration.
+    """The reversals of a calibration, less what the control takes up by itself.
 
     Args:
-        calibration: the machine's errors; only its reversals matter.
+        calibration: the machine's errors; only its reversals matter, and tables of the control that differ by direction.
 
     Attributes:
-        size: (axes,) of each axis, mm and degrees; 0 where it has none.
+        size: (axes,) of each axis, mm and degrees; 0 where it has none or the control takes it up.
         axes: indices of the axes that have one.
+
+    Raises:
+        InputError: a table of the control whose two directions differ by more in one place than in another.
     """
 
     def __init__(self, calibration: Calibration) -> None:
         machine = calibration.machine
+        ranges = {axis.name: axis.domain for axis in machine.axes}
         self.size = np.zeros(len(machine.axes))
         for effect in calibration.effects:
             if isinstance(effect, Reversal):
                 axis = effect.axis
                 self.size[machine.names.index(axis.name)] += effect.size * (UM if axis.linear else URAD) / axis.scale
+            elif isinstance(effect, ControlCorrection):
+                low, high = effect.lost_motion(ranges)
+                if high - low > UNEVEN:
+                    raise InputError(
+                        f"a table of the control takes up a reversal of {effect.axis.name} that changes along the axis",
+                        expected="the same difference between both directions everywhere: the rest cannot be taken up by a program",
+                        value=f"{low:.2f} to {high:.2f}",
+                    )
+                axis = effect.axis
+                size = 0.5 * (low + high) * (UM if axis.linear else URAD) / axis.scale
+                self.size[machine.names.index(axis.name)] += size
+        self.size[np.abs(self.size) < NOTHING] = 0.0
         self.axes = [int(i) for i in np.flatnonzero(self.size)]
         self._dead_band = TURN * np.array([axis.increment for axis in machine.axes])
 

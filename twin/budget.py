@@ -162,18 +162,23 @@ def _entries(calibration: Calibration) -> list[tuple[str, float, str, bool]]:
 def _others(
     calibration: Calibration, q: np.ndarray, sides: np.ndarray, conditions: Conditions
 ) -> list[tuple[str, float, float, str]]:
-    """Of every effect that is no error motion, squareness or location: name, peak over the poses, its u (NaN: not known), unit."""
+    """Of every effect that is no error motion, squareness or location: name, peak over the poses, its u (NaN: not known), unit.
+
+    What the control corrects by itself is among them, exactly known.
+    """
     names = calibration.machine.names
     state: dict[str, Any] = {name: q[:, i] for i, name in enumerate(names)}
     state |= {f"{APPROACH}{name}": sides[:, i] for i, name in enumerate(names)}
     state |= conditions.channels
     covariance = calibration.covariance
     found = []
-    for effect in calibration.extra:
+    for effect in (*calibration.extra, *calibration.corrections):
         component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
         numbers = [parameter.name for parameter in effect.parameters]
         peak_u = np.nan
-        if set(numbers) <= set(covariance.names):
+        if not numbers:
+            peak_u = 0.0
+        elif set(numbers) <= set(covariance.names):
             rates = [np.broadcast_to(rate.get(component, 0.0), len(q)) for rate in effect.derivatives(state)]
             variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
             peak_u = float(np.sqrt(max(variance.max(), 0.0)))

@@ -13,13 +13,16 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
+from twin.control import BasicClass, ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, POWER, Basis, basis_named, conversion
-from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name, unit_of
-from twin.errors import InputError
+from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name, unit_of
+from twin.errors import InputError, nearest
 from twin.extension import effect_named, entry_of
 from twin.files import Place, line_of, load_yaml, write_whole
 from twin.machine import Machine
+from twin.show import card
+from twin.strips import about_html, errors_html, motion_html
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
@@ -50,6 +53,20 @@ class _CovarianceEntry(BaseModel):
     lower: str
 
 
+class _TableEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    file: str
+    format: str
+    classes: tuple[BasicClass, ...]
+    sha256: str
+
+
+class _ControlEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    errors_are: Literal["uncorrected", "remaining"]
+    tables: Annotated[tuple[_TableEntry, ...], Field(min_length=1)]
+
+
 class _CalibrationFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
@@ -60,6 +77,7 @@ class _CalibrationFile(BaseModel):
     location: dict[str, float] = {}
     covariance: _CovarianceEntry | None = None
     effects: tuple[_EffectEntry, ...] = ()
+    control: _ControlEntry | None = None
 
 
 @final
@@ -104,6 +122,10 @@ class Curve:
             )
         return np.asarray(_basis(self.basis).value(positions, self.domain, self.coefficients))
 
+    def _repr_html_(self) -> str:
+        motion = ErrorMotion(self.name, _basis(self.basis), self.domain, self.coefficients, wrapped=False)
+        return motion_html(motion, self.covariance, source=self.source, illustrative=self.illustrative).text
+
     def in_powers(self) -> Curve | None:
         """The same curve in powers of u; None if it is no polynomial."""
         count = len(self.coefficients)
@@ -138,6 +160,8 @@ class Calibration:
         extra: effects a diagnosis added, beside those the names above stand for.
         joint: covariance of all identified parameters together, or None where only curves have their own.
         path: the file it was read from, or None.
+        control: what it says of the machine's control; None: nothing, as of a control that corrects nothing.
+        corrections: what the control takes out of these errors by itself; nothing where they are what it leaves.
     """
 
     machine: Machine
@@ -148,6 +172,8 @@ class Calibration:
     joint: Covariance | None = None
     extra: tuple[Effect, ...] = ()
     path: Path | None = None
+    control: ControlSection | None = None
+    corrections: tuple[ControlCorrection, ...] = ()
 
     @classmethod
     def zero(cls, machine: Machine) -> Calibration:
@@ -191,7 +217,9 @@ class Calibration:
             extra=extra,
             path=path,
         )
-        return loaded if entries.covariance is None else replace(loaded, joint=check.joint(entries.covariance, loaded))
+        if entries.covariance is not None:
+            loaded = replace(loaded, joint=check.joint(entries.covariance, loaded))
+        return loaded if entries.control is None else loaded.with_control(check.control(entries.control))
 
     @classmethod
     def default(cls, machine: Machine) -> Calibration:
@@ -202,10 +230,14 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write the file, whole or not at all."""
-        write_whole(path, self.to_yaml())
+        write_whole(path, self.to_yaml(path.parent))
 
-    def to_yaml(self) -> str:
-        """The file's text; reading it gives the same calibration."""
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The file's text; reading it gives the same calibration.
+
+        Args:
+            folder: where it will stand: files of the control are named as seen from there, else by their full path.
+        """
         data: dict[str, Any] = {
             "schema": SCHEMA,
             "machine": self.machine.name,
@@ -216,6 +248,8 @@ class Calibration:
         }
         if self.extra:
             data["effects"] = [entry_of(effect) for effect in self.extra]
+        if self.control is not None:
+            data["control"] = self.control.to_entry(folder)
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
         if self.joint is not None and self.joint.names:
             names = (
@@ -239,7 +273,23 @@ class Calibration:
         for name, angle in self.squareness.items():
             found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
-        return (*found, *self.extra)
+        return (*found, *self.extra, *self.corrections)
+
+    def with_control(self, control: ControlSection | None) -> Calibration:
+        """The same errors under another control, whose tables are read and become part of the model; None: one that corrects nothing.
+
+        Raises:
+            InputError: a table cannot be read, is not the file that was entered, or moves an axis the machine has not.
+        """
+        corrections: list[ControlCorrection] = []
+        for kind in control.formats if control is not None and control.errors_are == "uncorrected" else ():
+            entries = control.of(kind) if control is not None else ()
+            for entry in entries:
+                entry.check()
+            classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
+            table = read_tables(kind, [entry.file for entry in entries], self.machine)
+            corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
+        return replace(self, control=control, corrections=tuple(corrections))
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
         """The same calibration with only the effects (error motions, squareness, locations and others) whose name is kept."""
@@ -251,6 +301,7 @@ class Calibration:
             location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
             joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
             extra=tuple(effect for effect in self.extra if keep(effect.name)),
+            corrections=tuple(effect for effect in self.corrections if keep(effect.name)),
         )
 
     @property
@@ -313,12 +364,21 @@ class Calibration:
     @property
     def empty(self) -> bool:
         """Whether nothing is named: the machine as drawn."""
-        return not (self.curves or self.squareness or self.location or self.extra)
+        return not (self.curves or self.squareness or self.location or self.extra or self.corrections)
 
     @property
     def illustrative(self) -> bool:
         """Whether any of its error motions is drawn, not measured."""
         return any(curve.illustrative for curve in self.curves.values())
+
+    def _repr_html_(self) -> str:
+        drawn = tuple(curve.name for curve in self.curves.values() if curve.illustrative)
+        errors = errors_html(self.machine, self.effects, self.covariance, drawn)
+        unknown = self.without_uncertainty if self.covariance.names or self.empty else ("all of it",)
+        about = about_html(self.source, self.path, self.control, drawn, unknown)
+        small = "no errors: the machine as drawn" if self.empty else ""
+        title = f"Calibration of {self.machine.name}"
+        return card(title, errors, about, small=small, illustrative=self.illustrative).text
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
@@ -398,20 +458,20 @@ class _Check:
     lines: Mapping[Place, int]
     machine: Machine
 
-    def fail(self, place: Place, what: str, expected: str, value: object) -> InputError:
-        return InputError(what, expected=expected, file=self.path, line=line_of(place, self.lines), value=value)
+    def fail(self, place: Place, what: str, expected: str, value: object, meant: str | None = None) -> InputError:
+        line = line_of(place, self.lines)
+        return InputError(what, expected=expected, file=self.path, line=line, value=value, nearest=meant)
 
     def name(self, place: Place, name: str, allowed: tuple[str, ...]) -> None:
         if name not in allowed:
-            raise self.fail(
-                place, f"{self.machine.name} has no such entry under {place[0]}", f"one of {', '.join(allowed)}", name
-            )
+            what = f"{self.machine.name} has no such entry under {place[0]}"
+            raise self.fail(place, what, f"one of {', '.join(allowed)}", name, nearest(name, allowed))
 
     def effect(self, index: int, entry: _EffectEntry) -> Effect:
         try:
             return effect_named(entry.effect, entry.where, entry.parameters, self.machine)
         except InputError as error:
-            raise self.fail(("effects", index), error.what, str(error.expected), error.value) from None
+            raise self.fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
 
     def curve(self, name: str, entry: _CurveEntry) -> Curve:
         place: Place = ("curves", name)
@@ -430,7 +490,8 @@ class _Check:
             )
         basis = basis_named(entry.basis)
         if basis is None:
-            raise self.fail((*place, "basis"), "no such basis", _bases(), entry.basis)
+            known = [one.name for one in BASES]
+            raise self.fail((*place, "basis"), "no such basis", _bases(), entry.basis, nearest(entry.basis, known))
         misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
@@ -464,11 +525,19 @@ class _Check:
             raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
         return locked(matrix)
 
+    def control(self, entry: _ControlEntry) -> ControlSection:
+        folder = self.path.parent
+        return ControlSection(
+            entry.errors_are,
+            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in entry.tables),
+        )
+
     def joint(self, entry: _CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
         for name in entry.parameters:
             if name not in known:
-                raise self.fail(("covariance",), "a covariance of something not in this file", "its parameters", name)
+                what = "a covariance of something not in this file"
+                raise self.fail(("covariance",), what, "its parameters", name, nearest(name, known))
             if entry.parameters.count(name) > 1:
                 raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
         try:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.effects import Effect
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.machine import Machine
 
 TIME: Final = "time_s"
@@ -59,13 +58,11 @@ class Conditions:
         low, high = PLAUSIBLE_DEGC
         for name, value in self.temperature_degC.items():
             if name not in known:
-                lower = {one.lower(): one for one in known}
-                nearest = [lower[one] for one in get_close_matches(name.lower(), lower, n=1)]
-                others = ", ".join(one for one in known if one not in nearest)
                 raise InputError(
                     "--temperature of neither an axis nor a sensor of the model",
-                    expected=f"{nearest[0]}, or else one of {others}" if nearest else f"one of {others}",
+                    expected=f"one of {', '.join(known)}",
                     value=name,
+                    nearest=nearest(name, known),
                 )
             if not low <= value <= high:
                 raise InputError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import SequenceMatcher, get_close_matches
 from pathlib import Path
 from typing import Any, final
 
@@ -16,6 +18,7 @@ class InputError(ValueError):
         file: the file it stands in, if it stands in one.
         line: 1-based line in that file.
         value: the offending text or value.
+        nearest: the right name that was probably meant (`nearest`), or None.
     """
 
     def __init__(
@@ -26,17 +29,20 @@ class InputError(ValueError):
         file: str | Path | None = None,
         line: int | None = None,
         value: object = None,
+        nearest: str | None = None,
     ) -> None:
         self.what = what
         self.expected = expected
         self.file = None if file is None else str(file)
         self.line = line
         self.value = value
+        self.nearest = nearest
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For a pickle, in which the value is its text: what a worker process raises is raised here (`twin.parallel`)."""
-        return _again, (self.what, self.expected, self.file, self.line, None if self.value is None else str(self.value))
+        value = None if self.value is None else str(self.value)
+        return _again, (self.what, self.expected, self.file, self.line, value, self.nearest)
 
     def __str__(self) -> str:
         place = ""
@@ -44,11 +50,34 @@ class InputError(ValueError):
             place = self.file if self.line is None else f"{self.file}:{self.line}"
             place += ": "
         shown = "" if self.value is None else f": {_one_line(self.value)!r}"
-        return f"{place}{self.what}{shown}; expected {self.expected}"
+        return f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}"
 
 
-def _again(what: str, expected: str, file: str | None, line: int | None, value: str | None) -> InputError:
-    return InputError(what, expected=expected, file=file, line=line, value=value)
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that was probably meant by another; None if none is near.
+
+    Case counts for nothing, so that ``e_xx`` finds ``E_XX``.
+    """
+    names = list(known)
+    close = get_close_matches(name.casefold(), [one.casefold() for one in names], n=1)
+    # X_mm and x_mm are two columns: of names that are alike but for case, the one written most like it.
+    alike = [one for one in names if close and one.casefold() == close[0]]
+    return max(alike, key=lambda one: SequenceMatcher(None, name, one).ratio(), default=None)
+
+
+def is_it(name: str, known: Iterable[str]) -> str:
+    """What follows a name that is not known: `` (is it X?)``; empty if none is near."""
+    return _is_it(nearest(name, known))
+
+
+def _is_it(name: str | None) -> str:
+    return "" if name is None else f" (is it {name}?)"
+
+
+def _again(
+    what: str, expected: str, file: str | None, line: int | None, value: str | None, meant: str | None
+) -> InputError:
+    return InputError(what, expected=expected, file=file, line=line, value=value, nearest=meant)
 
 
 def _one_line(value: object, limit: int = 80) -> str:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 from typing import Final, final
 
 import numpy as np
 
 from twin.approach import LostMotion
+from twin.calibration import Calibration
+from twin.channels import Conditions
 from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.nc import read_program
 from twin.nc.blocks import Kind, Program
-from twin.toolpath import Path, WordSpace, along, check_domains, chords, outside_range
+from twin.show import card, histogram, note, pairs, several
+from twin.toolpath import Path, Setup, WordSpace, along, check_domains, chords, follow, outside_range
 
 SPACING: Final = (5.0, 2.0)
 """mm of linear and degrees of rotary motion between two points, at most."""
@@ -44,6 +50,57 @@ class Execution:
     ends: np.ndarray
     lines: np.ndarray
     left_out: int
+
+    def _repr_html_(self) -> str:
+        off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
+        if not len(off):
+            return card("Executed", note("no point within the ranges", loud=True), wrong=True).text
+        worst = int(np.argmax(off))
+        rows = [
+            (
+                "tool point off",
+                f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
+            ),
+            ("tool axis leans", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
+            ("left out", f"{several(self.left_out, 'point')} outside the ranges" if self.left_out else ""),
+        ]
+        small = f"{several(len(off), 'point')}, {self.ends.sum():,} of them block ends"
+        return card(
+            "Executed", pairs(rows), histogram(off, "off by (µm)", "points"), small=small, wrong=self.left_out > 0
+        ).text
+
+
+def execute_file(
+    program: str | FilePath,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    tool_length_mm: float | None = None,
+    tcp: bool = False,
+    setup: Setup | None = None,
+    conditions: Conditions | None = None,
+) -> Execution:
+    """Run the program of a file, or one that comes with twin.
+
+    Args:
+        program: its path.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        tool_length_mm: the machine file's own if None.
+        tcp: whether the control's kinematics are on from the start.
+        setup: work offsets and origin; none if None.
+        conditions: temperatures and time, for the effects that need them.
+
+    Raises:
+        InputError: as `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    at = Conditions() if conditions is None else conditions
+    at.require(errors)
+    read, dialect = read_program(program)
+    space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
+    path = follow(read, dialect.moves(read, space.axes, tcp=tcp), space)
+    return execute(read, path, space, Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at))
 
 
 def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) -> Execution:

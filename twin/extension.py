@@ -29,7 +29,7 @@ from twin.effects import (
     ThermalGrowth,
     ZeroOffset,
 )
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.machine import Axis, Machine
 from twin.symbolic import gravity_load
 
@@ -90,11 +90,19 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
         InputError: no such effect, place or parameter; a parameter that is missing.
     """
     if effect not in PARAMETERS:
-        raise InputError("no such effect", expected=f"one of {', '.join(PARAMETERS)}", value=effect)
+        raise InputError(
+            "no such effect",
+            expected=f"one of {', '.join(PARAMETERS)}",
+            value=effect,
+            nearest=nearest(effect, PARAMETERS),
+        )
     wanted = PARAMETERS[effect]
     if set(numbers) != set(wanted):
         raise InputError(
-            f"parameters of {effect} {where}", expected=", ".join(wanted), value=", ".join(numbers) or "nothing"
+            f"parameters of {effect} {where}",
+            expected=", ".join(wanted),
+            value=", ".join(numbers) or "nothing",
+            nearest=next((near for one in numbers if one not in wanted and (near := nearest(one, wanted))), None),
         )
     value = [float(numbers[name]) for name in wanted]
     if effect in ("reversal", "zero_offset", "gravity_compliance"):
@@ -106,26 +114,37 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
         axis = _axis(machine, effect, where, linear=True)
         return PitchError(axis, *value) if effect == "pitch_error" else ThermalExpansion(axis, value[0])
     if effect in ("thermal_growth", "thermal_drift"):
-        nearest = tool_base_frame(machine)
+        first = tool_base_frame(machine)
         direction, _, sensor = where.partition(" by ")
-        if nearest is None or direction not in tuple("XYZ") or bool(sensor) != (effect == "thermal_growth"):
+        if first is None or direction not in tuple("XYZ") or bool(sensor) != (effect == "thermal_growth"):
             expected = "X, Y or Z of the base" + (" by <sensor>" if effect == "thermal_growth" else "")
             raise InputError(f"no such place for {effect}", expected=expected, value=where)
-        vector = base_vector(nearest[1], direction)
+        vector = base_vector(first[1], direction)
         if effect == "thermal_growth":
-            return ThermalGrowth(nearest[0], direction, vector, sensor, value[0])
-        return ThermalDrift(nearest[0], direction, vector, *value)
+            return ThermalGrowth(first[0], direction, vector, sensor, value[0])
+        return ThermalDrift(first[0], direction, vector, *value)
     if effect == "table_load":
         axis = _axis(machine, effect, where, linear=False)
         joint = next(frame.joint for frame in machine.frames if frame.axis == where and frame.role == "motion")
         return TableLoad(where, base_vector(at_rest(machine, joint), "X"), value[0])
     if effect == "harmonic":
         if where not in machine.motion_names or machine.by_name[where[3:]].linear:
-            raise InputError("no such place for harmonic", expected="an error motion of a rotary axis", value=where)
+            raise InputError(
+                "no such place for harmonic",
+                expected="an error motion of a rotary axis",
+                value=where,
+                nearest=nearest(where, [one for one in machine.motion_names if not machine.by_name[one[3:]].linear]),
+            )
         return Harmonic(where, round(value[0]), value[1], value[2])
     name, _, by = where.partition(" by ")
     if name not in machine.motion_names or by not in machine.by_name:
-        raise InputError("no such place for cross_axis", expected="an error motion by an axis: E_ZY by Z", value=where)
+        places = [f"{motion} by {axis}" for motion in machine.motion_names for axis in machine.by_name]
+        raise InputError(
+            "no such place for cross_axis",
+            expected="an error motion by an axis: E_ZY by Z",
+            value=where,
+            nearest=nearest(where, places),
+        )
     return CrossAxis(name, by, value[0])
 
 
@@ -158,5 +177,10 @@ def _axis(machine: Machine, effect: str, where: str, *, linear: bool | None = No
     axis = machine.by_name.get(where)
     if axis is None or (linear is not None and axis.linear is not linear):
         fitting = [one.name for one in machine.axes if linear is None or one.linear is linear]
-        raise InputError(f"no such place for {effect}", expected=f"one of {', '.join(fitting)}", value=where)
+        raise InputError(
+            f"no such place for {effect}",
+            expected=f"one of {', '.join(fitting)}",
+            value=where,
+            nearest=nearest(where, fitting),
+        )
     return axis

@@ -1,18 +1,68 @@
-"""Files in and out: YAML whose errors know their line, and outputs that appear whole or not at all."""
+"""Files in and out: YAML whose errors know their line, and outputs that appear whole or not at all.
+
+**Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
+`unlimited`), least increment and, where the joint's own frame will not do, `error_frame_rpy_deg`; `frames` names the tool and
+work links and the axis coordinates at which the URDF's linear joints are zero; `programs` the words that switch the control's
+kinematics (`tcp_on`, `tcp_off`) and a default tool length.
+
+**Calibration** (`schema: twin.calibration/1`): see `urdf/dmu50.calibration.yaml`.
+
+    schema: twin.calibration/1
+    machine: DMU 50 eVolution
+    source: where the numbers come from, in words
+    curves:
+      E_XX: {unit: um, domain: [0, 500], basis: power, coefficients: [10.1, 11.4], source: …}   # covariance: [[…]] if known
+      E_ZC: {unit: um, domain: [0, 360], basis: fourier, coefficients: [0, 3.2, -1.1]}
+    squareness: {E_C0Y: 22.0}        # µrad
+    location: {E_X0C: 4.0, E_A0C: -12.0}   # µm, µrad
+
+`identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above)
+and `lower`, the lower triangle, one row a line. It takes the place of the curves' own.
+
+A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k
+(1 − x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, the curve between its smallest and largest
+coefficient. `fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself. Outside its domain a
+curve is an error; an unlimited axis is wrapped into it. A linear axis moves, then errs: T(q)·E(q); a rotary axis is located,
+errs in the frame that does not turn, then moves: L·E(θ)·R(θ); E = Trans(e_X, e_Y, e_Z)·Exp([e_A, e_B, e_C]).
+
+**Measurements** (`*.csv`): one row a measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
+y_mm, z_mm` in the station's frame (an empty field was not measured; the interferometer's length stands in `x_mm`), and
+optionally `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`.
+`twin.measurement.load` lists every row it sets aside, with the reason. A plan is the same table without the coordinates.
+Optional and ours: `place_x_mm, place_y_mm, place_z_mm`, the target's known place on its carrier (tool: frame of the spindle
+nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg … station_c_deg`, the station's known origin and
+rotation vector in the base frame; one row of a target or station is enough, contradictions are refused. In a plan
+`planned_place_x_mm …`, `planned_station_x_mm …` say where they are meant to go: for `simulate`, never taken for known. A plan
+that gives them is simulated with them; the measured file names them only in its comments.
+
+**Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of
+the tool axis in µrad and its tilt about x and y of the tool (fused-like angles: independent of order), the worst line),
+`classes`, `rounding_um`, `largest_correction`, `uncertainty`, and lists of lines: `out_of_range`, `not_met`,
+`orientation_left`, `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
+twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles),
+`not_identifiable`, `stations`, `targets`, `misfit`, `orders`, `set_aside`, `notices`.
+
+**Another machine.** A URDF and a machine file, nothing else: `twin compensate part.nc -o out.nc --machine mine.yaml`.
+`urdf/trunnion_ac.*` (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) are there to
+copy. The z axis of the tool link points from the tip into the spindle. The rotary joint's frame has its axis along z, or the
+file says how the error frame is turned. Programs need three linear axes along x, y, z of the work frame and at most two rotary
+ones, on either side; kinematics needs only a chain.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 
 Schema = TypeVar("Schema", bound=BaseModel)
 Place = tuple[str | int, ...]
@@ -67,7 +117,9 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     try:
         return schema.model_validate(data), lines
     except ValidationError as error:
-        first = error.errors()[0]
+        # A key that nobody knows says more than the one that is therefore missing.
+        told = error.errors()
+        first = next((one for one in told if one["type"] == "extra_forbidden"), told[0])
         # pydantic names the member of a union it tried; the file has no such entry.
         place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
@@ -78,7 +130,34 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
             file=path,
             line=line_of(place, lines),
             value=first["input"],
+            nearest=_meant(schema, first),
         ) from error
+
+
+def _meant(schema: type[BaseModel], first: Any) -> str | None:
+    """What a key nobody knows, or a word that is none of a list, was probably meant to be."""
+    if first["type"] == "literal_error":
+        return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
+    if first["type"] != "extra_forbidden":
+        return None
+    models: list[type[BaseModel]] = [schema]
+    for part in first["loc"][:-1]:
+        below = [
+            field.annotation
+            for model in models
+            for name, field in model.model_fields.items()
+            if part in (name, field.alias)
+        ]
+        models = [model for annotation in below for model in _models(annotation)] or models
+    known = [field.alias or name for model in models for name, field in model.model_fields.items()]
+    return nearest(str(first["loc"][-1]), known)
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models an annotation names, in whatever containers."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def line_of(place: Place, lines: Mapping[Place, int]) -> int | None:

@@ -18,6 +18,7 @@ from twin.arrays import locked
 from twin.errors import InputError
 from twin.kinematics import Kinematics, Poses
 from twin.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Problem, Solver
+from twin.show import card, first_rows, fixed, note, pairs, several, table
 from twin.steps import Steps
 from twin.units import DEG, MM
 
@@ -77,6 +78,28 @@ class Solution:
     def where(self, status: Status) -> np.ndarray:
         """(n,) whether each pose has that status."""
         return np.asarray(self.code == _CODE[status])
+
+    def _repr_html_(self) -> str:
+        counts = {status: int(self.where(status).sum()) for status in Status}
+        met = counts[Status.CONVERGED] == len(self.code)
+        axes = self.positions.shape[1]
+        rows, rest = first_rows(
+            len(self.code), lambda i: [*(fixed(v, 4) for v in self.positions[i]), str(self.status[i].value)]
+        )
+        left = ""
+        if len(self.code):
+            left = f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
+        told = pairs(
+            [
+                ("status", ", ".join(f"{status.value} {count:,}" for status, count in counts.items() if count)),
+                ("left at most", left),
+                ("Newton steps", str(self.iterations)),
+            ]
+        )
+        headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
+        said = note("commands in command order, mm and degrees")
+        title = f"Solution for {several(len(self.code), 'pose')}"
+        return card(title, told, table(headers, rows, right=range(axes)), rest, said, wrong=not met).text
 
 
 @final

@@ -6,19 +6,23 @@ as far as two of them can. ``R-POS`` moves the rotary axis itself by its own pos
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, final, get_args
 
 import numpy as np
 
 from twin.channels import Listening
-from twin.effects import Effect, split_name
-from twin.errors import InputError
+from twin.control import BasicClass
+from twin.effects import ControlCorrection, Effect, split_name
+from twin.errors import InputError, nearest
 from twin.machine import DIRECTIONS, Machine
+from twin.show import card, pairs
 
-BASIC: Final = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG")
+BASIC: Final[tuple[str, ...]] = get_args(BasicClass)
 """The classes every error motion belongs to exactly one of."""
+CONTROL: Final = "control"
+"""What the control takes out by itself: no class of errors, an account of its own."""
 COMBINED: Final = {
     "L-VOL": ("L-POS", "L-STR", "L-SQU", "L-ANG"),
     "L-VOL+": ("L-POS", "L-STR", "L-SQU", "L-ANG", "FOR"),
@@ -32,9 +36,11 @@ def iso_class(name: str, machine: Machine) -> str:
     """The basic class of an error motion, squareness or location of a machine.
 
     Args:
-        name: ISO 230-1 name.
+        name: ISO 230-1 name, or ``control``, which is its own.
         machine: the machine it belongs to.
     """
+    if name == CONTROL:
+        return CONTROL
     component, average, axis_name = split_name(name)
     axis = machine.by_name[axis_name]
     along = max(range(3), key=lambda i: abs(axis.direction[i]))
@@ -52,12 +58,16 @@ def iso_class(name: str, machine: Machine) -> str:
 def acts_as(effect: Effect, machine: Machine) -> str:
     """The error motion an effect is part of: a reversal of Y of E_YY. An error motion, squareness or location is itself.
 
+    What the control takes out by itself is part of none: ``control``.
+
     Args:
         effect: the effect; where it acts along several directions of its frame, the largest counts.
         machine: the machine it belongs to.
     """
     if effect.name.startswith("E_"):
         return effect.name
+    if isinstance(effect, ControlCorrection):
+        return CONTROL
     rates = effect.derivatives(Listening(machine))[0]
     largest = max(rates, key=lambda component: float(np.max(np.abs(rates[component]))))
     average = "0" if effect.frame.role == "location" else ""
@@ -96,7 +106,10 @@ class Scope:
             upper = name.strip().upper()
             if upper not in NAMES:
                 raise InputError(
-                    "no such class of ISO/TR 16907", expected=f"--scope with some of {' '.join(NAMES)}", value=name
+                    "no such class of ISO/TR 16907",
+                    expected=f"--scope with some of {' '.join(NAMES)}",
+                    value=name,
+                    nearest=nearest(upper, NAMES),
                 )
             found.update(COMBINED.get(upper, (upper,)))
         if not found:
@@ -117,6 +130,29 @@ class Scope:
         if self.orientation:
             return is_angular(name) and iso_class(name, machine) != "L-SQU"
         return iso_class(name, machine) == "R-POS" and "R-POS" in self.classes
+
+    def covers(self, classes: Collection[str]) -> bool:
+        """Whether what is corrected holds all of some classes (True) or none of them (False).
+
+        Raises:
+            InputError: it holds some of them.
+        """
+        found = [name for name in classes if name in self.classes]
+        if found and len(found) < len(classes):
+            raise InputError(
+                "the control's tables take out some classes that are in scope together with others that are not, and cannot be "
+                "split: a program corrected so would be corrected twice, or not at all",
+                expected=f"--scope with all of {' '.join(classes)}, or none of them",
+                value=str(self),
+            )
+        return bool(found)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("at the functional point", ", ".join(name for name in BASIC if name in self.classes) or "nothing"),
+            ("functional orientation", "corrected by the rotary axes (FOR)" if self.orientation else "as it is"),
+        ]
+        return card(f"Scope {self}", pairs(rows), small="asked for" if self.asked else "the default").text
 
     def __str__(self) -> str:
         parts: list[str] = [name for name in BASIC if name in self.classes]

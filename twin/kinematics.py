@@ -19,6 +19,7 @@ from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
 from twin.errors import InputError
 from twin.machine import Machine
+from twin.show import card, first_rows, fixed, note, pairs, table
 from twin.spatial import fused_angles, tilt
 from twin.symbolic import chain_function, error_vector, frame_pose
 from twin.units import DEG, MM, URAD
@@ -64,6 +65,14 @@ class Poses:
 
     def __len__(self) -> int:
         return len(self.point_mm)
+
+    def _repr_html_(self) -> str:
+        rows, rest = first_rows(
+            len(self), lambda i: [fixed(v, 4) for v in self.point_mm[i]] + [fixed(v, 6) for v in self.axis[i]]
+        )
+        headers = ("x (mm)", "y (mm)", "z (mm)", "i", "j", "k")
+        said = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
+        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, said).text
 
 
 @final
@@ -122,6 +131,19 @@ class Kinematics:
         self.directed = bool(ca.depends_on(errors, side))
         given, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
         self.errors = ca.Function("errors", given, [errors], names, ["e"])
+
+    def _repr_html_(self) -> str:
+        known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
+        sides = "reversals: the side an axis comes from matters" if self.directed else ""
+        rows = [
+            ("errors", "none: the machine as drawn" if self.calibration.empty else self.calibration.source),
+            ("tool length", f"{self.tool_length_mm:g} mm"),
+            ("taken at", known),
+            ("approach", sides),
+        ]
+        small = f"axes {' '.join(self.machine.names)}, mm and degrees"
+        title = f"Kinematics of {self.machine.name}"
+        return card(title, pairs(rows), small=small, illustrative=self.calibration.illustrative).text
 
     def symbols(self) -> list[Any]:
         """Fresh symbols of what every pose is a function of: q (metres, radians), and the approach if directed."""

@@ -24,13 +24,15 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.files import Place, line_of, load_yaml, read_text
+from twin.show import Cell, card, chain, pairs, span, table
 from twin.units import DEG, MM
 
 SCHEMA = "twin.machine/1"
 DIRECTIONS = "XYZABC"
 """Components of an error frame in order: translations along, rotations about x, y, z (ISO 230-1, 3.4)."""
+AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in the URDF")
 
 
 @final
@@ -71,6 +73,15 @@ class Axis:
     def scale(self) -> float:
         """Metres a millimetre, or radians a degree."""
         return MM if self.linear else DEG
+
+    def cells(self) -> tuple[Cell, ...]:
+        """What a display has of it, under `AXIS_HEADERS`."""
+        reach = "unlimited" if self.lower is None else span(*self.domain, self.unit)
+        least = f"{self.increment:g} mm" if self.linear else f"{self.increment:g}°"
+        return self.name, "linear" if self.linear else "rotary", reach, least, self.side, self.joint
+
+    def _repr_html_(self) -> str:
+        return card(f"Axis {self.name}", table(AXIS_HEADERS, [self.cells()])).text
 
 
 @final
@@ -275,6 +286,20 @@ class Machine:
                 configuration[start + 3 : start + 7] = pin.Quaternion(pin.exp3(error[3:])).coeffs()
         return configuration
 
+    def _repr_html_(self) -> str:
+        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda one: one[0])]
+        tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
+        work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
+        links = chain([("workpiece", "end"), *work, ("base", "fixed"), *tool, ("tool", "end")])
+        numbers = (
+            f"{len(self.motion_names)} error motions, squareness {' '.join(self.squareness_names) or 'none'}, "
+            f"axis locations {' '.join(self.location_names) or 'none'}"
+        )
+        rows = [("machine file", str(self.path)), ("URDF", str(self.urdf)), ("can err in", numbers)]
+        rows.append(("tool length", f"{self.tool_length_mm:g} mm, if nobody says otherwise"))
+        axes = table(AXIS_HEADERS, [axis.cells() for axis in self.axes])
+        return card(self.name, links, axes, pairs(rows), small=f"{len(self.axes)} axes, in command order").text
+
     def _axis(self, entry: _AxisEntry, source: pin.Model) -> Axis:
         joint = source.joints[source.getJointId(entry.joint)]
         turn = _error_frame(entry)
@@ -312,7 +337,13 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
         if path.parent == Path(".") and candidate.is_file():
             return candidate
     known = sorted(file.name for file in bundled.glob(f"*{suffix}") if file.name.count(".") == suffix.count("."))
-    raise InputError("not found", expected=f"{expected}, or one that comes with twin ({', '.join(known)})", file=path)
+    meant = [*known, *(name.removesuffix(suffix) for name in known)]
+    raise InputError(
+        "not found",
+        expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
+        file=path,
+        nearest=nearest(path.name, meant),
+    )
 
 
 def bundled_folder() -> Path:

@@ -7,7 +7,6 @@ that is not understood, a round that lacks points and the like stand in `Measure
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,9 +17,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.arrays import locked
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.files import read_text, write_whole
 from twin.machine import Axis, Machine
+from twin.show import Cell, card, note, pairs, several, spans
 from twin.tables import Cells, not_understood, read_table
 
 CARRIERS: Final = ("tool", "work")
@@ -33,6 +33,8 @@ SIMULATED: Final = "simulated"
 """What the comment of a simulated table begins with."""
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
+SHOWN_ASIDE: Final = 5
+"""Rows set aside that a display lists."""
 RANGE_SLACK: Final = 0.5
 """mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
 
@@ -88,6 +90,34 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    def _repr_html_(self) -> str:
+        ends = [(float(q.min()), float(q.max())) for q in self.positions.T] if len(self) else []
+        reach = spans((f"axis {i + 1}:", low, high, "") for i, (low, high) in enumerate(ends))
+        by_side = {
+            side: dict.fromkeys(t for t, c in zip(self.target, self.carrier, strict=True) if c == side)
+            for side in CARRIERS
+        }
+        stated = np.isfinite(self.u_mm)
+        read = np.isfinite(self.point_mm)
+        u = "not stated in the table"
+        if stated.any():
+            u = f"{1e3 * np.nanmin(self.u_mm):.2g} … {1e3 * np.nanmax(self.u_mm):.2g} µm (k = 1)"
+            u += "" if stated[read].all() else ", unknown of some"
+        rows: list[tuple[str, Cell]] = [
+            ("coordinates read", f"{int(read.sum()):,}, mm" if read.any() else "none: a plan"),
+            ("stated uncertainty", u if read.any() else ""),
+            ("stations", ", ".join(map(str, dict.fromkeys(self.station)))),
+            ("rounds", f"{len(set(self.round))}"),
+            *((f"targets on the {side}", ", ".join(map(str, names))) for side, names in by_side.items()),
+            ("commanded, in command order (mm, °)", reach),
+            ("temperatures (°C)", ", ".join(self.temperature_degC)),
+        ]
+        aside = [note(f"set aside, line {one.line}: {one.text}", loud=True) for one in self.set_aside[:SHOWN_ASIDE]]
+        if len(self.set_aside) > SHOWN_ASIDE:
+            aside.append(note(f"… and {len(self.set_aside) - SHOWN_ASIDE} more set aside", loud=True))
+        said = [note(notice) for notice in self.notices]
+        return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
 
     def select(self, rows: np.ndarray) -> Measurements:
         """Some rows (indices or a mask), everything else as it is."""
@@ -168,11 +198,10 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
     for name in needed:
         if name not in columns:
-            close = difflib.get_close_matches(name, header, 1)
-            hint = f" (is it {close[0]!r}?)" if close else ""
             raise InputError(
-                f"column {name} is missing{hint}",
+                f"column {name} is missing",
                 expected=f"columns {', '.join(needed)}",
+                nearest=nearest(name, [one for one in header if one not in needed]),
                 file=path,
                 line=rows[0][0] - 1 if rows else 1,
             )
@@ -338,7 +367,12 @@ def _check_names(table: Measurements, path: Path) -> None:
     for line, target, carrier in zip(table.lines, table.target, table.carrier, strict=True):
         if carrier not in CARRIERS:
             raise InputError(
-                "no such carrier", expected=" or ".join(CARRIERS), file=path, line=int(line), value=carrier
+                "no such carrier",
+                expected=" or ".join(CARRIERS),
+                file=path,
+                line=int(line),
+                value=carrier,
+                nearest=nearest(carrier, CARRIERS),
             )
         if not target:
             raise InputError("a point without a target", expected="the reflector's name", file=path, line=int(line))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from twin.channels import Conditions
-from twin.errors import InputError
+from twin.control import FORMATS, ControlSection, TableEntry, read_tables
+from twin.errors import InputError, nearest
 from twin.instruments import INSTRUMENTS, Air, Instrument
 from twin.iso16907 import NAMES
 from twin.machine import Machine
@@ -14,6 +17,16 @@ from twin.nc import find_program
 from twin.samples import PLANS
 from twin.simulate import Surroundings
 from twin.toolpath import Setup
+
+MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
+    "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
+    "--at": re.compile(r"[A-Za-z]\w*=.*"),
+    "--temperature": re.compile(r"[^\W\d][\w.-]*=.*"),
+    "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
+    "--only": re.compile(r"E_[A-Z0-9*?]+"),
+    "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
+}
+"""Options that take several words (contract §3), and what every word after the first looks like."""
 
 
 def instrument_named(name: str) -> Instrument:
@@ -25,7 +38,10 @@ def instrument_named(name: str) -> Instrument:
     for one in INSTRUMENTS:
         if one.name == name:
             return one
-    raise InputError("no such instrument", expected=f"one of {', '.join(one.name for one in INSTRUMENTS)}", value=name)
+    known = [one.name for one in INSTRUMENTS]
+    raise InputError(
+        "no such instrument", expected=f"one of {', '.join(known)}", value=name, nearest=nearest(name, known)
+    )
 
 
 def plan_file(path: Path) -> Path:
@@ -37,10 +53,37 @@ def plan_file(path: Path) -> Path:
     try:
         return find_program(path)  # looks for a file of any kind
     except InputError:
-        known = " ".join(plan.name for plan in PLANS)
+        known = [plan.name for plan in PLANS]
         raise InputError(
-            "no such plan", expected=f"a measurement table, or one that comes with twin: {known}", file=path
+            "no such plan",
+            expected=f"a measurement table, or one that comes with twin: {' '.join(known)}",
+            file=path,
+            nearest=nearest(path.name, known),
         ) from None
+
+
+def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
+    """The control's tables that were on while a machine was measured, from ``FORMAT=FILE`` each.
+
+    Raises:
+        InputError: no such format; a file that cannot be read, or is no such table for this machine.
+    """
+    found: dict[str, list[Path]] = {}
+    for entry in entries:
+        kind, equals, file = entry.partition("=")
+        if not equals or kind not in FORMATS:
+            raise InputError(
+                "--control does not fit",
+                expected=f"FORMAT=FILE, each file of the control once, FORMAT one of {', '.join(FORMATS)}",
+                value=entry,
+                nearest=nearest(kind, FORMATS),
+            )
+        found.setdefault(kind, []).append(Path(file))
+    for kind, files in found.items():
+        read_tables(kind, files, machine)
+    return ControlSection(
+        "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in found.items() for file in files)
+    )
 
 
 def surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
@@ -76,13 +119,7 @@ def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[fl
 
 def gathered(arguments: list[str]) -> list[str]:
     """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
-    patterns = {
-        "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
-        "--temperature": re.compile(r"[^\W\d][\w.-]*=.*"),
-        "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
-        "--only": re.compile(r"E_[A-Z0-9*?]+"),
-        "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
-    }
+    patterns = MANY_WORDS
     out: list[str] = []
     gathering: str | None = None
     fresh = False
@@ -113,7 +150,10 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
         name, _, text = entry.partition("=")
         if name not in machine.by_name:
             raise InputError(
-                "--work-offset of an unknown axis", expected=f"one of {', '.join(machine.names)}", value=entry
+                "--work-offset of an unknown axis",
+                expected=f"one of {', '.join(machine.names)}",
+                value=entry,
+                nearest=nearest(name, machine.names),
             )
         if name in found:
             raise InputError("--work-offset given twice", expected="each axis once", value=entry)

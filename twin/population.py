@@ -29,6 +29,7 @@ from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.parallel import Workers, in_order
+from twin.show import card, histogram, note, pairs, several, table
 from twin.uncertainty import (
     COVERAGE,
     DEFINITION,
@@ -36,6 +37,7 @@ from twin.uncertainty import (
     NORMAL_95,
     NUMERICAL_UM,
     ToolUncertainty,
+    enough,
     numerical_tolerance,
 )
 from twin.units import MM, UM
@@ -185,6 +187,33 @@ class Population:
     as_it_is: tuple[Spread, Spread]
     compensated: tuple[Spread, Spread]
     without_uncertainty: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        spread = [
+            (words, of, f"{one.mean:.3g}", f"{one.low:.3g} … {one.high:.3g}", f"{one.largest:.3g}")
+            for words, pair in (("as they are", self.as_it_is), ("as the calibration leaves them", self.compensated))
+            for of, one in zip(("RMS over the poses", "largest of the poses"), pair, strict=True)
+        ]
+        u = self.by_draws_um
+        place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
+        rows = [
+            ("U by draws", f"{np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest at {place}"),
+            ("U by first order", f"{np.sqrt(np.mean(self.first_order_um**2)):.3g} µm RMS"),
+            ("first order enough (JCGM 101, 8.1)", enough(self.validated)),
+            (
+                "alike in all machines",
+                f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else "",
+            ),
+        ]
+        headers = ("machines", "error at the tool, µm", "mean", "95 % of the machines", "largest of all")
+        small = f"{self.machines:,} drawn at {several(len(self.positions), 'pose')}, seed {self.seed}"
+        parts = (
+            pairs(rows),
+            table(headers, spread, right=(2, 3, 4)),
+            histogram(u, "U by draws (µm)"),
+            note(DEFINITION),
+        )
+        return card("Machines drawn from the calibration", *parts, small=small).text
 
     @property
     def where(self) -> dict[str, float]:

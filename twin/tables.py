@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import final
 import numpy as np
 
 from twin.arrays import locked
-from twin.errors import InputError
+from twin.errors import InputError, is_it
 from twin.files import read_text
 
 
@@ -112,5 +111,4 @@ def _is_number(cell: str) -> bool:
 
 def not_understood(name: str, known: Sequence[str]) -> str:
     """What a reader is told of a column that is not used."""
-    close = difflib.get_close_matches(name, known, 1)
-    return f"column {name} is not understood and not used" + (f" (is it {close[0]}?)" if close else "")
+    return f"column {name} is not understood and not used{is_it(name, known)}"

@@ -24,6 +24,7 @@ from twin.kinematics import Kinematics, Poses
 from twin.machine import Machine
 from twin.nc.blocks import AxisWords, Kind, Left, Move, Notice, Program, Reading
 from twin.nc.columns import MoveColumns
+from twin.show import card, pairs
 
 
 @final
@@ -40,6 +41,16 @@ class Setup:
     work_offset: Mapping[str, float] = field(default_factory=dict)
     work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     start_deg: Mapping[str, float] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        x, y, z = self.work_origin_mm
+        offsets = ", ".join(f"{name} {value:g}" for name, value in self.work_offset.items())
+        rows = [
+            ("added to axis words (mm, °)", offsets or "nothing"),
+            ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
+            ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
+        ]
+        return card("Setup", pairs(rows)).text
 
 
 def axis_words(machine: Machine) -> AxisWords:

@@ -28,8 +28,9 @@ from twin.budget import POSES, drawn_sides, volume
 from twin.calibration import Calibration
 from twin.channels import APPROACH
 from twin.covariance import Covariance
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.kinematics import Kinematics
+from twin.show import UNKNOWN, Html, card, histogram, note, pairs, several
 from twin.units import MM, UM
 
 COVERAGE: Final = 0.95
@@ -47,6 +48,12 @@ FEWEST_TRIALS: Final = 1000
 """Fewer leave under 25 draws beyond each end of a 95 % interval."""
 NUMERICAL_UM: Final = 1e-6
 """What double precision leaves of a chain metres long, µm: no endpoint is compared more closely."""
+
+
+def enough(validated: Sequence[bool | None]) -> str:
+    """At how many poses first order was enough, in words."""
+    told = {"yes": validated.count(True), "no": validated.count(False), "too few draws to tell": validated.count(None)}
+    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in told.items() if count)
 
 
 def radius_95(covariance: np.ndarray) -> np.ndarray:
@@ -121,6 +128,28 @@ class PoseUncertainty:
         lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
         return locked(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
 
+    def _repr_html_(self) -> str:
+        return card("Uncertainty of the tool point", *self.shown(), small=several(len(self.axis), "pose")).text
+
+    def shown(self, *more: tuple[str, str]) -> list[Html]:
+        """What a display says of it: U and its spread, and of what it is not known."""
+        if not len(self.axis):
+            return []
+        if not self.known:
+            return [note(f"U {UNKNOWN}: no covariance in the calibration", loud=True)]
+        u, s = self.expanded_um, self.standard_um
+        least = "" if self.complete else "at least "
+        rms = ", ".join(
+            f"{name} {value:.2g}" for name, value in zip("xyz", np.sqrt(np.mean(s**2, axis=0)), strict=True)
+        )
+        rows = [
+            ("U", f"{least}{np.sqrt(np.mean(u**2)):.2g} µm RMS, {least}{u.max():.2g} µm largest"),
+            ("u (k = 1), RMS", f"{rms} µm"),
+            *more,
+            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if not self.complete else ""),
+        ]
+        return [pairs(rows), histogram(u, f"{least}U (µm)".strip()), note(DEFINITION)]
+
     def where(self, keep: np.ndarray) -> PoseUncertainty:
         """Of some of the poses, (n,) booleans."""
         return PoseUncertainty(
@@ -160,6 +189,23 @@ class MonteCarlo:
     validated: tuple[bool | None, ...]
     without_uncertainty: tuple[str, ...]
 
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                "95 % of the draws within",
+                f"{np.sqrt(np.mean(self.radius_um**2)):.2g} µm RMS, {self.radius_um.max():.2g} µm largest",
+            ),
+            ("first order enough (JCGM 101, 8.1)", enough(self.validated)),
+            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else ""),
+        ]
+        small = f"{several(len(self.radius_um), 'pose')}, {self.trials:,} draws each"
+        return card(
+            "Uncertainty of the tool point, by draws",
+            pairs(rows),
+            histogram(self.radius_um, "radius (µm)"),
+            small=small,
+        ).text
+
 
 @final
 @dataclass(frozen=True)
@@ -188,11 +234,17 @@ class UncertaintyMap:
 
     @property
     def where(self) -> dict[str, float]:
-        """Position of the largest U by axis; empty if unknown."""
-        if not self.uncertainty.known:
+        """Position of the largest U by axis; empty if unknown, or of no pose."""
+        if not self.uncertainty.known or not len(self.positions):
             return {}
         row = self.positions[int(np.argmax(self.uncertainty.expanded_um))]
         return dict(zip(self.axes, row.tolist(), strict=True))
+
+    def _repr_html_(self) -> str:
+        place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
+        small = several(len(self.positions), "pose")
+        shown = self.uncertainty.shown(("largest at (mm, °)", place))
+        return card("U of the tool point over the volume", *shown, small=small).text
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the summary and every pose; null where it is unknown."""
@@ -236,6 +288,21 @@ class ToolUncertainty:
         self._factor = _factor(covariance)
         frames = kinematics.machine.frames
         self._start = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(frames)}
+
+    def _repr_html_(self) -> str:
+        known = (
+            several(len(self.parameters), "number")
+            if self.parameters
+            else f"{UNKNOWN}: no covariance in the calibration"
+        )
+        rows = [
+            ("from", f"{known} of the calibration" if self.parameters else known),
+            ("uncertainty unknown of", ", ".join(self.without_uncertainty)),
+            ("tool length", f"{self.kinematics.tool_length_mm:g} mm"),
+        ]
+        said = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
+        machine, drawn = self.kinematics.machine.name, self.kinematics.calibration.illustrative
+        return card(f"Uncertainty at the tool of {machine}", pairs(rows), said, illustrative=drawn).text
 
     def at(self, positions: Any, approach: Any = None) -> PoseUncertainty:
         """First order, at the calibration's own values.
@@ -335,7 +402,12 @@ class ToolUncertainty:
             )
         for name in stand:
             if name not in turning:
-                raise InputError("no such rotary axis", expected=f"some of {', '.join(turning)}", value=name)
+                raise InputError(
+                    "no such rotary axis",
+                    expected=f"some of {', '.join(turning)}",
+                    value=name,
+                    nearest=nearest(name, turning),
+                )
         size = dict(zip((axis.name for axis in linear), counts, strict=True))
         ranges = zip(machine.limits / machine.scale[:, None], self.kinematics.calibration.domains(), strict=True)
         bounds = [(max(own[0], curves[0]), min(own[1], curves[1])) for own, curves in ranges]
@@ -441,7 +513,7 @@ def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:
     found: list[str] = []
     for effect in calibration.effects:
         missing = [parameter.name for parameter in effect.parameters if parameter.name not in known]
-        found += [effect.name] if len(missing) == len(effect.parameters) else missing
+        found += [effect.name] if missing and len(missing) == len(effect.parameters) else missing
     return tuple(found)
 
 

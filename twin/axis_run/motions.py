@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Final, Literal, final
 
 import numpy as np
-from scipy.stats import chi2
 
 from twin.arrays import locked
 from twin.axis_run.layout import AxisLayout
 from twin.axis_run.readings import Readings
 from twin.calibration import Calibration
 from twin.curves import basis_named
+from twin.distributions import chi2_sf
 from twin.errors import InputError
 from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
 from twin.instruments.multi_axis import turn
@@ -81,7 +81,7 @@ class Motions:
     @property
     def p_value(self) -> float:
         """Chance of a misfit as large if layout, noise and installation are as stated."""
-        return float(chi2.sf(self.chi2, self.dof))
+        return float(chi2_sf(self.chi2, self.dof))
 
 
 def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "stated") -> Motions:
@@ -187,7 +187,7 @@ class AxisCurves:
     @property
     def p_value(self) -> float:
         """Chance of a misfit as large if these curves are all there is."""
-        return float(chi2.sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
+        return float(chi2_sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
 
 
 def axis_curves(

@@ -14,7 +14,7 @@ from twin.compensation.comparison import Commands
 from twin.compensation.correction import Corrections, CorrectionTally
 from twin.compensation.interpolation import interpolated
 from twin.compensation.pieces import Pieces, Rows, Ways
-from twin.compensation.report import ClassShare, DeviationTally, LineNote, Report, ReversalNote
+from twin.compensation.report import ClassShare, ControlNote, DeviationTally, LineNote, Report, ReversalNote
 from twin.kinematics import angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty import ToolUncertainty
@@ -158,6 +158,7 @@ class Account:
             orientation_asked=self.aim.scope.asked and self.aim.scope.orientation,
             conditions={name: value for name, value in bench.options.conditions.channels.items() if name not in unused},
             reversals=self._of_reversals(),
+            control=self._of_control(),
         )
 
     # --- what is added ---------------------------------------------------------------------------------------------------
@@ -366,6 +367,20 @@ class Account:
         if not self._any_tcp and any(setup.work_origin_mm):
             notes.append(LineNote(1, "the work origin is not used: the words are axis positions (--work-offset)"))
         return notes
+
+    def _of_control(self) -> ControlNote | None:
+        """What the control does by itself at the poses the classes are told apart at."""
+        section, alone = self.bench.calibration.control, self.bench.control_alone
+        if section is None:
+            return None
+        files = tuple(entry.file.name for entry in section.tables)
+        if alone is None:
+            return ControlNote(section.errors_are, files, (), None, None)
+        before, before_from, _, _ = self._sample.poses()
+        moved = alone.forward(before, before_from).point_mm - self.bench.space.nominal.forward(before).point_mm
+        share = np.linalg.norm(moved, axis=1) * 1e3
+        axes = tuple(dict.fromkeys(table.axis.name for table in self.bench.calibration.corrections))
+        return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
     def _classes(self) -> tuple[ClassShare, ...]:
         """The shares of the classes."""

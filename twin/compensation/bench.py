@@ -14,10 +14,13 @@ from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.compensation.comparison import Comparison
 from twin.compensation.thesis import ThesisMethod
+from twin.effects import ControlCorrection
+from twin.errors import InputError
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
 from twin.iso16907 import BASIC, Scope, acts_as, iso_class
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.show import Html, card, pairs
 from twin.toolpath import Setup, WordSpace, outside_range
 from twin.uncertainty import ToolUncertainty
 
@@ -49,6 +52,23 @@ class Options:
     rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG
     method: Literal["exact", "thesis"] = "exact"
     conditions: Conditions = field(default_factory=Conditions)
+
+    def _repr_html_(self) -> str:
+        length = "the machine file's own" if self.tool_length_mm is None else f"{self.tool_length_mm:g} mm"
+        at = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
+        rows = [
+            ("tool length", length),
+            ("scope", "everything the program can carry" if self.scope is None else str(self.scope)),
+            (
+                "the control's kinematics",
+                "on from the start (tcp)" if self.tcp else "off, until the program says otherwise",
+            ),
+            ("tolerance between the ends of a block", f"{self.tolerance_mm * 1e3:g} µm"),
+            ("rotary axes move for an orientation", f"{self.rotary_limit_deg:g}° at most"),
+            ("method", self.method),
+            ("taken at", at),
+        ]
+        return card("Options", pairs(rows), Html(self.setup._repr_html_())).text
 
 
 @final
@@ -86,6 +106,12 @@ class Bench:
         self.lost = LostMotion(calibration)
         self.compared = Comparison(self.full, self.space.nominal)
         self.corrected_by = Comparison(self.space.nominal, self.space.nominal)
+        if calibration.corrections and options.method == "thesis":
+            raise InputError(
+                "the thesis's method knows nothing of the control's own tables and would correct what they correct again",
+                expected="--method exact, or a calibration without `control:`",
+                file=calibration.path,
+            )
         self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
         self.machine_increment = np.array([axis.increment for axis in machine.axes])
         self.increment = self.machine_increment[self.space.order]
@@ -98,12 +124,38 @@ class Bench:
         """The machine with only some of its errors, by the ISO 230-1 name of the error motion each is part of."""
         return self._with(self._where(keep))
 
+    def at_point(self, scope: Scope) -> Kinematics:
+        """The machine with the errors a scope corrects at the functional point, and what the control takes out of them."""
+        return self._with(
+            self._where(
+                lambda name: scope.at_point(name, self.machine),
+                lambda table: scope.covers(_classes_of(table)),
+            )
+        )
+
+    def in_orientation(self, scope: Scope) -> Kinematics:
+        """The same of those it corrects by moving the rotary axes."""
+        return self._with(
+            self._where(
+                lambda name: scope.in_orientation(name, self.machine),
+                lambda table: not table.axis.linear and (scope.orientation or scope.covers(_classes_of(table))),
+            )
+        )
+
+    @cached_property
+    def control_alone(self) -> Kinematics | None:
+        """The machine as drawn under the control's tables; None where they take nothing out of these errors."""
+        if not self.calibration.corrections:
+            return None
+        return self._with(self._where(lambda name: False, lambda table: True))
+
     def corrected(self, scope: Scope, *, orientation: bool) -> Calibration:
         """The errors a scope corrects, at the point or, where the rotary axes move for it, in the orientation."""
         return self._where(
             lambda name: (
                 scope.at_point(name, self.machine) or (orientation and scope.in_orientation(name, self.machine))
-            )
+            ),
+            lambda table: scope.covers(_classes_of(table)),
         )
 
     @property
@@ -111,8 +163,13 @@ class Bench:
         """No error at all."""
         return self.space.nominal.calibration
 
-    def _where(self, keep: Callable[[str], bool]) -> Calibration:
-        return self.calibration.where(lambda name: keep(self._acts_as[name]))
+    def _where(
+        self, keep: Callable[[str], bool], keep_table: Callable[[ControlCorrection], bool] = lambda table: False
+    ) -> Calibration:
+        tables = {table.name: table for table in self.calibration.corrections}
+        return self.calibration.where(
+            lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name])
+        )
 
     def _with(self, calibration: Calibration) -> Kinematics:
         length = self.options.tool_length_mm
@@ -158,7 +215,7 @@ class Aim:
     @cached_property
     def point(self) -> Kinematics:
         """The errors corrected at the functional point."""
-        return self._bench.limited(lambda name: self.scope.at_point(name, self._bench.machine))
+        return self._bench.at_point(self.scope)
 
     @cached_property
     def compared(self) -> Comparison:
@@ -173,7 +230,7 @@ class Aim:
     @cached_property
     def orientation(self) -> Kinematics | None:
         """The errors corrected by the rotary axes; None where they do not move for it."""
-        limited = self._bench.limited(lambda name: self.scope.in_orientation(name, self._bench.machine))
+        limited = self._bench.in_orientation(self.scope)
         return limited if self.turns and not limited.calibration.empty else None
 
     @cached_property
@@ -209,3 +266,8 @@ class Aim:
             for name in BASIC
         }
         return {name: alone for name, alone in found.items() if not alone.calibration.empty}
+
+
+def _classes_of(table: ControlCorrection) -> tuple[str, ...]:
+    """The classes it takes out by the axis it moves: a rotary axis corrects its own position, the linear ones all else."""
+    return tuple(name for name in table.classes if (name == "R-POS") is not table.axis.linear)

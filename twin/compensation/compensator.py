@@ -59,6 +59,9 @@ class Compensation:
     lines: np.ndarray
     taken: np.ndarray
 
+    def _repr_html_(self) -> str:
+        return self.report._repr_html_()
+
 
 @final
 class Compensator:

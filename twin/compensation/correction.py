@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import floor, isfinite, log10
+from math import isfinite
 from typing import Any, final, overload
 
 import numpy as np
 
+from twin.show import rounded
 from twin.uncertainty import DEFINITION, ToolUncertainty
 
 NAMED = 8
@@ -290,10 +291,3 @@ class Corrections:
             "point": None if self.point is None else self.point.to_dict(),
             "axis": None if self.axis is None else self.axis.to_dict(),
         }
-
-
-def rounded(value: float, expanded: float) -> tuple[str, str]:
-    """A value and its uncertainty as printed: at most two significant digits (JCGM 100, 7.2.6), the value to the same place."""
-    decimals = 1 - floor(log10(expanded)) if expanded > 0.0 else 3
-    decimals = min(max(decimals, 0), 3)
-    return f"{value:.{decimals}f}", f"{expanded:.{decimals}f}"

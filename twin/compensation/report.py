@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from twin.channels import TIME
 from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
+from twin.show import bar, card, note, pairs, several, table
 from twin.spatial import tilt
 from twin.uncertainty import DEFINITION
 from twin.units import URAD
@@ -134,6 +136,40 @@ class ReversalNote:
 
 @final
 @dataclass(frozen=True)
+class ControlNote:
+    """What the control corrects by itself, so that the program is not corrected for it a second time.
+
+    Attributes:
+        errors_are: ``uncorrected``: the tables take out of the calibration's errors what follows; ``remaining``: the errors are what
+            they leave.
+        tables: the files.
+        axes: what they move; empty where they are part of the errors.
+        rms_um, max_um: how far they move the tool over the program; None likewise.
+    """
+
+    errors_are: str
+    tables: tuple[str, ...]
+    axes: tuple[str, ...]
+    rms_um: float | None
+    max_um: float | None
+
+    @property
+    def sentence(self) -> str:
+        """As the report says it."""
+        files = ", ".join(self.tables)
+        if self.rms_um is None or self.max_um is None:
+            return (
+                f"these errors were measured with its tables on ({files}): leave them on; "
+                "the program is corrected for what they leave"
+            )
+        return (
+            f"corrects by itself ({files}; moves {' '.join(self.axes)}): {self.rms_um:.3f} µm RMS, {self.max_um:.3f} µm at most "
+            "at the tool; the program is corrected for what that leaves and is right only with these tables on"
+        )
+
+
+@final
+@dataclass(frozen=True)
 class Report:
     """A compensation's account of itself; every field is in the JSON under its name.
 
@@ -147,6 +183,7 @@ class Report:
         uncertainty: of the correction, from the calibration's covariance.
         conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
         reversals: by axis; the side each axis comes from follows from the program.
+        control: what the control corrects by itself; None where the calibration says nothing of it.
     """
 
     program: str
@@ -177,6 +214,7 @@ class Report:
     orientation_asked: bool = False
     conditions: Mapping[str, float] = field(default_factory=dict)
     reversals: tuple[ReversalNote, ...] = ()
+    control: ControlNote | None = None
 
     @property
     def complete(self) -> bool:
@@ -193,6 +231,80 @@ class Report:
         data["uncertainty"] = self.uncertainty.to_dict()
         return {"schema": SCHEMA, "complete": self.complete, **data}
 
+    def _repr_html_(self) -> str:
+        worst = max(self.before.max_um, self.after.max_um, 1e-9)
+        errors = [
+            (
+                words,
+                f"{d.rms_um:.2f}",
+                f"{d.max_um:.2f}",
+                f"{d.worst_line}",
+                f"{d.rms_urad:.1f}",
+                bar(d.rms_um / worst, loud=loud),
+            )
+            for words, d, loud in (("before", self.before, True), ("after, as predicted", self.after, False))
+        ]
+        done = {True: "corrected", False: "not in scope", None: ""}
+        classes = [
+            (
+                one.name,
+                f"{one.before_rms_um:.2f}",
+                f"{one.before_max_um:.2f}",
+                done[one.corrected],
+                bar(one.before_rms_um / worst, loud=True),
+            )
+            for one in self.classes
+        ]
+        largest = ", ".join(
+            f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
+            for name, (value, unit) in self.largest_correction.items()
+        )
+        rows = [
+            ("calibration", self.calibration_source if self.calibration == "none" else self.calibration),
+            *((one.label, one.headline) for one in self.uncertainty),
+            ("", self.uncertainty.unknown or ""),
+            ("control", "" if self.control is None else self.control.sentence),
+            ("method", f"{self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm"),
+            (
+                "program",
+                f"{several(self.moves, 'move')}: {self.rewritten:,} rewritten, {self.split:,} split (+{self.added:,} blocks)",
+            ),
+            ("largest move of an axis", largest),
+            ("rounding leaves", f"up to {self.rounding_um:.2f} µm at a block's end"),
+        ]
+        lists = (
+            ("out of range", self.out_of_range, True),
+            ("not met", self.not_met, True),
+            ("orientation left", self.orientation_left, self.orientation_asked),
+            ("to know", self.notes, False),
+        )
+        notes = [
+            note(f"{of}, line {one.line}: {one.text}", loud=loud) for of, those, loud in lists for one in those[:SHOWN]
+        ]
+        more = [
+            note(f"{of}: {len(those) - SHOWN:,} more lines", loud=loud)
+            for of, those, loud in lists
+            if len(those) > SHOWN
+        ]
+        headers = (
+            f"error at the tool over {self.before.points:,} poses",
+            "RMS, µm",
+            "largest, µm",
+            "line",
+            "axis RMS, µrad",
+            "",
+        )
+        by_class = ("ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", "")
+        parts = (
+            table(headers, errors, right=range(1, 5)),
+            pairs(rows),
+            table(by_class, classes, right=(1, 2)),
+            *notes,
+            *more,
+        )
+        title = f"{Path(self.program).name} on {self.machine}, compensated"
+        return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
+
     def to_text(self) -> str:
         """The report as a machinist reads it."""
         out = [
@@ -206,6 +318,7 @@ class Report:
         out += [f"  {one.label:<14}{one.headline}" for one in self.uncertainty]
         out += [] if self.uncertainty.unknown is None else [f"  {self.uncertainty.unknown}"]
         out += [
+            *([] if self.control is None else [f"  control       {self.control.sentence}"]),
             f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
             f"{self.split} split where {self.tolerance_um:g} µm between ends asked for it (+{self.added} blocks)",

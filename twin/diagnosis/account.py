@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
 from twin.budget import volume
@@ -28,6 +27,7 @@ from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplai
 from twin.diagnosis.search import Selection, chosen, whole
 from twin.diagnosis.signatures import Column
 from twin.diagnosis.surrogates import EFFECT, depends_on, whatever
+from twin.distributions import chi2_sf, f_log_sf, f_sf
 from twin.effects import Effect
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -109,7 +109,7 @@ def account(
     elif left is None and causes:
         after = problem.chi2 - found.explained
         share = float((after - problem.dof) / excess)
-        if stats.chi2.sf(after, problem.dof - len(causes)) < LARGE and not np.isfinite(scatter.dof) and share > SMALL:
+        if chi2_sf(after, problem.dof - len(causes)) < LARGE and not np.isfinite(scatter.dof) and share > SMALL:
             left = Unexplained(
                 share, (), "both", "more scatter than stated is left, without any pattern in the columns given"
             )
@@ -220,7 +220,7 @@ def _log_p(against: tuple[float, int, float]) -> float:
     """Of a cause that is not there, by its Wald statistic (F with the groups' degrees of freedom, Hotelling's T² with one cause)."""
     statistic, width, count = against
     free = count - width
-    return float(stats.f.logsf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
+    return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
 def _too_small(pool: Pool, forms: Sequence[Form], form: Form, excess: float) -> str:
@@ -379,8 +379,8 @@ def _misplaced(where: str) -> str:
 
 def _p_value(problem: Problem, scatter: Scatter) -> float:
     if np.isfinite(scatter.dof):
-        return float(stats.f.sf(problem.chi2 / problem.dof, problem.dof, scatter.dof))
-    return float(stats.chi2.sf(problem.chi2, problem.dof))
+        return float(f_sf(problem.chi2 / problem.dof, problem.dof, scatter.dof))
+    return float(chi2_sf(problem.chi2, problem.dof))
 
 
 def _unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:

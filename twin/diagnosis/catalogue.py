@@ -51,6 +51,10 @@ DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors below it are not sought."""
+ALIKE: Final = 0.5
+"""Size of the spectral window (1: even positions) from which on two frequencies are too alike to be told apart."""
+LOOKED_AT: Final = 500
+"""Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
 TIME_CONSTANTS: Final = 36
 AT_HAND: Final = 64
@@ -195,10 +199,8 @@ def _turned(
 def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
-    # Two positions a period at least; on a few even positions a shorter one looks like a longer.
-    shortest = max(SHORTEST_PERIOD, 2.0 * span / max(len(np.unique(np.round(q, 3))) - 1, 1))
     # Half the resolution of the span a step; the best is refined afterwards.
-    frequencies = np.arange(1.0 / span, 1.0 / shortest, 0.5 / span)
+    frequencies = np.arange(1.0 / span, _highest(q, span) + 1e-9 / span, 0.5 / span)
     # As `PitchError` has it, for all periods at once.
     count = len(frequencies)
     functions, at = _waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
@@ -216,6 +218,23 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
 
     names = (("sin", "um"), ("cos", "um"))
     return Candidate("pitch_error", axis.name, "machine", names, tuple(cells), max(len(cells), 1.0), build)
+
+
+def _highest(q: np.ndarray, span: float) -> float:
+    """Largest frequency, a mm, at which a wave is looked for: one position a period, or where it looks like a slower one.
+
+    Even positions cannot tell f from f_s − f, f_s being one a step; uneven ones can. Which they are their spectral window says: at such
+    an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys. Space Sci. 36, 137).
+    """
+    places = np.unique(np.round(q, 3))
+    highest = min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span)
+    if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
+        places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
+    looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
+    window = np.abs(np.mean(np.exp(2j * np.pi * np.outer(looks, places)), axis=1))
+    # Down from the window's own peak at zero, which is one over the span wide.
+    alike = looks[(window > ALIKE) & (looks > 1.5 / span)]
+    return min(highest, 0.5 * float(alike[0])) if alike.size else highest
 
 
 def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:

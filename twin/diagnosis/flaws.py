@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy import stats
 
 from twin.calibration import Curve
+from twin.distributions import chi2_sf
 from twin.identification.unknowns import CurveSpace
 
 CONTRADICTED: Final = 1e-3
@@ -52,7 +52,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
         off = correction - known - free @ s
         chi2 = float(off @ weight @ off)
         dof = rank - int(np.linalg.matrix_rank(gram, hermitian=True))
-        stands = dof > 0 and (stats.chi2.sf(chi2, dof) > CONTRADICTED or chi2 < (1.0 - MOSTLY) * whole)
+        stands = dof > 0 and (chi2_sf(chi2, dof) > CONTRADICTED or chi2 < (1.0 - MOSTLY) * whole)
         return chi2, s, stands
 
     # What the curve has beyond the correction's functions the data do not object to.

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy import stats
 
 from twin.diagnosis.problem import Problem
+from twin.distributions import chi2_sf, f_sf
 from twin.identification.spread import repeats
 
 LARGE: Final = 0.01
@@ -52,7 +52,7 @@ def more_left(problem: Problem, left: np.ndarray, fitted: int, scatter: float) -
         free = int(read.sum()) - (problem.readings - problem.dof) - fitted
         found.append((float(np.sum(means**2)), free))
     return any(
-        float(stats.f.sf(chi2 / free, free, scatter) if np.isfinite(scatter) else stats.chi2.sf(chi2, free)) < LARGE
+        float(f_sf(chi2 / free, free, scatter) if np.isfinite(scatter) else chi2_sf(chi2, free)) < LARGE
         for chi2, free in found
         if free > 0
     )

@@ -15,12 +15,13 @@ from functools import lru_cache
 from typing import Final, final
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.products import Products
 from twin.diagnosis.signatures import Column
+from twin.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 
 ALARMS: Final = 0.04
 """Share of data sets with nothing in them in which anything is found, all forms together."""
@@ -387,11 +388,11 @@ def log_chance(explained: np.ndarray, dof: np.ndarray | float, scatter: float) -
     half = np.asarray(dof) / 2.0
     # Beyond what the library's sf can hold, the leading term (Abramowitz and Stegun 1972, 6.5.32 and 26.5.4): an order stays one.
     if np.isfinite(scatter):
-        found = np.asarray(stats.f.logsf(explained / dof, dof, scatter))
+        found = np.asarray(f_log_sf(explained / dof, dof, scatter))
         far, rest = np.isneginf(found), scatter / 2.0
         small = scatter / (scatter + np.where(far, explained, 1.0))
         return np.where(far, rest * np.log(small) - np.log(rest) - special.betaln(rest, half), found)
-    found = np.asarray(stats.chi2.logsf(explained, dof))
+    found = np.asarray(chi2_log_sf(explained, dof))
     far = np.isneginf(found)
     safe = np.where(far, explained, 1.0) / 2.0
     return np.where(far, (half - 1.0) * np.log(safe) - safe - special.gammaln(half), found)
@@ -401,7 +402,7 @@ def log_chance(explained: np.ndarray, dof: np.ndarray | float, scatter: float) -
 def cost(dof: float, price: float, level: float, scatter: float) -> float:
     """What a form must explain to be believed at a level."""
     dof, p = max(dof, 1.0), level * np.exp(-price)
-    return float(dof * stats.f.isf(p, dof, scatter) if np.isfinite(scatter) else stats.chi2.isf(p, dof))
+    return float(dof * f_isf(p, dof, scatter) if np.isfinite(scatter) else chi2_isf(p, dof))
 
 
 def _costs(forms: Sequence[Form], level: float, scatter: float) -> np.ndarray:

@@ -235,7 +235,7 @@ class Problem:
         found: dict[str, Column] = {}
         for effect in calibration.effects:
             names = [parameter.name for parameter in effect.parameters]
-            if names[0] in known:
+            if known.intersection(names):
                 found |= dict(zip(names, of_effect(effect, machine, state), strict=True))
         values, vectors = np.linalg.eigh(covariance.matrix)
         strong = values > 1e-12 * max(float(values[-1]), 1e-300)

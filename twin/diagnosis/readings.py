@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
 from twin.calibration import Calibration
@@ -15,6 +14,7 @@ from twin.diagnosis.catalogue import Catalogue, catalogue
 from twin.diagnosis.misplaced import misplaced
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
+from twin.distributions import chi2_isf
 from twin.identification.network import Network, stated_covariance
 from twin.identification.screen import explained, fitting, instrument_of, outliers
 from twin.identification.setup import SetUp
@@ -153,7 +153,7 @@ def _first_look(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
     again = size[group] > 1
     off = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
     dimensions = int(np.isfinite(data.point_mm).any(axis=0).sum())
-    sigma = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / stats.chi2.median(dimensions)))
+    sigma = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / chi2_isf(0.5, dimensions)))
     if sigma <= 0.0:
         return None
     return locked(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)

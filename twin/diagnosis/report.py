@@ -6,16 +6,11 @@ instead of them. Pictures are embedded; nothing is fetched.
 
 from __future__ import annotations
 
-import base64
-import html
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from twin.diagnosis.panels import Panel, cause_panels, residual_panels
 from twin.diagnosis.plots import alone, plot_left
@@ -42,6 +37,11 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
+from twin.page import bullets as _list
+from twin.page import document
+from twin.page import embedded as _embedded
+from twin.page import escaped as _e
+from twin.page import facts as _facts
 
 LIKELY: Final = 0.5
 """Chance above which a cause is not worth a line."""
@@ -50,31 +50,6 @@ LISTED: Final = 20
 ONCE: Final = ("frame_shift", "target_shift", "station_drift", "thermal_drift")
 """Causes that belong to one time of the measurement."""
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
-STYLE: Final = """
-*{box-sizing:border-box}
-body{font:16px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif;max-width:62rem;margin:0 auto;padding:.6rem 1.2rem 4rem;
-color:#1b1b1b;background:#fff;overflow-wrap:anywhere}
-h1{font-size:1.55rem;line-height:1.25;margin:.1rem 0 .6rem}
-h2{font-size:1.2rem;margin:2.2rem 0 .4rem;border-bottom:1px solid #ccc}
-h3{font-size:1.02rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;padding-left:1.3rem}
-pre{margin:.3rem 0;white-space:pre-wrap;font-size:.9rem}
-.verdict{padding:.9rem 1.2rem 1rem;border-radius:.5rem;border:1px solid #0002}
-.cause{margin:.5rem 0}.symbol{color:#555;font-size:.85rem;font-weight:400}.small,figcaption{color:#555;font-size:.88rem}
-.badge{display:inline-block;background:#1b1b1b;color:#fff;border-radius:.25rem;padding:.05rem .5rem;font-size:.85rem;font-weight:600}
-dl{display:grid;grid-template-columns:8.5rem 1fr;gap:.3rem .8rem;margin:.7rem 0 0}dt{font-weight:600}dd{margin:0}
-.wide{overflow-x:auto}table{border-collapse:collapse;width:100%;margin:.6rem 0;font-size:.95rem}
-td,th{border-bottom:1px solid #ddd;padding:.25rem .5rem;text-align:left;vertical-align:top}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}td.w{white-space:nowrap}
-td.bars{width:20%}.bar{display:block;height:.7rem;margin-top:.3rem;background:#8a8a8a;min-width:1px}
-.bar.found{background:#d55e00}.bar.doubted{background:#0072b2}
-.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,17rem),1fr));gap:.6rem 1rem;margin:.6rem 0}
-.why{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.4rem 1.6rem}
-figure{margin:0;max-width:30rem}figure img{width:100%;display:block}
-@media(max-width:600px){body{padding:.5rem .8rem 3rem;font-size:15px}h1{font-size:1.3rem}.verdict{padding:.7rem .8rem}
-dl{grid-template-columns:1fr;gap:.1rem}dd{margin:0 0 .45rem}td.bars,th.bars{display:none}td,th{padding:.25rem .3rem}}
-@media print{body{max-width:none;font-size:10.5pt}h2,h3{break-after:avoid}figure,tr,.verdict{break-inside:avoid}
-*{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
-"""
 
 
 def diagnosis_html(diagnosis: Diagnosis) -> str:
@@ -104,10 +79,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     parts.append("<h2>What to measure next</h2>" + _next(diagnosis))
     parts.append("<h2>Small print</h2>" + _small_print(diagnosis))
     body = tied("".join(parts), "&nbsp;")
-    return (
-        f'<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width,initial-scale=1">'
-        f"<title>{_e(title)}: {_e(machine.name)}</title><style>{STYLE}</style><body>{body}</body></html>\n"
-    )
+    return document(f"{title}: {machine.name}", body)
 
 
 def _drawn(diagnosis: Diagnosis) -> str:
@@ -269,7 +241,7 @@ def _left(diagnosis: Diagnosis) -> str:
     if mapped is not None:
         over = listed([column(name) for name in left.depends_on[:2]])
         figures.insert(
-            0, _embedded(mapped, f"what is left, over {over}", f"over {over} together, {side(left.carrier)}")
+            0, _embedded(mapped, f"what is left, over {over}", f"Over {over} together, {side(left.carrier)}")
         )
     return (
         f"<p>{percent(left.share)} of what is beyond the scatter goes with {_e(names)} ({_e(side(left.carrier))}) and fits nothing "
@@ -371,32 +343,10 @@ def _figures(panels: Sequence[Panel]) -> str:
 
 
 def _figure(panel: Panel, *, captioned: bool = True) -> str:
-    return _embedded(alone(panel), f"{panel.title}: {panel.y} against {panel.x}", panel.title if captioned else "")
-
-
-def _embedded(figure: Figure, words: str, caption: str) -> str:
-    """A picture in the page itself, the same bytes for the same picture."""
-    buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    code = base64.b64encode(buffer.getvalue()).decode()
-    told = f"<figcaption>{_e(capital(caption))}</figcaption>" if caption else ""
-    return f'<figure><img alt="{_e(words)}" src="data:image/svg+xml;base64,{code}">{told}</figure>'
-
-
-def _facts(*told: tuple[str, str]) -> str:
-    return "<dl>" + "".join(f"<dt>{_e(name)}<dd>{_e(text)}" for name, text in told) + "</dl>" if told else ""
-
-
-def _list(items: Iterable[str]) -> str:
-    """Items that are HTML already."""
-    rows = "".join(f"<li>{item}" for item in items)
-    return f"<ul>{rows}</ul>" if rows else ""
+    return _embedded(
+        alone(panel), f"{panel.title}: {panel.y} against {panel.x}", capital(panel.title) if captioned else ""
+    )
 
 
 def _symbol(cause: Cause) -> str:
     return f"<span class=symbol>{_e(symbol(cause.effect, cause.where))}</span>"
-
-
-def _e(text: str) -> str:
-    return html.escape(text)

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import Cause, Quantity
+from twin.distributions import normal_sf
 from twin.measurement import Measurements
 
 EFFECT: Final = "following_error"
@@ -58,7 +58,7 @@ def reported(
                     where=axis.name,
                     origin="instrument",
                     parameters=(Quantity("share", share, "1", u),),
-                    p_value=float(min(2.0 * stats.norm.sf(abs(share - 1.0) / u) * len(tried), 1.0)),
+                    p_value=float(min(2.0 * normal_sf(abs(share - 1.0) / u) * len(tried), 1.0)),
                     share=0.0,
                     equivalent=(),
                     evidence=f"{text}, and the measurement follows the commands: they were read before {axis.name} had settled",

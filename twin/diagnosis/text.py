@@ -103,9 +103,12 @@ def diagnosis_brief(diagnosis: Diagnosis) -> str:
     body = "".join("<tr>" + "".join(f"<td style='{left}'>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     table = f"<table>{body}</table>" if rows else ""
     told = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
+    drawn = (
+        "<div><b>ILLUSTRATIVE</b> calibration: drawn, not measured</div>" if diagnosis.calibration.illustrative else ""
+    )
     return (
         f"<div style='border-left:.4em solid {edge};padding:.2em 1em'><p><b>{_e(title)}</b> <small>{diagnosis.verdict}</small></p>"
-        f"{table}{told}</div>"
+        f"{drawn}{table}{told}</div>"
     )
 
 

@@ -2,6 +2,7 @@
 
 from twin.effects.along import PitchError, Reversal, ZeroOffset
 from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
+from twin.effects.control import ControlCorrection
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
 from twin.effects.error_motion import ErrorMotion
 from twin.effects.load import GravityCompliance
@@ -11,6 +12,7 @@ from twin.effects.thermal import ThermalDrift, ThermalExpansion, ThermalGrowth
 
 __all__ = [
     "AxisLocation",
+    "ControlCorrection",
     "CrossAxis",
     "Effect",
     "ErrorMotion",

@@ -17,9 +17,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
-from scipy import stats
 
 from twin.calibration import Curve
+from twin.distributions import chi2_isf
 from twin.effects import split_name
 from twin.errors import InputError
 from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, SIGNS, THIRD
@@ -462,7 +462,7 @@ def _by_target(plot: Axes, found: Identification, read: np.ndarray) -> None:
     for i, (mask, fitted) in enumerate(zip(masks, _fitted(found, masks)[1], strict=True)):
         values = found.whitened[mask]
         free = max(values.size - float(fitted), 1e-3)
-        low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], free) / max(values.size, 1))
+        low, high = np.sqrt(chi2_isf([0.975, 0.025], free) / max(values.size, 1))
         plot.fill_between([i - 0.35, i + 0.35], low, high, color=RUN, alpha=0.45, linewidth=0)
         plot.plot(i, np.sqrt(np.mean(values**2)), color=BOTH, marker="o", markersize=6, linestyle="")
     names = [f"{target}\n{station}" if several else target for target, station in pairs]

@@ -8,23 +8,27 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
 from twin.calibration import Calibration
-from twin.effects import split_name, unit_of
+from twin.distributions import normal_isf
+from twin.effects import unit_of
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.spread import Misfit
 from twin.identification.table import TableTilt
-from twin.measurement import Measurements, RowNote
+from twin.measurement import SHOWN_ASIDE, Measurements, RowNote
+from twin.show import card, note, pairs, table
+from twin.strips import errors_html, standard_uncertainty
 from twin.units import MM
 
 SCHEMA = "twin.identification/1"
-COVERAGE = float(stats.norm.isf(0.025))
+COVERAGE = float(normal_isf(0.025))
 """Of the 95 % intervals."""
+DOUBT = 1e-3
+"""A misfit that chance makes less often than this is one."""
 THESIS_FUNCTIONS = 9
 """Functions of the thesis's degree 8."""
 
@@ -136,13 +140,8 @@ class Identification:
         curve = self.calibration.curves[name]
         values = curve(q)
         effect = next(e for e in self.calibration.effects if e.name == name)
-        axis = split_name(name)[2]
-        shapes = effect.derivatives({axis: np.asarray(q, dtype=float)})
-        (matrix,) = (np.stack([next(iter(shape.values())) for shape in shapes], axis=-1),)
-        names = [parameter.name for parameter in effect.parameters]
-        covariance = self.calibration.covariance.of(names).matrix
-        variance = np.einsum("...i,ij,...j->...", matrix, covariance, matrix)
-        return locked(np.asarray(values)), locked(np.sqrt(np.maximum(variance, 0.0)))
+        u = standard_uncertainty(effect, self.calibration.covariance, np.asarray(q, dtype=float))
+        return locked(np.asarray(values)), locked(u)
 
     def rows(self) -> list[dict[str, Any]]:
         """One entry an error: name, unit, functions, RMS and peak over the range, largest standard uncertainty."""
@@ -217,6 +216,30 @@ class Identification:
             "converged": self.converged,
         }
 
+    def _repr_html_(self) -> str:
+        fit, tilt = self.misfit, TableTilt.of(self.calibration)
+        left = f"{self.rms_um:.3g} µm RMS a coordinate; reduced chi² {fit.reduced:.3f} (p = {fit.p_value:.2g})"
+        rows = [
+            ("data", self.data.source),
+            ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
+            ("what is left", left),
+            ("intervals from", _whose(self.spread)),
+            ("stations", ", ".join(self.setup.stations)),
+            ("targets", ", ".join(self.setup.targets)),
+            ("", "" if tilt is None else tilt.to_text(COVERAGE)),
+        ]
+        errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
+        hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
+        aside = [note(f"set aside, line {one.line}: {one.text}", loud=True) for one in self.set_aside[:SHOWN_ASIDE]]
+        notes = [*aside, *(note(notice) for notice in self.notices)]
+        if not self.converged:
+            notes.insert(0, note("THE ESTIMATE DID NOT SETTLE: do not use it", loud=True))
+        unseen = table(("not identifiable, unknown", "why"), hidden)
+        doubted = not self.complete or fit.dof <= 0 or fit.p_value < DOUBT or fit.lack_p_value < DOUBT
+        title = f"Identification of {self.calibration.machine.name}"
+        parts = (note(_verdict(fit), loud=doubted), pairs(rows), errors, unseen, *notes)
+        return card(title, *parts, wrong=doubted).text
+
     def to_text(self) -> str:
         """The report for people."""
         fit = self.misfit
@@ -277,9 +300,9 @@ def _row_text(row: Mapping[str, Any]) -> str:
 def _verdict(fit: Misfit) -> str:
     if fit.dof <= 0:
         return "as many numbers as readings: nothing left to judge the model by"
-    if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < 1e-3:
+    if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < DOUBT:
         return "THE MODEL LEAVES SOMETHING OUT that repeats: the intervals below do not cover it. `twin diagnose` says what."
-    if fit.p_value < 1e-3:
+    if fit.p_value < DOUBT:
         return "MORE SCATTER THAN THE INSTRUMENT'S: the intervals below rest on its stated uncertainty, which the data exceed."
     return "consistent with the stated uncertainty of the readings"
 

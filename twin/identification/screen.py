@@ -7,9 +7,9 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
+from twin.distributions import chi2_isf
 from twin.errors import InputError
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
@@ -208,9 +208,9 @@ def outliers(network: Network, whitened: np.ndarray) -> tuple[np.ndarray, float]
     """
     size = np.count_nonzero(network.read, axis=1)
     squared = np.sum(whitened**2, axis=1)
-    share = np.array([stats.chi2.median(k) if k else 1.0 for k in range(4)])[size]
+    share = np.array([chi2_isf(0.5, k) if k else 1.0 for k in range(4)])[size]
     scale = max(1.0, float(np.sqrt(np.median(squared / share))))
-    limit = np.array([stats.chi2.isf(FALSE_ALARM / len(size), k) if k else np.inf for k in range(4)])[size]
+    limit = np.array([chi2_isf(FALSE_ALARM / len(size), k) if k else np.inf for k in range(4)])[size]
     return squared > limit * scale**2, scale
 
 

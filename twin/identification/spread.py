@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy import stats
 
 from twin.arrays import locked
+from twin.distributions import chi2_sf, f_sf
 from twin.errors import InputError
 from twin.identification.network import Network
 from twin.identification.solve import Solution
@@ -74,8 +74,8 @@ def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determine
     lack_dof, lack = dof - pure_dof, chi2 - pure_chi2
     lack_p = float("nan")
     if pure_dof > 0 and lack_dof > 0 and pure_chi2 > 0.0:
-        lack_p = float(stats.f.sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
-    p_value = float(stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
+        lack_p = float(f_sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
+    p_value = float(chi2_sf(chi2, dof)) if dof > 0 else float("nan")
     return Misfit(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 

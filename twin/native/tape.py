@@ -186,7 +186,22 @@ class _Builder:
         key = self.known[number]
         return key[1] if isinstance(key, tuple) and key[0] == "const" else None
 
+    def truth(self, number: int) -> bool:
+        """Whether a value is true or false."""
+        key = self.known[number] if number >= 0 else None
+        return isinstance(key, tuple) and key[0] in TRUTHS
+
+    def numeric(self, number: int) -> int:
+        """A value as a number: one for true, zero for false."""
+        return self.value(("where", number, self.constant(1.0))) if self.truth(number) else number
+
     def operation(self, name: str, a: int, b: int = -1) -> int:
+        # CasADi counts with truths: the derivative of a maximum is the slope times whether it is the larger one.
+        if name == "mul" and self.truth(a) is not self.truth(b):
+            a, b = (a, b) if self.truth(a) else (b, a)
+            return self.value(("where", a, b))
+        if name != "not":
+            a, b = a if name == "where" else self.numeric(a), self.numeric(b)
         if name == "div" and (divisor := self.given(b)) is not None and divisor != 0.0:
             name, b = "mul", self.constant(1.0 / divisor)
         if name == "mul":
@@ -260,7 +275,7 @@ class _Builder:
                 work[made[0]] = int(starts_in[given[0]]) + given[1]
             elif code == ca.OP_OUTPUT:
                 rows = function.sparsity_out(made[0]).find()
-                results[int(starts_out[made[0]]) + rows[made[1]]] = work[given[0]]
+                results[int(starts_out[made[0]]) + rows[made[1]]] = self.numeric(work[given[0]])
             else:
                 work[made[0]] = self._made(code, [work[i] for i in given])
         return results

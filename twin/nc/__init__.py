@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.nc.apt import Apt
 from twin.nc.blocks import Dialect, Program
 from twin.nc.heidenhain import Heidenhain
@@ -49,7 +49,20 @@ def find_program(path: str | Path) -> Path:
         return bundled
     known = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
     names = sorted(file.name for file in _SAMPLES.glob("*") if file.suffix in known)
-    raise InputError("no such program", expected=f"a file, or one that comes with twin: {' '.join(names)}", file=path)
+    raise InputError(
+        "no such program",
+        expected=f"a file, or one that comes with twin: {' '.join(names)}",
+        file=path,
+        nearest=nearest(path.name, [*names, *_beside(path)]),
+    )
+
+
+def _beside(path: Path) -> list[str]:
+    """Names of the files in a folder, where there is one."""
+    try:
+        return [file.name for file in path.parent.iterdir() if file.is_file()]
+    except OSError:
+        return []
 
 
 def dialect_of(path: Path) -> Dialect:

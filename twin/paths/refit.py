@@ -44,6 +44,9 @@ class Refit:
     text: str
     report: PathReport
 
+    def _repr_html_(self) -> str:
+        return self.report._repr_html_()
+
 
 @final
 class Refitter:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, final
 
 from twin.compensation.report import LineNote, Report
 from twin.paths.budget import COVERAGE_FACTOR, Contribution, combined, number_or_none
+from twin.show import UNKNOWN, bar, card, note, pairs, several, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
@@ -144,6 +146,31 @@ class PathReport:
             },
             "compensation": None if self.compensation is None else self.compensation.to_dict(),
         }
+
+    def _repr_html_(self) -> str:
+        used, shares = self.used(), self.shares
+        rows = [
+            ("blocks from the input's path", shares.path, used["path"]),
+            ("compensation between the ends, rounding", shares.compensation + shares.rounding, used["machine"]),
+            ("executed path from the input's", shares.tolerance, used["total"]),
+        ]
+        cells = [(words, f"{share:.3f}", f"{most:.3f}", bar(most / shares.tolerance)) for words, share, most in rows]
+        u = self.expanded_um
+        told = [
+            ("blocks", f"{self.blocks:,} in {several(len(self.runs), 'run')}, now {self.blocks_out:,}"),
+            (
+                "U of a place of the path (k = 2)",
+                f"{u:.2g} µm" if u == u else f"{UNKNOWN}: the calibration has no covariance",
+            ),
+        ]
+        lists = (("not met", self.not_met, True), ("to know", self.notes, False))
+        notes = [
+            note(f"{of}, line {one.line}: {one.text}", loud=loud) for of, those, loud in lists for one in those[:SHOWN]
+        ]
+        title = f"{Path(self.program).name} on {self.machine} with fewer blocks"
+        headers = (f"of {shares.tolerance:g} µm", "share, µm", "used, µm", "")
+        parts = (pairs(told), table(headers, cells, right=(1, 2)), *notes)
+        return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
 
     def used(self) -> dict[str, float]:
         """The most that each part took of the tolerance, over all runs, µm."""

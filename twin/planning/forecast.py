@@ -21,6 +21,7 @@ from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.planning.design import covariance_of
 from twin.planning.information import Model
+from twin.show import UNKNOWN, Html, card, chips, note, pairs, readable, table
 from twin.simulate import Setting
 from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
 
@@ -111,6 +112,38 @@ class Forecast:
             if name in self.determined:
                 found[name] = float(np.sqrt(self._of(self.model.unknowns.of(name))[0, 0]))
         return found
+
+    def _repr_html_(self) -> str:
+        return card(
+            "What the readings will tell", *self.shown(), small=f"{self.readings:,} numbers read, none of them yet"
+        ).text
+
+    def shown(self) -> list[Html]:
+        """What a display says of it."""
+        over, o = self.at_tool, self.observability
+        place = ", ".join(f"{name} {value:.0f}" for name, value in over.where.items()).replace("-", "−")
+        by_axis: dict[str, list[str]] = {}
+        for name, u in self.errors.items():
+            by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2g} {readable(unit_of(name))}")
+        rows = [(axis, chips(found)) for axis, found in by_axis.items()]
+        why: dict[str, list[str]] = {}
+        for one in self.hidden:
+            why.setdefault(one.reason, []).append(one.name)
+        at_tool = f"{over.rms_um:.2g} µm RMS over the volume, {over.max_um:.2g} µm largest at {place}"
+        return [
+            pairs(
+                [
+                    ("U of the tool point", at_tool if over.uncertainty.known else UNKNOWN),
+                    ("tool", f"{self.tool_length_mm:g} mm long"),
+                ]
+            ),
+            table(("axis", "standard uncertainty (k = 1), of a curve the largest over its range"), rows),
+            table(
+                ("hidden: unknown whatever is read", "why"), [(", ".join(names), text) for text, names in why.items()]
+            ),
+            note(f"O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g} (observability)"),
+            note(DEFINITION),
+        ]
 
     def to_text(self) -> str:
         """The account for people."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from twin.budget import volume
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.files import Place, load_yaml
 from twin.instruments import INSTRUMENTS, Instrument
 from twin.machine import Machine, find_bundled
@@ -154,18 +154,20 @@ class Kit:
         """
         entries, lines = load_yaml(path, _KitFile, SCHEMA)
 
-        def fail(place: Place, what: str, expected: str, value: object) -> InputError:
-            return InputError(what, expected=expected, file=path, line=lines.get(place), value=value)
+        def fail(place: Place, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:
+            meant = nearest(str(value), known)
+            return InputError(what, expected=expected, file=path, line=lines.get(place), value=value, nearest=meant)
 
         # What the schema cannot know.
         by_name = {one.name: one for one in INSTRUMENTS}
         for i, name in enumerate(entries.instruments):
             if name not in by_name:
-                raise fail(("instruments", i), "no such instrument", f"one of {', '.join(by_name)}", name)
+                raise fail(("instruments", i), "no such instrument", f"one of {', '.join(by_name)}", name, by_name)
         for key, named in (("speeds", entries.speeds), ("ranges", entries.ranges)):
             for name in named:
                 if name not in machine.by_name:
-                    raise fail((key, name), "no such axis", f"one of {', '.join(machine.names)}", name)
+                    known = machine.names
+                    raise fail((key, name), "no such axis", f"one of {', '.join(known)}", name, known)
         ranges = whole_ranges(machine)
         for name, (lower, upper) in entries.ranges.items():
             i = machine.names.index(name)

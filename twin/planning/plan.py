@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from twin.arrays import locked
 from twin.budget import volume
 from twin.calibration import Calibration
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.identification.unknowns import PLAUSIBLE
 from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
@@ -154,7 +154,8 @@ def _check(machine: Machine, wanted: Sequence[str]) -> None:
     for pattern in wanted or [""]:
         if not fnmatch.filter(names, pattern):
             expected = f"{', '.join(AIMS)}, or errors among {', '.join(names)}"
-            raise InputError("nothing of that name to reduce", expected=expected, value=pattern)
+            meant = nearest(pattern, (*AIMS, *names))
+            raise InputError("nothing of that name to reduce", expected=expected, value=pattern, nearest=meant)
 
 
 def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float) -> Aim:

@@ -16,6 +16,7 @@ from twin.planning.fill import Stand
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
+from twin.show import bar, card, note, pairs, several, table
 from twin.uncertainty import DEFINITION
 
 SCHEMA: Final = "twin.plan/1"
@@ -179,6 +180,37 @@ class Plan:
             *self.notices(),
         ]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        spent = self.route
+        parts = (
+            ("setting up", spent.stations_s),
+            ("changing targets", spent.targets_s),
+            ("turning reflectors", spent.aims_s),
+            ("travel", spent.travel_s),
+            ("readings", spent.points_s),
+        )
+        rows = [(words, f"{seconds / 60:.0f}", bar(seconds / max(spent.seconds, 1.0))) for words, seconds in parts]
+        told = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
+        told.append(("kit", self.kit.source))
+        tried = [
+            (one.instrument, ", ".join(one.stations), f"{one.points:,}", f"{one.value:.3g} {one.unit}")
+            for one in self.alternatives[:SHOWN]
+        ]
+        separation = [] if self.separation is None else [note(line) for line in self.separation.lines()]
+        forecast = [] if self.forecast is None else self.forecast.shown()
+        headers = ("from where", "stations", "readings", "what is to become small")
+        return card(
+            f"Plan for {self.machine.name}",
+            pairs(told),
+            table(("time for", "minutes", ""), rows, right=(1,)),
+            *separation,
+            *forecast,
+            table(headers, tried, right=(2, 3), title="at a first choice of readings, the best first"),
+            *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
+            small=f"{several(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
+            wrong=not self.complete,
+        ).text
 
     def to_text(self) -> str:
         """The account for people."""

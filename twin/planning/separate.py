@@ -22,7 +22,7 @@ from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Candidate, Cell, catalogue
 from twin.diagnosis.problem import TOLD_APART, Problem
-from twin.errors import InputError
+from twin.errors import InputError, nearest
 from twin.identification.network import Network
 from twin.identification.screen import fitting
 from twin.identification.unknowns import Unknowns
@@ -239,13 +239,19 @@ def _cell(one: Named, machine: Machine, plan: Measurements, calibration: Calibra
             expected = f"an effect of the machine: {', '.join(effects)}"
         else:
             expected = f"{one.effect} at one of {', '.join(places)}"
-        raise InputError("no cause that a plan can look for", expected=expected, value=one.text)
+        texts = [f"{c.effect} {c.where}" for c in tried.candidates if c.origin == "machine"]
+        raise InputError(
+            "no cause that a plan can look for", expected=expected, value=one.text, nearest=nearest(one.text, texts)
+        )
     names = {name for cell in found.cells for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
     strange = [name for name in one.numbers if name not in names | linear]
     if strange:
         raise InputError(
-            f"{one.text} has no such parameter", expected=", ".join(sorted(names | linear)), value=strange[0]
+            f"{one.text} has no such parameter",
+            expected=", ".join(sorted(names | linear)),
+            value=strange[0],
+            nearest=nearest(strange[0], names | linear),
         )
 
     def off(cell: Cell) -> float:
