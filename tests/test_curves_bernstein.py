@@ -645,7 +645,7 @@ def test_a_diagnosis_says_of_bernstein_curves_what_it_says_of_powers(
 ) -> None:
     """E_CX with the wrong sign: named, and put right in its own basis."""
     rng = np.random.default_rng(1)
-    plan = hidden.rounded(hidden.plan(rng, poses=90))
+    plan = hidden.rounded(hidden.plan(rng, poses=40))
     read = hidden.noisy(hidden.points(plan), rng, "isotropic", 3e-3)
     data = load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=3e-3), dmu50)
     right = calibration.curves["E_CX"]

@@ -111,7 +111,7 @@ def the(result: Diagnosis, truth: Hidden) -> Cause:
     raise AssertionError(f"{truth.key} not among {[(c.effect, c.where, c.equivalent) for c in result.causes]}")
 
 
-def check(result: Diagnosis, truth: Hidden) -> None:
+def check(result: Diagnosis, truth: Hidden, bound: float = 3.0) -> None:
     cause = the(result, truth)
     assert len(result.causes) == 1 and result.unexplained is None
     assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
@@ -119,11 +119,14 @@ def check(result: Diagnosis, truth: Hidden) -> None:
     if (cause.effect, cause.where) == truth.key:
         # Three standard uncertainties, the number: 1 in 370 a parameter, on seeded draws.
         for name, pull in pulls(cause, truth).items():
-            assert abs(pull) < 3.0, (name, pull, cause.parameters)
+            assert abs(pull) < bound, (name, pull, cause.parameters)
     assert cause.p_value < 0.01
     assert result.gain is not None and result.gain.rms_after_um < result.gain.rms_before_um
     if cause.origin == "machine":
-        if truth.effect != "thermal_drift":
+        if truth.effect == "thermal_growth":
+            # A round left out may be the one whose bed is warm, and the others then tell little of it: the interval says so.
+            assert result.gain.held_ci95_um[1] > 0.0
+        elif truth.effect != "thermal_drift":
             # On rounds the selection did not see. A warm-up is over after the first round: the others do not foretell it.
             assert result.gain.held_after_um < result.gain.held_before_um
         # No less where a rotation turns about the tool's own point.
@@ -147,7 +150,8 @@ def test_an_effect_of_every_kind_whatever_the_scatter(
     size = 4.0 if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     louder = replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
-    check(look([louder], seed=200 + EVERY.index(truth), noise=noise), louder)
+    # Of some 250 parameters of 96 cases the largest is beyond 4.1 u one time in a hundred (Šidák).
+    check(look([louder], seed=200 + EVERY.index(truth), noise=noise), louder, bound=4.1)
 
 
 @pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker"])

@@ -10,9 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from twin.calibration import Calibration
-from twin.machine import Machine
-
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -67,21 +64,3 @@ def test_the_product_stands_alone() -> None:
     """Nothing in it reaches for the workplace it was made in."""
     files = [*package_files(), *(ROOT / "urdf").iterdir(), *(ROOT / "notebooks").glob("*"), ROOT / "README.md"]
     assert [path.name for path in files if path.is_file() and "../shared" in path.read_text(errors="replace")] == []
-
-
-def test_readme_script_runs_as_written(tmp_path: Path) -> None:
-    """The lines under "From a script"."""
-    readme = (ROOT / "README.md").read_text()
-    script = readme.split("```python\n")[1].split("```")[0]
-    assert len([line for line in script.splitlines() if line.strip()]) <= 10
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "error at the tool" in done.stdout
-
-
-def test_readme_calibration_loads(tmp_path: Path) -> None:
-    readme = (ROOT / "README.md").read_text()
-    path = tmp_path / "c.yaml"
-    path.write_text(readme.split("```yaml\n")[1].split("```")[0])
-    machine = Machine.load("dmu50")
-    assert set(Calibration.load(path, machine).curves) == {"E_XX", "E_ZC"}

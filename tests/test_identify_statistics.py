@@ -25,7 +25,7 @@ from twin.samples import thesis_plan
 from twin.simulate import simulate
 from twin.thesis_identification import identify_as_thesis
 
-FEW, MANY = 8, 200
+FEW, MANY = 6, 200
 AXES = ("X", "Y", "Z")
 
 

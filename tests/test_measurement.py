@@ -123,7 +123,7 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
     ("lines", "header", "line", "words"),
     [
         ([], HEADER, None, "one row a point"),
-        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (is it 'X_m'?)"),
+        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (is it X_m?)"),
         (rows(0), HEADER.replace("carrier", "side"), 2, "carrier"),
         (rows(0), HEADER.replace("Y_mm", "X_mm"), 2, "each column once"),
         ([*rows(0), ROW.format(x=50).replace("tool", "table")], HEADER, 4, "tool or work"),

@@ -266,6 +266,8 @@ def test_a_tape_is_its_function() -> None:
         *(ca.sin(k * x[3]) * ca.cos((k + 1) * x[3]) for k in range(1, 8)),
         ca.cos((x[3] * (180.0 / math.pi)) * (math.pi / 180.0)),
         ca.if_else(x[1] <= x[2], x[1], x[2]),
+        ca.jacobian(ca.fmax(0.0, x[0] - 0.2) * x[1] + ca.fmin(x[2], 0.1), x).T,
+        x[0] < x[1],
     ]
     function = ca.Function("f", [x], [ca.vertcat(*values[:5]), ca.vertcat(*values[5:])])
     tape = Tape(function)

@@ -37,9 +37,22 @@ def test_it_runs(path: Path, tmp_path: Path) -> None:
             assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
         if cell.cell_type == "code":
             assert not any(output.get("name") == "stderr" for output in cell.outputs), cell.source
-            if re.fullmatch(r"\w+", cell.source.splitlines()[-1]):
+            if re.fullmatch(r"\w+|draw_program\(.*\)", cell.source.splitlines()[-1]):
                 assert any("text/html" in output.get("data", {}) for output in cell.outputs), cell.source
     CLAIMS.get(path.stem, lambda notebook: None)(notebook)
+
+
+def test_they_are_one_course() -> None:
+    """Every part has one opening line that links the others, and all but the last lead on to the next."""
+    stems = [path.stem for path in NOTEBOOKS]
+    assert [stem[:2] for stem in stems] == [f"{i:02d}" for i in range(len(stems))]
+    for i, path in enumerate(NOTEBOOKS):
+        cells = nbformat.read(path, as_version=4).cells
+        (line,) = re.findall(r"\*The course: (.*?)\*\n\n", cells[0].source, re.S)
+        assert re.findall(r"\((\w+)\.ipynb\)", line) == [stem for stem in stems if stem != path.stem]
+        assert cells[-1].cell_type == "markdown"
+        last = cells[-1].source.rpartition("\n\n")[2]
+        assert f"({stems[(i + 1) % len(stems)]}.ipynb)" in last
 
 
 def told(notebook: nbformat.NotebookNode) -> str:
@@ -66,6 +79,8 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
 def planned(notebook: nbformat.NotebookNode) -> None:
     """40 % less at the tool in the same hours at least, foretold and achieved; then two names, and after half an hour the right one."""
     text = told(notebook)
+    display = text[text.index("Plan for DMU 50") :]
+    assert all(words in display for words in ("minutes", "µm", "µrad", "hidden: unknown"))
     hours = re.findall(r"readings.*?, ([\d.]+) hours", text)
     assert len(hours) == 2 and float(hours[1]) <= float(hours[0])
     (less,) = re.findall(r"foretold (\d+) % less, achieved (\d+) % less", text)
@@ -74,7 +89,44 @@ def planned(notebook: nbformat.NotebookNode) -> None:
     assert "are enough" in text and "NOT ENOUGH" not in text
 
 
+def toured(notebook: nbformat.NotebookNode) -> None:
+    """The story as it is written: some 70 µm as written, rounding afterwards; what is drawn and what is not known is said."""
+    text = told(notebook)
+    card = text[: text.index("<iframe")]
+    assert "ILLUSTRATIVE" in card and "uncertainty unknown" in card
+    assert "its uncertainty unknown" in text
+    rms = {
+        name: (float(a), float(b))
+        for name, a, b in re.findall(r"^(\w[\w ]+?) +RMS +([\d.]+) µm, largest +([\d.]+) µm", text, re.M)
+    }
+    assert 60.0 < rms["as written"][0] < 75.0
+    assert rms["compensated"][1] < 1.0  # µm: words rounded to 1 µm along three axes leave √3/2 of that
+    by_scope = [float(after) for after in re.findall(r"67\.7 → +([\d.]+) µm RMS", text)]
+    assert len(by_scope) == 2 and by_scope[0] > 0.85 * rms["as written"][0] and by_scope[1] < 0.6  # rounding, RMS
+    assert text.count("<iframe") == 1
+
+
+def built(notebook: nbformat.NotebookNode) -> None:
+    """Another machine: the chain is right by two other ways, mistakes name their line, what is left is what was foretold."""
+    text = told(notebook)
+    differences = [float(value) for value in re.findall(r"largest difference (\S+) mm", text)]
+    assert len(differences) == 2 and max(differences) < 1e-9  # contract: what two formulations may differ by
+    assert len(re.findall(r"^  bad\.yaml:\d+: .*; expected ", text, re.M)) == 4
+    found = re.findall(r"E_\w0\w: hidden +(-?[\d.]+), found +(-?[\d.]+) ± ([\d.]+) µrad", text)
+    assert len(found) == 3
+    for hidden, value, half in found:
+        assert abs(float(hidden) - float(value)) < 2.0 * float(half)  # four standard uncertainties, of three draws
+    rms = {name: float(value) for name, value in re.findall(r"^(\w[\w ]+?) +RMS +([\d.]+) µm, largest", text, re.M)}
+    (claimed,) = (float(value) for value in re.findall(r"foretold by the calibration: U ([\d.]+) µm", text))
+    assert rms["compensated"] < 0.25 * rms["as written"]
+    assert rms["compensated"] < claimed  # a 95 % radius above the RMS, and no number without relation to it
+    assert claimed < 4.0 * rms["compensated"]
+    assert "30 error motions from gantry.calibration.yaml" in text
+
+
 CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {
+    "00_tour": toured,
+    "04_your_own_machine": built,
     "02_diagnose": diagnosed,
     "03_plan_a_measurement": planned,
 }

@@ -459,6 +459,7 @@ def test_readings_that_pay_little_time_are_preferred() -> None:
     assert np.sum(cost[found] == 15.0) >= 4
 
 
+@pytest.mark.slow
 def test_more_time_tells_more(tmp_path: Path) -> None:
     machine, own = kits.slides(tmp_path)
     short, long = (plan(machine, own, minutes=minutes) for minutes in (70.0, 110.0))
@@ -504,6 +505,7 @@ def test_one_slide(tmp_path: Path) -> None:
     assert "DRAWS NO SHAPES" in " ".join(made.notices())
 
 
+@pytest.mark.slow
 def test_a_short_plan_leaves_an_identification_room_for_the_machine(dmu50: Machine, calibration: Calibration) -> None:
     """However few readings: as many positions as expected curves have functions, and two to object; then what is left is scatter."""
     needed = max(len(curve.coefficients) for curve in calibration.curves.values())

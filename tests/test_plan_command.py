@@ -234,6 +234,7 @@ def test_coordinates_filled_into_a_plan_do_not_make_its_places_known(half: Plan,
     assert "place_x_mm" in (tmp_path / "k.csv").read_text().replace("planned_place_x_mm", "")
 
 
+@pytest.mark.slow
 def test_several_errors_behind_one_reduce(
     slides: Path, own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -99,6 +99,7 @@ def test_the_thesis_cannot_tell_them(dmu50: Machine, calibration: Calibration, f
     assert found.verdict == "ambiguous" and not told_apart(found, *CROSS)
 
 
+@pytest.mark.slow
 def test_the_size_stated_is_told_with_what_was_measured_before(calibration: Calibration, cross: Plan) -> None:
     check(calibration, cross, before=True, draws=FEW, more={})
 

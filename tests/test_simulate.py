@@ -181,7 +181,11 @@ def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pyte
         ("thesis_plan.csv", ["--drift", "5,0,0"], "STATION=x,y,z"),
         ("thesis_plan.csv", ["--drift", "1=5,0"], "x,y,z in µm/h"),
         ("thesis_plan.csv", ["--drift", "east=5,0,0"], "expected one of 1"),
-        ("thesis.csv", [], "no such plan; expected a measurement table, or one that comes with twin: thesis_plan.csv"),
+        (
+            "thesis.csv",
+            [],
+            "no such plan (is it thesis_plan.csv?); expected a measurement table, or one that comes with twin: thesis_plan.csv",
+        ),
     ):
         with pytest.raises(SystemExit) as stopped:
             cli.main(["simulate", plan_name, "-o", str(tmp_path / "no.csv"), *arguments])

@@ -152,7 +152,28 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+VARIED = {
+    "three axes",
+    "two words",
+    "returns alone",
+    "no ending",
+    "a byte order mark",
+    "rotary axes only later",
+    "inverse time",
+    "inches",
+    "incremental",
+    "skipped blocks",
+    "nothing moves at first",
+    "machine coordinates",
+    "comments on lines of their own",
+    "beyond the curves",
+}
+"""What others are tried as well, in another form."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in VARIED else name for name in PROGRAMS]
+)
 def test_the_same_in_stretches(name: str, usual: Compensator, both: Callable[..., str]) -> None:
     assert both(PROGRAMS[name], usual, *STRETCHES) != PROGRAMS[name]
 

@@ -182,6 +182,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
     assert {"pitch_error", "harmonic", "positioning", "thermal_drift", "misplaced", "reversal"} <= seen
 
 
+@pytest.mark.slow
 def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
     """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
     levels = []

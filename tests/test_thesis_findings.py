@@ -76,6 +76,7 @@ def at_targets_um(found: Identification) -> dict[str, float]:
     return deviations
 
 
+@pytest.mark.slow
 def test_tables_5_1_and_5_2(dmu50: Machine, calibration: Calibration) -> None:
     """The rows "laser tracker performance".
 

@@ -36,7 +36,7 @@ from twin.nc.scan import scan
 from twin.nc.text import Style, newline_of, style_in
 
 SEED = st.integers(0, 10**6)
-MANY = settings(max_examples=400)
+MANY = settings(max_examples=200)
 
 
 @pytest.fixture(autouse=True, scope="module")

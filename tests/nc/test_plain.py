@@ -254,7 +254,7 @@ def check(dialect, text, seed, axes=AXES, *, tcp=False):
 
 
 SEED = st.integers(0, 10**6)
-MANY = settings(max_examples=400)
+MANY = settings(max_examples=200)
 
 
 @MANY
