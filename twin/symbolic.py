@@ -6,6 +6,7 @@ Branch-free on purpose: the same expression is differentiated, mapped over batch
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -75,6 +76,7 @@ def _joint_in_base(machine: Machine, joint: int, q: Any, e: Any) -> Pose:
     return pose
 
 
+@lru_cache(maxsize=16)  # every diagnosis asks for it, for each axis; a machine never changes
 def gravity_load(machine: Machine) -> ca.Function:
     """What gravity does along each axis of the machine as drawn: q (axes,) → (axes,) N or N·m, minus the slope of its potential.
 

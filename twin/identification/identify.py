@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
@@ -113,11 +112,8 @@ def _identify(
         )
 
     say("choosing the curves", 0.1)
-    families = _families(machine, data, wanted)
-    with ThreadPoolExecutor(len(families)) as pool:
-        attempts = list(pool.map(attempt, families))
-    best = attempts[0]
-    for other in attempts[1:]:
+    best, *others = map(attempt, _families(machine, data, wanted))
+    for other in others:
         if other.choice.held_out < best.choice.held_out * (1.0 - 1e-6):
             best = other
     say("estimating", 0.75)
