@@ -116,7 +116,7 @@ class Inverse:
 
     def __init__(self, kinematics: Kinematics, *, rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG) -> None:
         machine = kinematics.machine
-        if len(machine.linear) != 3 or len(machine.rotary) > 2:
+        if not machine.runs_programs:
             raise InputError(
                 f"{machine.name} has {len(machine.linear)} linear and {len(machine.rotary)} rotary axes",
                 expected="three linear axes and at most two rotary ones, to run programs",

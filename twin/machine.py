@@ -225,6 +225,11 @@ class Machine:
         """Indices of the rotary axes in command order."""
         return tuple(i for i, axis in enumerate(self.axes) if not axis.linear)
 
+    @property
+    def runs_programs(self) -> bool:
+        """Whether NC programs can be worked out for it: three linear axes and at most two rotary ones."""
+        return len(self.linear) == 3 and len(self.rotary) <= 2
+
     def error_names(self, frame: ErrorFrame) -> tuple[str, ...]:
         """ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
         mark = "" if frame.role == "motion" else "0"

@@ -11,3 +11,5 @@ MM: Final = 1e-3
 UM: Final = 1e-6
 DEG: Final = pi / 180.0
 URAD: Final = 1e-6
+TURN: Final = 360.0
+"""Degrees."""

@@ -135,7 +135,7 @@ class Geometry:
         if len(columns) != 3 or abs(np.linalg.det(np.array(columns))) < CONSTANT:
             raise InputError(
                 f"{self.machine.name} has not three linear axes across one another",
-                expected="three",
+                expected="three; linuxcnc, heidenhain and siemens have tables of single axes",
                 file=self.machine.path,
             )
         order = [frame.axis for frame in self.frames if self.machine.by_name[frame.axis].linear]

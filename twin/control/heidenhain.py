@@ -26,14 +26,14 @@ from pathlib import Path
 from typing import Final, final
 
 from twin.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
-from twin.control.lines import axis_named, number, numbered, plain, rising, unit_of
+from twin.control.lines import axis_named, check_letters, number, numbered, plain, rising, unit_of
 from twin.errors import InputError
 from twin.machine import Axis, Machine
+from twin.units import TURN
 
 POINTS: Final = 256
 DIGITS: Final = {True: 4, False: 5}
 """Behind the point: mm of a linear axis, degrees of a rotary one."""
-TURN: Final = 360.0
 CMA: Final = "CONFIG.CMA"
 UNCHECKED: Final = (
     "sign of the values: taken as that of the error (actual - nominal), as HEIDENHAIN defines it for linear axis-error compensation",
@@ -53,8 +53,9 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
         notes: said in a comment behind the end of each ``.COM``.
 
     Raises:
-        InputError: what such tables cannot hold.
+        InputError: an axis that is none of X Y Z A B C U V W; what such tables cannot hold.
     """
+    check_letters([name for term in terms for name in (term.axis, term.factors[0].of)], "HEIDENHAIN")
     files: dict[str, str] = {}
     inputs = [axis for axis in machine.axes if any(term.factors[0].of == axis.name for term in terms)]
     for axis in inputs:

@@ -35,12 +35,12 @@ from twin.control.geometry import Geometry
 from twin.control.lines import axis_named, number, numbered, plain, rising
 from twin.errors import InputError
 from twin.machine import DIRECTIONS, Axis, ErrorFrame, Machine
+from twin.units import TURN
 
 FILE: Final = "volcomp.csv"
 LIST: Final = "volcomp.lis"
 DIGITS: Final = (6, 9)
 """Behind the point: mm, rad."""
-TURN: Final = 360.0
 UNCHECKED: Final = (
     "sign: a positive component error is taken as the actual deviation (ISO 230-1); `negate` turns an axis round",
     "levers of angular errors: taken from the point that moves with the axis",

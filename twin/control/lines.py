@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from twin.machine import Axis, Machine
 
 UM_IN_MM = 1e-3
 URAD_IN_DEG = 180e-6 / 3.141592653589793
+LETTERS = tuple("XYZABCUVW")
+"""What LinuxCNC and HEIDENHAIN call axes."""
 
 
 def numbered(path: Path) -> list[tuple[int, str]]:
@@ -65,6 +68,19 @@ def axis_named(name: str, machine: Machine, path: Path, line: int | None) -> Axi
             value=name,
         )
     return machine.by_name[name]
+
+
+def check_letters(names: Iterable[str], control: str) -> None:
+    """That a control which names its axes by a letter has them.
+
+    Raises:
+        InputError: a name that is none of its letters.
+    """
+    for name in names:
+        if name not in LETTERS:
+            raise InputError(
+                f"{control} has no such axis", expected=f"axes named by one of {' '.join(LETTERS)}", value=name
+            )
 
 
 def unit_of(axis: Axis) -> float:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin.control.curve import Curve, Term, Terms
-from twin.control.lines import axis_named, number, numbered, plain, rising, unit_of
+from twin.control.lines import axis_named, check_letters, number, numbered, plain, rising, unit_of
 from twin.errors import InputError
 from twin.machine import Axis, Machine
 
@@ -44,8 +44,9 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
         notes: lines said behind the last point, where the control no longer reads.
 
     Raises:
-        InputError: more than 256 points, or what a joint compensation cannot hold.
+        InputError: an axis that is none of X Y Z A B C U V W, more than 256 points, or what a joint compensation cannot hold.
     """
+    check_letters(machine.names, "LinuxCNC")
     files: dict[str, str] = {}
     ini = [
         "# Lines for the INI file of LinuxCNC; COORDINATES and the units are there already and must say the same.",

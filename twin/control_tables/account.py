@@ -18,6 +18,11 @@ DONE_TWICE: Final = (
     "itself; with the one it was made from the errors would be taken out twice."
 )
 
+FROM_NOW_ON: Final = (
+    "With these tables on, the calibration.yaml of this folder is the machine's and no other: it says what the control takes out by "
+    "itself."
+)
+
 
 @final
 @dataclass(frozen=True)
@@ -70,8 +75,9 @@ class Account:
             "µrad RMS about x / y",
             _left("  as it is", self.remains.before),
             _left("  with the tables", self.remains.tables),
-            _left("  with the tables and a program compensated on top", self.remains.program),
         ]
+        if self.remains.program is not None:
+            lines.append(_left("  with the tables and a program compensated on top", self.remains.program))
         if self.remains.at_limits:
             lines.append(
                 f"  at {self.remains.at_limits} of the poses an axis would have to leave its range to correct the rest"
@@ -105,7 +111,7 @@ class Account:
                 "NOT CHECKED against a public description of the control:",
                 *(f"  - {text}" for text in made.unchecked),
             ]
-        lines += ["", trial(made), DONE_TWICE]
+        lines += ["", trial(made), DONE_TWICE if wanted.machine.runs_programs else FROM_NOW_ON]
         if self.unmet:
             lines += ["", "Not met:", *(f"  - {text}" for text in self.unmet)]
         return "\n".join(lines) + "\n"
@@ -128,7 +134,7 @@ class Account:
                 "poses": self.remains.poses,
                 "before": asdict(self.remains.before),
                 "with_tables": asdict(self.remains.tables),
-                "with_tables_and_program": asdict(self.remains.program),
+                "with_tables_and_program": None if self.remains.program is None else asdict(self.remains.program),
                 "poses_at_limits": self.remains.at_limits,
             },
             "errors": [asdict(one) for one in self.carried],

@@ -13,8 +13,8 @@ from twin.control_tables.nodes import RESOLUTION, Nodes, at, chosen
 from twin.control_tables.wanted import Wanted
 from twin.errors import InputError
 from twin.machine import Axis
+from twin.units import TURN
 
-TURN: Final = 360.0
 URAD_A_UM: Final = 2.0
 """Tolerance of an angle for each µm of the tolerance: a µm at half a metre."""
 WORTH: Final = 0.1

@@ -38,24 +38,31 @@ def trial(made: Made) -> str:
     best = max((one for one in made.tables if one.nodes), key=lambda one: one.peak, default=None)
     if best is None:
         return ""
+    against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
     return (
-        f"Before cutting: drive the axis with the largest correction ({best.name}, up to {best.peak:.1f} {best.unit}) against a "
-        "dial gauge or "
-        "interferometer with the tables off and on. The error must become smaller. If it doubles, the control reads the sign the "
+        f"Before cutting: drive the axis with the largest correction ({best.name}, up to {best.peak:.1f} {_shown(best.unit)}) "
+        f"against a {against} "
+        "with the tables off and on. The error must become smaller. If it doubles, the control reads the sign the "
         "other way round: "
         "switch the tables off."
     )
 
 
+def _shown(unit: str) -> str:
+    return unit.replace("u", "µ", 1)
+
+
 def _linuxcnc(made: Made) -> tuple[str, ...]:
     machine = made.wanted.machine
     joints = ", ".join(f"joint {i} is {name}" for i, name in enumerate(machine.names))
+    pins = [f"joint.{machine.names.index(name)}.backlash-corr" for name in made.largest]
+    shown = f"halcmd show pin {pins[0]} shows" if len(pins) == 1 else f"halcmd show pin {' or '.join(pins)} show"
     found = [
         f"Copy the .comp files beside the INI file and its lines of {linuxcnc.INI} into the sections that are there ({joints}: "
         "check it).",
         "Take BACKLASH out of these sections: it is not used beside a COMP_FILE.",
         "STEPGEN_MAXACCEL (steppers) 1.5 to 2 times MAX_ACCELERATION: the correction moves on top of the program.",
-        "Restart LinuxCNC. The tables work from then on; halcmd show pin joint.0.backlash-corr shows what is added (mm).",
+        f"Restart LinuxCNC. The tables work from then on; {shown} what is added (mm, degrees).",
         "To switch off: take the COMP_FILE lines out and restart.",
     ]
     if any(axis.lower is None for axis in machine.axes):
@@ -88,7 +95,12 @@ def _siemens(made: Made) -> tuple[str, ...]:
         for name, peak in made.largest.items()
     )
     moved = ", ".join(made.largest)
-    moved = ", ".join(made.largest)
+    products = (
+        "Products: a table with $AN_CEC_MULT_BY_TABLE and the one behind it are an angular error times its lever (up to 1). Should "
+        "the control add the "
+        "single values too, the sum goes over MD32720: an alarm comes, and the correction is held at that limit. Then make the "
+        "tables with --no-products."
+    )
     return (
         f"Check the axes: {', '.join(f'AX{i} = {name}' for i, name in enumerate(machine.names, start=1))} "
         "(MD10000 $MN_AXCONF_MACHAX_NAME_TAB); input and output axes are written by these numbers.",
@@ -99,10 +111,7 @@ def _siemens(made: Made) -> tuple[str, ...]:
         f"MD32720 $MA_CEC_MAX_SUM, a limit with an alarm, a little above the largest correction: {limits}.",
         f"SD41300 $SN_CEC_TABLE_ENABLE[t] = 1 for all of them, then MD32710 $MA_CEC_ENABLE = 1 for {moved}; reset. Axes must be "
         "referenced.",
-        "Products: a table with $AN_CEC_MULT_BY_TABLE and the one behind it are an angular error times its lever (up to 1). Should "
-        "the control add the "
-        "single values too, the sum goes over MD32720: an alarm comes, and the correction is held at that limit. Then make the "
-        "tables with --no-products.",
+        *([products] if any(" times " in one.name for one in made.tables) else []),
         "Leadscrew error compensation (MD32700) of the same axis works beside it: what it takes out must not be in the "
         "calibration again.",
     )
@@ -125,7 +134,8 @@ def _isg(made: Made) -> tuple[str, ...]:
         "logical axis "
         "numbers in, and check chain and workpiece_axes.",
         f"hochlauf.lis: vol_comp[0].max_records {records} or more.",
-        "Switch on in the program (#VOLCOMP ON [ID 0]) or by the CNC object; it corrects the tool's position with X, Y and Z and "
+        "Switch on in the program (#VOLCOMP ON [ID 0]) or by the CNC object; it corrects the tool's position with "
+        f"{' '.join(made.wanted.machine.axes[i].name for i in made.wanted.machine.linear)} and "
         "leaves its orientation.",
         "Give the tool its length in the control: with N0X N0Y N0Z in the file it counts.",
     )
@@ -136,7 +146,7 @@ def rows(tables: Sequence[Table]) -> list[str]:
     width = max([len(one.name) for one in tables] + [5])
     found = [f"  {'table':<{width}}  {'range':>17}  nodes    step    largest   between nodes   read back   (allowed)"]
     for one in tables:
-        unit = one.unit.replace("u", "µ", 1)
+        unit = _shown(one.unit)
         span = f"{one.low:g} … {one.high:g}"
         nodes = f"{one.nodes:>5}  {one.step:>6g}" if one.nodes else f"{'':>5}  {'':>6}"
         marks = ("" if one.holds else "  NOT WHAT WAS MEANT") + ("" if one.fine else "  ABOVE TOLERANCE")

@@ -11,13 +11,17 @@ import numpy as np
 from twin.budget import drawn_sides, volume
 from twin.calibration import Calibration
 from twin.channels import Listening
-from twin.control_tables.wanted import Wanted
+from twin.control_tables.wanted import Wanted, step_back
 from twin.effects import ControlCorrection, Effect
 from twin.kinematics import Kinematics, Poses, rms_and_max
 
 Share = Literal["whole", "line", "no"]
 STEPS: Final = 2
 """Of the linear axes, so that what they can take out is gone to a nanometre."""
+
+SOME_BEYOND: Final = 0.01
+ALL_BEYOND: Final = 0.99
+"""Share of an error that lies where no linear axis moves the point; products of two errors are a thousandth."""
 
 
 @final
@@ -41,14 +45,14 @@ class Remains:
     """Before, after the tables, after a compensated program on top of them.
 
     Attributes:
-        before, tables, program: the errors.
+        before, tables, program: the errors; ``program`` is None for a machine that runs none.
         poses: over how many.
         at_limits: of these, in how many an axis would have to leave its range to correct the rest.
     """
 
     before: Left
     tables: Left
-    program: Left
+    program: Left | None
     poses: int
     at_limits: int
 
@@ -69,22 +73,30 @@ def remains(wanted: Wanted, calibration: Calibration) -> Remains:
     q = volume(machine)
     q = q[~calibration.outside(q).any(axis=1)]
     sides, goal = drawn_sides(q), meant.forward(q)
-    commands, limits = q.copy(), np.array([wanted.range_of(axis) for axis in machine.axes])
-    linear = list(machine.linear)
-    limited = np.zeros(len(q), dtype=bool)
-    for _ in range(STEPS):
-        off = with_tables.forward(commands, sides).point_mm - goal.point_mm
-        by = with_tables.sensitivities(commands, sides).command[:, :3, linear]
-        step = commands[:, linear] - np.linalg.solve(by, off[:, :, None])[:, :, 0]
-        commands[:, linear] = np.clip(step, *limits[linear].T)
-        limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
+    commands, limited = _compensated(wanted, with_tables, q, sides, goal)
     return Remains(
         _left(bare.forward(q, sides), goal),
         _left(with_tables.forward(q, sides), goal),
-        _left(with_tables.forward(commands, sides), goal),
+        _left(with_tables.forward(commands, sides), goal) if machine.runs_programs else None,
         len(q),
         int(limited.sum()),
     )
+
+
+def _compensated(
+    wanted: Wanted, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, axes) commands of a program that corrects the point for what the tables leave; (n,) where an axis has no room for it."""
+    machine, commands, limited = wanted.machine, q.copy(), np.zeros(len(q), dtype=bool)
+    if not machine.runs_programs:
+        return commands, limited
+    linear = list(machine.linear)
+    limits = np.array([wanted.range_of(machine.axes[i]) for i in linear])
+    for _ in range(STEPS):
+        step = commands[:, linear] + step_back(with_tables, commands, sides, goal.point_mm)
+        commands[:, linear] = np.clip(step, *limits.T)
+        limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
+    return commands, limited
 
 
 def _left(reached: Poses, goal: Poses) -> Left:
@@ -144,6 +156,11 @@ def _share(effect: Effect, iso_class: str, wanted: Wanted, kind: str, *, product
         return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
     if kind == "linuxcnc" and iso_class in ("L-STR", "L-SQU"):
         return "no", "moves other axes than its own: the format has no such tables"
+    beyond = wanted.beyond(effect)
+    if beyond > ALL_BEYOND:
+        return "no", "no linear axis moves the point that way"
+    if beyond > SOME_BEYOND:
+        return "line", f"no linear axis moves the point the way of {100.0 * beyond:.0f} % of it"
     if others:
         return "line", f"depends on {' '.join(others)} too"
     if iso_class == "L-ANG" and kind == "linuxcnc":

@@ -13,11 +13,12 @@ from twin.control import Curve
 from twin.control.geometry import Geometry
 from twin.control.grid import Grid
 from twin.control.isg import AxisErrors, Volumetric
-from twin.control_tables.design import TURN, URAD_A_UM, WORTH
+from twin.control_tables.design import URAD_A_UM, WORTH
 from twin.control_tables.nodes import at, chosen
 from twin.control_tables.wanted import Wanted
 from twin.errors import InputError
 from twin.machine import Axis
+from twin.units import TURN
 
 ISG_POINTS: Final = 400
 """Records of an axis: `vol_comp[0].max_records` is to be their sum or more."""
@@ -146,7 +147,12 @@ def spatial_grid(wanted: Wanted, *, tolerance_um: float, step: float | None, old
     axes = [machine.axes[i] for i in machine.linear]
     names = tuple(axis.name for axis in axes)
     if len(names) != 3:
-        raise InputError(f"{machine.name} has not three linear axes", expected="three", file=machine.path)
+        raise InputError(
+            f"{machine.name} has not three linear axes",
+            expected="three, which span the grid's box; linuxcnc, heidenhain and siemens have tables of single axes",
+            file=machine.path,
+            value=" ".join(names) or "none",
+        )
 
     def truth(positions: np.ndarray) -> np.ndarray:
         return wanted.point(names, positions)

@@ -1,7 +1,8 @@
 """What the commands of the axes should be shifted by, as the machine's own kinematics have it: on any chain, without a sign of ours.
 
 A table of an axis is about that axis's own errors. With these alone the tool point is off by δ(q); the linear axes undo it by c =
-−J⁻¹·δ, J the point's derivatives by their commands on the same machine. First order: 100 µm times 100 µrad are 10 nm.
+−J⁺·δ, J the point's derivatives by their commands on the same machine: all of it where there are three of them, and what lies along
+them where there are fewer. First order: 100 µm times 100 µrad are 10 nm.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import final
 
 import numpy as np
 
+from twin.budget import drawn_sides, volume
 from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.effects import Effect
@@ -34,7 +36,7 @@ class Wanted:
         conditions: temperatures and time.
 
     Raises:
-        InputError: the machine has not three linear axes.
+        InputError: linear axes that move the point the same way, so that nobody knows which of them is to be corrected.
     """
 
     def __init__(
@@ -46,18 +48,20 @@ class Wanted:
         classes: frozenset[str],
         conditions: Conditions,
     ) -> None:
-        if len(machine.linear) != 3:
-            raise InputError(
-                f"{machine.name} has {len(machine.linear)} linear axes",
-                expected="three, which move the point",
-                file=machine.path,
-            )
         self.machine = machine
         self.at = dict(at)
         self.tool_length_mm = tool_length_mm
         self.conditions = conditions
         self.calibration = calibration
         self._meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
+        by = _by_linear(self._meant, np.array([[self.at[name] for name in machine.names]]), None)[0]
+        if machine.linear and np.linalg.matrix_rank(by) < len(machine.linear):
+            raise InputError(
+                f"{machine.name} has linear axes that move the point the same way",
+                expected="at most three linear axes, each in a direction that the others leave",
+                file=machine.path,
+                value=" ".join(machine.axes[i].name for i in machine.linear),
+            )
         self._classes = classes
         self._real: dict[str, Kinematics] = {}
 
@@ -105,6 +109,24 @@ class Wanted:
         """
         return undo(self.real(axes), self._meant, positions, self._sides(axes, positions, side)) * 1e3
 
+    def beyond(self, effect: Effect) -> float:
+        """Share of what one effect does to the point that no linear axis can undo: 0 where there are three of them."""
+        if len(self.machine.linear) == 3:
+            return 0.0
+        alone = Kinematics(
+            self.machine,
+            self.calibration.where(lambda name: name == effect.name),
+            tool_length_mm=self.tool_length_mm,
+            conditions=self.conditions,
+        )
+        q = volume(self.machine)
+        q = q[~self.calibration.outside(q).any(axis=1)]
+        sides, goal = drawn_sides(q), self._meant.forward(q).point_mm
+        off = alone.forward(q, sides).point_mm - goal
+        left = off + (_by_linear(alone, q, sides) @ step_back(alone, q, sides, goal)[:, :, None])[:, :, 0]
+        size = float(np.linalg.norm(off))
+        return float(np.linalg.norm(left)) / size if size > 0.0 else 0.0
+
     def turn(self, axis: Axis, q: np.ndarray, side: int = 0) -> np.ndarray:
         """(n,) µrad to add to the command of a rotary axis for its own angular positioning."""
         positions = self.line(axis, q)
@@ -126,7 +148,16 @@ class Wanted:
 
 
 def undo(real: Kinematics, meant: Kinematics, positions: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
-    """(n, linear axes) mm: the step of the linear axes that takes the point from where it is to where it was meant to be."""
-    off = real.forward(positions, sides).point_mm - meant.forward(positions).point_mm
-    by = real.sensitivities(positions, sides).command[:, :3, list(real.machine.linear)]
-    return np.asarray(-np.linalg.solve(by, off[:, :, None])[:, :, 0])
+    """(n, linear axes) mm: the step of the linear axes that takes the point to where it was meant to be, or as near as they can."""
+    return step_back(real, positions, sides, meant.forward(positions).point_mm)
+
+
+def step_back(real: Kinematics, positions: np.ndarray, sides: np.ndarray | None, goal_mm: np.ndarray) -> np.ndarray:
+    """(n, linear axes) mm: the step of the linear axes that takes the point to a goal (n, 3), or as near as they can."""
+    off = real.forward(positions, sides).point_mm - goal_mm
+    return np.asarray(-(np.linalg.pinv(_by_linear(real, positions, sides)) @ off[:, :, None])[:, :, 0])
+
+
+def _by_linear(real: Kinematics, positions: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
+    """(n, 3, linear axes) derivatives of the point by their commands."""
+    return np.asarray(real.sensitivities(positions, sides).command[:, :3, list(real.machine.linear)])

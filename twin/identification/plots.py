@@ -28,7 +28,7 @@ from twin.identification.unknowns import turning_patterns
 from twin.machine import Axis
 from twin.thesis_identification import ThesisIdentification
 from twin.uncertainty import DEFINITION, UncertaintyMap
-from twin.units import DEG
+from twin.units import DEG, TURN
 
 FINE: Final = 361
 """Points a curve is drawn with."""
@@ -46,7 +46,7 @@ def plot_motions(
     truth: Mapping[str, Curve] | None = None,
     title: str = "",
 ) -> Figure:
-    """The six error motions of one axis with their 95 % intervals: against position; of a rotary axis alone, polar.
+    """The six error motions of one axis with their 95 % intervals: against position; of a rotary axis alone, within a turn, polar.
 
     Args:
         found: the estimate.
@@ -70,7 +70,8 @@ def plot_motions(
         )
     one = machine.by_name[axis]
     half = not one.linear and one.lower is not None
-    polar = not one.linear and thesis is None
+    reach = [found.calibration.curves[name].domain for name in names]
+    polar = not one.linear and thesis is None and all(high - low <= TURN + 1e-9 for low, high in reach)
     figure = Figure(figsize=(12.0, (6.4 if half else 8.8) if polar else 7.4), layout="constrained")
     FigureCanvasAgg(figure)
     points = _thesis_points(thesis, one) if thesis is not None else {}

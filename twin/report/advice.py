@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
@@ -11,6 +12,7 @@ from typing import Any, Final, Literal, final
 from twin.calibration import Calibration
 from twin.channels import options_of
 from twin.diagnosis.words import listed, lower
+from twin.machine import DIRECTIONS, Machine
 from twin.report.after import After
 from twin.report.contributions import Budget, Contribution
 from twin.report.identified import Identified
@@ -23,7 +25,8 @@ NAMED: Final = 3
 WORTH: Final = 0.05
 """Share of the error over the volume that a step must take away to be worth a visit to the machine."""
 MECHANICAL: Final = ("L-SQU", "R-POR")
-TABLES: Final = ("L-POS", "L-STR", "R-POS")
+TABLES: Final = {"L-POS": "positioning", "L-STR": "straightness", "R-POS": "angular positioning"}
+"""What tables of axes take out, by class."""
 SMALL_UM: Final = 2.0
 """About what rounding to a µm of three axes, and splitting, leave: what is smaller is nothing to act on."""
 REPEATS: Final = 1e-3
@@ -111,10 +114,12 @@ def advise(
         *_incomplete(left_out, identified),
         *_misfit(points),
         *_control(calibration, outcome),
-        *_compensate(calibration, found, outcome),
-        *_adjust(found),
-        # Where tables are on already, what more of them would do is not what they leave out of these errors.
-        *(_tables(found) if calibration.control is None else []),
+        *_one_of(
+            _compensate(calibration, found, outcome),
+            _adjust(found),
+            # Where tables are on already, what more of them would do is not what they leave out of these errors.
+            _tables(found) if calibration.control is None else [],
+        ),
         *_measure(found, outcome),
         *_never(calibration, found),
     ]
@@ -124,6 +129,15 @@ def advise(
         tuple(_line(one) for one in found.errors[:NAMED]),
         tuple(sorted(steps, key=lambda step: _ORDER.index(step.kind))),
     )
+
+
+def _one_of(*ways: list[Step]) -> list[Step]:
+    """Ways to the same end, of which one is enough: each to be done after the first begins with "Or"."""
+    found: list[Step] = []
+    for step in (step for way in ways for step in way):
+        again = step.kind == "do" and any(one.kind == "do" for one in found)
+        found.append(replace(step, title=f"Or {lower(step.title)}") if again else step)
+    return found
 
 
 _ORDER: Final = ("unknown", "do", "measure", "never")
@@ -296,7 +310,7 @@ def _adjust(found: Budget) -> list[Step]:
     steps = []
     if done:
         text = f"{' '.join(done)} Service, by mechanical alignment; afterwards measure again: this calibration then no longer holds."
-        steps.append(Step("do", "Or have it adjusted", text))
+        steps.append(Step("do", "Have it adjusted", text))
     if doubted:
         steps.append(
             Step(
@@ -310,25 +324,30 @@ def _adjust(found: Budget) -> list[Step]:
 
 def _tables(found: Budget) -> list[Step]:
     """What the control's own tables could take out."""
-    total = found.total.rms_um
-    of = [name for name in TABLES if any(_tabled(one) and one.iso_class == name for one in found.errors)]
-    if not of or not total:
+    total, machine = found.total.rms_um, found.kinematics.machine
+    of = [name for name in TABLES if any(_tabled(one, machine) and one.iso_class == name for one in found.errors)]
+    if not of or not total or len(machine.linear) > 3:
         return []
-    rest = found.rms_without_um(lambda one: not _tabled(one))
+    rest = found.rms_without_um(lambda one: not _tabled(one, machine))
     worth = total - rest >= WORTH * total
     gain = f"from {figure(total, 'µm')} to {figure(rest, 'µm')} RMS at the tool"
-    text = f"They take out positioning and straightness ({' '.join(of)}) for all programs at once: {gain}."
+    text = f"They take out {listed([f'{TABLES[name]} ({name})' for name in of])} for all programs at once: {gain}."
     if worth:
-        return [Step("do", "Or fill the control's axis tables", f"{text} `twin control` writes them.")]
+        return [Step("do", "Fill the control's axis tables", f"{text} `twin control` writes them.")]
     text += (
         " These errors partly cancel the others." if rest > total else " The rest is tilts, squareness and rotary axes."
     )
     return [Step("never", "Expect much of the control's axis tables alone", text)]
 
 
-def _tabled(one: Contribution) -> bool:
-    """Whether a table over the position of an axis can take it out: not what comes with temperature."""
-    return one.iso_class in TABLES and one.rms_um > 0.0 and not one.name.startswith("thermal")
+def _tabled(one: Contribution, machine: Machine) -> bool:
+    """Whether a table over the position of an axis can take it out: not what comes with temperature, nor what no axis moves."""
+    if one.iso_class not in TABLES or one.rms_um <= 0.0 or one.name.startswith("thermal"):
+        return False
+    across = re.search(r"E_([XYZ])", one.name) if one.iso_class == "L-STR" else None
+    return across is None or any(
+        abs(axis.direction[DIRECTIONS.index(across[1])]) > 0.5 for axis in machine.axes if axis.linear
+    )
 
 
 def _measure(found: Budget, outcome: After) -> list[Step]:

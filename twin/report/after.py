@@ -158,7 +158,7 @@ def after(found: Budget, seed: int) -> After:
     out = lost = 0
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
-    if _runs_programs(real):
+    if real.machine.runs_programs:
         commands, beyond, untold = _commanded(found)
         meant, reached = found.drawn(), real.forward(commands, sides)
         left = (reached.point_mm - meant.point_mm) * 1e3
@@ -187,10 +187,6 @@ def after(found: Budget, seed: int) -> After:
         machines=spreads,
         seed=seed,
     )
-
-
-def _runs_programs(real: Kinematics) -> bool:
-    return len(real.machine.linear) == 3 and len(real.machine.rotary) <= 2
 
 
 def _level(name: str, error_um: np.ndarray) -> Level:

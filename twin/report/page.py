@@ -116,7 +116,7 @@ def _key(report: MachineReport) -> str:
     """The three numbers a production manager asks for."""
     outcome = report.after
     total = report.budget.total
-    left = UNKNOWN
+    left = "–" if outcome.exact is None else UNKNOWN
     if outcome.likely is not None:
         left = f"{'' if outcome.complete else 'at least '}{figure(outcome.likely.rms_um, 'µm')}"
     cells = [
@@ -128,10 +128,14 @@ def _key(report: MachineReport) -> str:
         (
             "Compensated",
             left,
-            "RMS to be expected" if outcome.likely is not None else "the calibration gives no uncertainty",
+            "no programs on this machine"
+            if outcome.exact is None
+            else "RMS to be expected"
+            if outcome.likely is not None
+            else "the calibration gives no uncertainty",
         ),
         (
-            "Known to",
+            "Uncertain by",
             expanded(total.u_rms_um, complete=total.u_complete),
             "U at the tool (95 %), RMS over the working space",
         ),

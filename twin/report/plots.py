@@ -28,7 +28,7 @@ from twin.report.readings import Checked, Stops
 from twin.report.result import Constant
 from twin.scene.field import chosen_factor
 from twin.scene.path import scale_top_um, viridis
-from twin.units import DEG
+from twin.units import DEG, TURN
 
 WIDTH: Final = 4.4
 """Inches: at the width of a phone, letters keep their size."""
@@ -89,13 +89,14 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
 
 
 def plot_motion(motion: Motion, stops: Sequence[Stops] = ()) -> Figure:
-    """One error motion with its 95 % interval: against position, of a rotary axis polar.
+    """One error motion with its 95 % interval: against position, of a rotary axis polar, unless it goes beyond a turn.
 
     Args:
         motion: what is drawn.
         stops: what readings say of it.
     """
-    return _along(motion, stops) if motion.linear else _polar(motion, stops)
+    within_turn = float(motion.position[-1] - motion.position[0]) <= TURN + 1e-9
+    return _polar(motion, stops) if not motion.linear and within_turn else _along(motion, stops)
 
 
 def plot_constants(found: Sequence[Constant]) -> Figure:
@@ -283,7 +284,7 @@ def _along(motion: Motion, stops: Sequence[Stops]) -> Figure:
         )
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
-    plot.set_xlabel(f"{motion.axis} [mm]")
+    plot.set_xlabel(f"{motion.axis} [{'mm' if motion.linear else '°'}]")
     plot.set_ylabel(f"{motion.name} [{SIGNS[motion.unit]}]")
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)

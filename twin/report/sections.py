@@ -195,6 +195,9 @@ def constants_part(report: MachineReport) -> str:
     """Squareness and locations, in numbers and drawn."""
     found = report.constants
     if not found:
+        machine = report.machine
+        if not machine.squareness_names and not machine.location_names:
+            return "<p>This machine has neither: there is no second linear axis, and none that turns.</p>"
         return "<p>The calibration names neither: both count as zero.</p>"
     squares = "".join(
         embedded(
