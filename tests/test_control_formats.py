@@ -168,6 +168,7 @@ def heidenhain_by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray])
 
 def siemens_by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
     """Sum of the tables of the axis and of the products; a table that multiplies another does not count itself."""
+    names = [name for name in state if not name.startswith("approach_")]  # AX1, AX2, …
     text = (folder / "cec.mpf").read_text()
     single = dict(re.findall(r"^\$AN_CEC_(\w+\[\d+\])=\(?([^)\n]+)\)?$", text, re.M))
     points: dict[int, list[float]] = {}
@@ -176,7 +177,7 @@ def siemens_by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) ->
 
     def looked_up(t: int) -> np.ndarray:
         low, high = float(single[f"MIN[{t}]"]), float(single[f"MAX[{t}]"])
-        of = "XYZBC"[int(single[f"INPUT_AXIS[{t}]"][2:]) - 1]
+        of = names[int(single[f"INPUT_AXIS[{t}]"][2:]) - 1]
         q = state[of]
         if single[f"IS_MODULO[{t}]"] == "1":
             q = low + np.mod(q - low, high - low)
@@ -187,7 +188,7 @@ def siemens_by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) ->
     multiplied = {int(single[f"MULT_BY_TABLE[{t}]"]) - 1 for t in points} - {-1}
     total = np.zeros(len(state[axis]))
     for t in points:
-        if t in multiplied or "XYZBC"[int(single[f"OUTPUT_AXIS[{t}]"][2:]) - 1] != axis:
+        if t in multiplied or names[int(single[f"OUTPUT_AXIS[{t}]"][2:]) - 1] != axis:
             continue
         by = int(single[f"MULT_BY_TABLE[{t}]"])
         total += looked_up(t) * (looked_up(by - 1) if by else 1.0)
