@@ -26,7 +26,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.control import FORMATS
-from twin.control_tables import Request, compared, deliver, make, outputs_of
+from twin.control_tables import Request, compared, deliver, make, outputs_of, written_by
 from twin.control_tables.account import ILLUSTRATIVE
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
@@ -148,8 +148,10 @@ def control(
         add=add,
         notes=(*notes, ILLUSTRATIVE) if errors.illustrative else notes,
     )
-    output.mkdir(parents=True, exist_ok=True)
-    check_writable([*outputs_of(output, to.value, loaded), *extra])
+    room = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
+    if not room.is_dir():
+        raise InputError("cannot be written", expected="a folder, or a place for one", file=room)
+    check_writable([*outputs_of(room, to.value, loaded), *extra])
     with progress() as say:
         say("tables", 0.0)
         made = make(loaded, known, request)
@@ -159,7 +161,10 @@ def control(
         write_whole(json_file, json.dumps(account.to_dict(), indent=1) + "\n")
     print(account.to_text(), end="")
     tell_unused(around, errors)
-    print(f"\nwritten: {output}/ {' '.join([*made.files, 'README.txt', 'calibration.yaml'])}")
+    print(f"\nwritten: {output}/ {' '.join(written_by(made))}")
+    strange = sorted({path.name for path in output.iterdir()} - {*written_by(made), *(path.name for path in extra)})
+    if strange:
+        print(f"also there, and not of these tables: {' '.join(strange)}")
     if account.unmet:
         raise typer.Exit(NOT_ALL_MET)
 

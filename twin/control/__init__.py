@@ -18,9 +18,12 @@ and no other** while the tables are on, or the same errors are taken out twice.
 
 **What a table says.** Corrections are worked out from the machine's own kinematics, not from signs: with the errors of one axis
 alone the point is off by δ, and the linear axes undo it by −J⁻¹δ, on whichever side of the machine they stand; a rotary axis
-undoes its own E_BB or E_CC. A table of one axis over another is right only where the other axes and the tool are as they were
-taken: the middle of the linear ranges, or `--at`. An angular error makes its angle times the distance from there elsewhere; the
-products of `siemens` carry that, and so do `isg` and `grid`.
+undoes its own E_BB or E_CC. With one linear axis or two, what lies along them is undone, and what of an error no axis can undo is
+said; `isg` and `grid` want three. Linear axes that move the point the same way are refused.
+
+A table of one axis over another is right only where the other axes and the tool are as they were taken: the middle of the linear
+ranges, or `--at`. An angular error makes its angle times the distance from there elsewhere; the products of `siemens` carry that,
+and so do `isg` and `grid`.
 
 **Nodes** stand in equal steps, as few as keep the model within `--tolerance` of the straight lines between them (1 µm; 2 µrad a
 µm of a rotary axis; a grid 5 µm), or at most `--step` apart. Every file is read back from its text and compared with the model

@@ -35,6 +35,11 @@ def outputs_of(folder: Path, kind: str, machine: Machine) -> list[Path]:
     return [folder / name for name in (*names, README, CALIBRATION)]
 
 
+def written_by(made: Made) -> tuple[str, ...]:
+    """Names in the folder that these tables have: what else lies there is of another run, or somebody else's."""
+    return (*made.files, README, CALIBRATION, *([ADDED] if made.increment else []))
+
+
 def account_of(made: Made, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]]) -> Account:
     """What there is to say of the tables, with what they leave worked out through their files.
 
@@ -61,7 +66,7 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
 def deliver(
     made: Made, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
 ) -> Account:
-    """Write the folder: the control's files first, the calibration that names them last.
+    """Write the folder, made if it is not there: the control's files first, the calibration that names them last.
 
     Args:
         made: the tables.
@@ -80,6 +85,7 @@ def deliver(
         if path.resolve() in {one.resolve() for one in inputs}:
             raise InputError("an output is one of the inputs", expected="another folder", file=path)
     account = account_of(made, errors, known, missing)
+    folder.mkdir(parents=True, exist_ok=True)
     paths = _write(made.files, folder, made.request.kind)
     if made.increment:
         (folder / ADDED).mkdir(exist_ok=True)
