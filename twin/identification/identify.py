@@ -290,6 +290,8 @@ def _result(
         whole = solution.spectrum.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
+    if not solution.converged:
+        source += "; THE ESTIMATE DID NOT SETTLE: do not use it"
     kept = [
         i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in best.together
     ]
