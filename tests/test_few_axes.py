@@ -18,10 +18,15 @@ from tests.test_control_formats import BY_HAND
 from tests.test_control_tables import state_of
 from twin.calibration import Calibration
 from twin.cli import main
+from twin.identification import identify
+from twin.identification.solve import PLAIN
+from twin.instruments import LaserTracker
 from twin.machine import Machine
+from twin.planning import Kit, plan
 from twin.report import machine_report
 from twin.report.page import machine_html
 from twin.report.plots import plot_motion
+from twin.simulate import simulate
 
 UM, URAD = 1e-3, 1e-6
 MADE = datetime(2026, 11, 22, tzinfo=UTC)
@@ -146,6 +151,37 @@ def test_a_joint_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "reference encoder" in capsys.readouterr().out
 
 
+def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(drill: Path) -> None:
+    """One station and six targets leave the station's turn hardly better known than beforehand: plain steps took 80 for this seed."""
+    machine = Machine.load(drill)
+    truth = Calibration.load(drill.parent / "mine.yaml", machine)
+    planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
+    readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(16))
+    found = identify(readings, machine)
+    assert found.converged and "SETTLE" not in found.calibration.source
+    assert PLAIN < found.solution.steps <= 25
+    found.calibration.save(drill.parent / "found.yaml")
+    one = machine_report(machine, Calibration.load(drill.parent / "found.yaml", machine), made=MADE)
+    tabled = [c for c in one.budget.errors if c.iso_class in ("L-POS", "L-STR") and c.peak > c.peak_half]
+    told = " ".join(step.text for step in one.advice.steps)
+    assert ("L-POS" in told, "L-STR" in told) == tuple(
+        any(c.iso_class == n for c in tabled) for n in ("L-POS", "L-STR")
+    )
+    # What it says to type is about this machine.
+    assert "`twin plan -o plan.csv --machine drill.yaml --reduce " in told
+
+
+def test_what_did_not_settle_says_so_for_ever(drill: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = Machine.load(drill)
+    planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
+    truth = Calibration.load(drill.parent / "mine.yaml", machine)
+    readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(2))
+    # An estimate whose steps all stay large.
+    monkeypatch.setattr("twin.identification.solve.STILL", 0.0)
+    found = identify(readings, machine)
+    assert not found.converged and found.calibration.source.endswith("THE ESTIMATE DID NOT SETTLE: do not use it")
+
+
 def test_a_report_promises_no_programs(drill: Path) -> None:
     machine = Machine.load(drill)
     one = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
@@ -158,6 +194,13 @@ def test_a_report_promises_no_programs(drill: Path) -> None:
     assert "positioning (L-POS) for all" in step.text
     text = machine_html(one)
     assert "no programs on this machine" in text and "the calibration gives no uncertainty</span>" not in text
+
+
+def test_programs_are_refused_with_what_they_need(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("compensate", "scene"):
+        out = drill.parent / ("out.nc" if command == "compensate" else "out.html")
+        assert run(command, "cone_frustum.nc", "-o", out, "--machine", drill) == 2
+        assert "drill has 2 linear and 0 rotary axes; expected three linear" in capsys.readouterr().err
 
 
 def test_a_stage_and_an_arm_have_reports(tmp_path: Path) -> None:

@@ -116,12 +116,7 @@ class Inverse:
 
     def __init__(self, kinematics: Kinematics, *, rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG) -> None:
         machine = kinematics.machine
-        if not machine.runs_programs:
-            raise InputError(
-                f"{machine.name} has {len(machine.linear)} linear and {len(machine.rotary)} rotary axes",
-                expected="three linear axes and at most two rotary ones, to run programs",
-                file=machine.path,
-            )
+        machine.check_programs()
         self.kinematics = kinematics
         self.rotary_limit_deg = rotary_limit_deg
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, final
+from typing import Annotated, Final, Literal, final
 
 import numpy as np
 import pinocchio as pin
@@ -135,6 +135,10 @@ class _MachineFile(BaseModel):
     programs: _Programs = _Programs()
 
 
+DEFAULT: Final = "dmu50"
+"""The machine file where none is named: of those that come with twin."""
+
+
 @final
 class Machine:
     """A machine as loaded: immutable, and the same for everybody who uses it.
@@ -229,6 +233,26 @@ class Machine:
     def runs_programs(self) -> bool:
         """Whether NC programs can be worked out for it: three linear axes and at most two rotary ones."""
         return len(self.linear) == 3 and len(self.rotary) <= 2
+
+    def check_programs(self) -> None:
+        """That it does.
+
+        Raises:
+            InputError: other axes.
+        """
+        if not self.runs_programs:
+            raise InputError(
+                f"{self.name} has {len(self.linear)} linear and {len(self.rotary)} rotary axes",
+                expected="three linear axes and at most two rotary ones, to run programs",
+                file=self.path,
+            )
+
+    @property
+    def as_option(self) -> str:
+        """What a command needs to be about this machine: `` --machine mine.yaml``; nothing where it is the default."""
+        file = self.path.resolve()
+        bundled = file.parent == bundled_folder().resolve()
+        return "" if bundled and file.stem == DEFAULT else f" --machine {file.stem if bundled else file.name}"
 
     def error_names(self, frame: ErrorFrame) -> tuple[str, ...]:
         """ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""

@@ -59,6 +59,7 @@ def axis_words(machine: Machine) -> AxisWords:
     Raises:
         InputError: the machine is not one that runs programs.
     """
+    machine.check_programs()
     data = machine.model.createData()
     pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
     to_work = data.oMf[machine.work_frame].rotation.T

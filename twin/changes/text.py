@@ -44,7 +44,7 @@ def text_of(found: Changes) -> str:
     left = tool.left
     if left.poses:
         lines += [
-            f"compensating with {found.first} on the machine of {found.second}:",
+            f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
             f"  {'left, workpiece aligned anew':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_known(left.u_max_um):>9}"
             f"   {place(left.where)}",
             f"  {'left, before that':<44}{number(left.as_it_is_rms_um):>8}{'':>9}{number(left.as_it_is_max_um):>9}",

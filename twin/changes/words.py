@@ -191,7 +191,7 @@ def _pattern(found: Changes) -> list[str]:
     scales = [error for error in errors if error.iso_class == "L-POS" and error.kind == "curve"]
     lines = all(trend == "line" for trend in found.culprits.trends)
     if len(errors) == 1:
-        return [_remedy(errors[0], found.culprits.trends[0])]
+        return [_remedy(errors[0], found.culprits.trends[0], machine)]
     if len(scales) == len(errors) and lines and _alike(scales, machine):
         rates = ", ".join(f"{e.axis} {_rate(e, machine):+.1f} ± {_rate_u(e, machine):.1f} µm/m" for e in scales)
         return [
@@ -218,22 +218,23 @@ def _pattern(found: Changes) -> list[str]:
     ]
 
 
-def _remedy(error: ErrorChange, trend: str) -> str:
+def _remedy(error: ErrorChange, trend: str, machine: Machine) -> str:
+    newer = "compensate with the newer calibration" if machine.runs_programs else "use the newer calibration"
     _, average, axis = split_name(error.name) if error.name.startswith("E_") else (0, False, error.axis)
     if error.iso_class == "L-SQU":
-        return f"Re-align {axis}, or compensate with the newer calibration."
+        return f"Re-align {axis}, or {newer}."
     if error.name.startswith("reversal"):
-        return f"Lost motion of {axis} changed: look at its drive (preload, bearing, belt), or compensate with the newer calibration."
+        return f"Lost motion of {axis} changed: look at its drive (preload, bearing, belt), or {newer}."
     if average:
-        return f"Determine where {axis} lies anew in the control, or compensate with the newer calibration."
+        return f"Determine where {axis} lies anew in the control, or {newer}."
     if trend == "constant":
         return (
             f"A constant is {axis}'s zero, or where the measurement counted from: check the reference run, and whether both "
             "measurements were touched off alike, before anything else."
         )
     if error.iso_class == "L-POS":
-        return f"Check the temperature at which {axis}'s scale was measured; if that was right, compensate with the newer calibration."
-    return f"Look at {axis}'s guide or bearing, or compensate with the newer calibration."
+        return f"Check the temperature at which {axis}'s scale was measured; if that was right, {newer}."
+    return f"Look at {axis}'s guide or bearing, or {newer}."
 
 
 def _rate(error: ErrorChange, machine: Machine) -> float:

@@ -16,7 +16,7 @@ from twin.cli import complete
 from twin.cli.app import NOT_ALL_MET, CalibrationOption, JsonOption, MachineOption, app, calibration_of, examples
 from twin.errors import InputError, nearest
 from twin.files import check_writable, write_whole
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 
 LayoutOption = Annotated[
@@ -50,7 +50,7 @@ def axis_run(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis.")],
     layout: LayoutOption,
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     spread: Annotated[
         RunScatter,
         typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats."),
@@ -89,7 +89,7 @@ def simulate_axis_run(
     output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings.")],
     layout: LayoutOption,
     positions: Annotated[str, typer.Option("--positions", help="from,to,count of the axis (mm).")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     rounds: Annotated[int, typer.Option("--rounds", help="Forth and back so often.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,

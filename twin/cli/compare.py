@@ -24,7 +24,7 @@ from twin.cli.app import (
 )
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.options import conditions, positive
 
 
@@ -45,7 +45,7 @@ def compare(
             metavar="NEWER", help="The newer calibration of the same machine.", autocompletion=complete.calibrations
         ),
     ],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     tool_length: ToolOption = None,
     tolerance: Annotated[
         float | None,

@@ -42,7 +42,7 @@ from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import Scope
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.nc import dialect_for, dialect_of, find_program
 from twin.options import conditions, positive, setup
 from twin.parallel import Workers
@@ -78,7 +78,7 @@ def compensate(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The compensated program; of several, the folder they go to.")
     ],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     scope: ScopeOption = None,
     mode: ModeOption = Mode.axis,

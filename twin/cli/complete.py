@@ -12,7 +12,7 @@ from typing import Any, Final
 from twin.extension import PARAMETERS
 from twin.instruments import INSTRUMENTS
 from twin.iso16907 import NAMES
-from twin.machine import Machine, bundled_folder
+from twin.machine import DEFAULT, Machine, bundled_folder
 from twin.nc import DIALECTS, find_program
 from twin.options import MANY_WORDS, gathered
 from twin.samples import PLANS
@@ -126,9 +126,9 @@ def told_word_by_word() -> None:
 
 def _machine(ctx: Any) -> Machine:
     try:
-        return Machine.load(ctx.params.get("machine") or "dmu50")
+        return Machine.load(ctx.params.get("machine") or DEFAULT)
     except ValueError:
-        return Machine.load("dmu50")
+        return Machine.load(DEFAULT)
 
 
 def _names(ctx: Any) -> tuple[str, ...]:

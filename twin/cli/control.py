@@ -31,7 +31,7 @@ from twin.control_tables.account import ILLUSTRATIVE
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.iso16907 import BASIC, Scope
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.options import conditions, number, positive
 
 Kind = StrEnum("Kind", {name: name for name in FORMATS})  # type: ignore[misc]
@@ -55,7 +55,7 @@ def control(
         bool, typer.Option("--read", help="Say what existing tables do, and how the model differs.")
     ] = False,
     kind: Annotated[Kind | None, typer.Option("--format", help="Of the files that are read.")] = None,
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
     at: Annotated[

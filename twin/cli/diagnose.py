@@ -22,7 +22,7 @@ from twin.cli.app import (
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.measurement import joined
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named
@@ -39,7 +39,7 @@ def diagnose(
         list[Path],
         typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
     ],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     instrument: Annotated[
         str | None,

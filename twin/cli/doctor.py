@@ -26,7 +26,7 @@ from twin.errors import InputError, OutputError
 from twin.files import check_writable, write_whole
 from twin.inverse import Inverse, Status
 from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.native import compiler, in_use, store
 from twin.native.loading import SWITCH, enabled
 from twin.nc import dialect_for
@@ -220,7 +220,7 @@ def _compiler() -> Finding:
 def _checks() -> list[Finding]:
     """What the machine that comes with twin must compute to."""
     try:
-        machine = Machine.load("dmu50")
+        machine = Machine.load(DEFAULT)
         calibration = Calibration.default(machine)
     except InputError as error:
         return [Finding("files of the machine", "FAILED", str(error), "install twin again: pip install .")]

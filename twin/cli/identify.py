@@ -23,7 +23,7 @@ from twin.errors import InputError, nearest
 from twin.files import check_writable, write_whole
 from twin.identification import identify as run_identification
 from twin.instruments import INSTRUMENTS
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.measurement import joined
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named, tables_on
@@ -52,7 +52,7 @@ def identify(
         typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     instrument: Annotated[
         str | None,
         typer.Option(

@@ -29,7 +29,7 @@ from twin.cli.app import (
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.native import in_use
 from twin.options import conditions
 from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
@@ -45,7 +45,7 @@ SCHEMA = "twin.info/1"
     )
 )
 def info(
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
     temperature: TemperatureOption = None,

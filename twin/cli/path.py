@@ -33,7 +33,7 @@ from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import Scope
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 from twin.options import conditions, positive, setup
 from twin.paths import refit
@@ -58,7 +58,7 @@ def path(
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks.")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="mm the executed path may be from the input's, everything included.")

@@ -23,7 +23,7 @@ from twin.cli.app import (
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.instruments import INSTRUMENTS
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named, plan_file, positive
 from twin.planning import Kit, duration, judge, separate
@@ -46,7 +46,7 @@ def plan(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The plan: a table without coordinates.")
     ] = None,
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     kit: Annotated[
         Path | None,

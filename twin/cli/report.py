@@ -26,7 +26,7 @@ from twin.cli.app import (
 )
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import conditions
 from twin.report import MachineReport, machine_report
@@ -41,7 +41,7 @@ from twin.report import MachineReport, machine_report
 )
 def report(
     output: Annotated[Path, typer.Option("--output", "-o", help="The report: one HTML file, for screen and paper.")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
     identified: Annotated[

@@ -30,7 +30,7 @@ from twin.cli.app import (
 )
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 from twin.options import conditions, positive, setup
 
@@ -46,7 +46,7 @@ def scene(
         Path, typer.Argument(help="NC program, or one that comes with twin.", autocompletion=complete.programs)
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file.")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     mode: ModeOption = Mode.axis,
     tool_length: ToolOption = None,

@@ -24,7 +24,7 @@ from twin.cli.app import (
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.instruments import INSTRUMENTS
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named, plan_file, surroundings
 from twin.simulate import simulate as run_simulation
@@ -46,7 +46,7 @@ def simulate(
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The measured data.")],
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     instrument: Annotated[
         str,

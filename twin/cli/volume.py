@@ -26,7 +26,7 @@ from twin.cli.app import (
 from twin.errors import InputError
 from twin.files import check_writable, write_whole
 from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.machine import DEFAULT, Machine
 from twin.options import conditions
 from twin.parallel import Workers
 from twin.population import POSES, TRIALS, Population, Spread, draw_machines
@@ -39,7 +39,7 @@ from twin.population import POSES, TRIALS, Population, Spread, draw_machines
     )
 )
 def volume(
-    machine: MachineOption = "dmu50",
+    machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     trials: Annotated[int, typer.Option("--trials", help="Machines to draw.")] = TRIALS,
     poses: Annotated[int, typer.Option("--poses", help="Spread over the volume, the same for all machines.")] = POSES,
@@ -89,13 +89,13 @@ def volume(
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
         f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n"
     )
-    print("\n".join(_lines(found)))
+    print("\n".join(_lines(found, programs=loaded.runs_programs)))
     tell_unused(at, errors)
     if outputs:
         print(f"\nwritten: {json_file}")
 
 
-def _lines(found: Population) -> list[str]:
+def _lines(found: Population, *, programs: bool) -> list[str]:
     told = found.to_dict()
     drawn, first = told["by_draws"], told["first_order"]
     place = ", ".join(f"{name} {round(value)}" for name, value in found.where.items())
@@ -112,7 +112,7 @@ def _lines(found: Population) -> list[str]:
         "error over the volume, machine by machine      mean     95 % interval          largest drawn",
         _row("as it is: RMS over the poses", found.as_it_is[0]),
         _row("          largest of the poses", found.as_it_is[1]),
-        _row("compensated by this calibration: RMS", found.compensated[0]),
+        _row(f"{'compensated by' if programs else 'less'} this calibration: RMS", found.compensated[0]),
         _row("          largest of the poses", found.compensated[1]),
     ]
     if found.without_uncertainty:

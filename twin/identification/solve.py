@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
@@ -23,9 +24,12 @@ from twin.units import MM, URAD
 
 FIRM: Final = 1e9
 """Weight of a condition of the datum where it stands as one more reading."""
-STEPS: Final = 100
-"""Five do for a five-axis machine seen from everywhere. Where few axes leave a station or target known hardly better than beforehand,
-the derivatives change over that uncertainty, and steps shrink by no more than a quarter each: 33 of 100 and less were seen."""
+STEPS: Final = 50
+PLAIN: Final = 6
+"""Steps as Gauss and Newton have them, enough for a five-axis machine seen from everywhere. Where few axes leave a station or target
+known hardly better than beforehand, the derivatives change over that uncertainty and such steps shrink by a tenth each, some to and
+fro: from here on the last few say how."""
+MEMORY: Final = 4
 STILL: Final = 1e-4
 """A step that changes the whitened residuals by no more than this (root of the sum of squares) is the last: the errors of a machine
 are small, the next step is a thousandth of it or less, and what is left 1e-7 of a standard uncertainty."""
@@ -134,16 +138,23 @@ def solve(
     if precision is not None:
         root[:, :machine] = np.diag(np.sqrt(precision))
     taken, converged = 0, False
+    wanted: list[np.ndarray] = []
+    gone: list[np.ndarray] = []
     while True:
         found = factor(network, theta, setup, weight) if triangle is None else triangle
         triangle = None
         left, spectrum = decompose(np.concatenate([found[:, :-1], root]) * scale, scale, free=free)
         if taken < steps:
             along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
-            step = (spectrum.directions @ (along / spectrum.strength)) * scale
+            step = spectrum.directions @ (along / spectrum.strength)
+            converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step).max(initial=0.0) < 1e-14)
+            wanted.append(step)
+            if taken >= PLAIN and not converged:
+                step = _ahead(wanted, gone, spectrum)
+            gone.append(step)
+            step = step * scale
             theta, setup = theta + step[:machine], setup.moved(step[machine:])
             taken += 1
-            converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step / scale).max(initial=0.0) < 1e-14)
             if not converged:
                 continue
             # The last step is too small to change the derivatives: only what is left of the readings moves.
@@ -151,6 +162,22 @@ def solve(
             found[:, -1] -= found[:, :-1] @ step
         determined = float(np.sum((found[:, :-1] * scale @ (spectrum.directions / spectrum.strength)) ** 2))
         return Solution(theta, setup, found, spectrum, determined, converged, taken)
+
+
+def _ahead(wanted: Sequence[np.ndarray], gone: Sequence[np.ndarray], spectrum: Spectrum) -> np.ndarray:
+    """The step to where the last few, taken as straight in what they change, would want none (Anderson 1965; Walker and Ni 2011).
+
+    Args:
+        wanted: (p,) each, what Gauss and Newton wanted at the last places and want here.
+        gone: (p,) each, the steps between these places.
+        spectrum: here; its directions times their strength say what a step changes in the whitened residuals.
+    """
+    last = list(wanted)[-MEMORY - 1 :]
+    more = np.stack([after - before for before, after in pairwise(last)], axis=1)
+    way = np.stack(list(gone)[1 - len(last) :], axis=1)
+    changes = spectrum.strength[:, None] * spectrum.directions.T
+    share = np.linalg.lstsq(changes @ more, changes @ last[-1], rcond=1e-6)[0]
+    return np.asarray(last[-1] - (way + more) @ share)
 
 
 def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:

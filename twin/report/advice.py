@@ -112,7 +112,7 @@ def advise(
     steps = [
         *_illustrative(calibration),
         *_incomplete(left_out, identified),
-        *_misfit(points),
+        *_misfit(points, calibration),
         *_control(calibration, outcome),
         *_one_of(
             _compensate(calibration, found, outcome),
@@ -213,14 +213,15 @@ def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified 
     return steps
 
 
-def _misfit(points: Sequence[Checked]) -> list[Step]:
+def _misfit(points: Sequence[Checked], calibration: Calibration) -> list[Step]:
     """Of measured points that this calibration does not explain."""
     return [
         Step(
             "measure",
             "Find out why points do not fit",
             f"{one.far:,} of the {one.points:,} points of {Path(one.source).name} are further off than scatter goes "
-            f"({figure(one.rms_after_um, 'µm')} RMS a coordinate over all). `twin diagnose {Path(one.source).name}` names the cause.",
+            f"({figure(one.rms_after_um, 'µm')} RMS a coordinate over all). "
+            f"`twin diagnose {Path(one.source).name}{_about(calibration)}` names the cause.",
         )
         for one in points
         if one.far
@@ -259,9 +260,8 @@ def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list
         ]
     if found.total.rms_um <= 0.0:
         return []
-    file = "" if calibration.path is None else f" --calibration {calibration.path.name}"
-    length = found.kinematics.tool_length_mm
-    how = f"`twin compensate part.nc -o part.compensated.nc{file} --tool-length {length:g}{_conditions(found)}`"
+    length = f" --tool-length {found.kinematics.tool_length_mm:g}"
+    how = f"`twin compensate part.nc -o part.compensated.nc{_about(calibration)}{length}{_conditions(found)}`"
     start = figure(outcome.before.rms_um, "µm")
     if outcome.likely is None:
         text = (
@@ -283,6 +283,12 @@ def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list
         )
     title = "With measured numbers: compensate the programs" if calibration.illustrative else "Compensate the programs"
     return [Step("do", title, text)]
+
+
+def _about(calibration: Calibration) -> str:
+    """The options that name machine and calibration."""
+    file = "" if calibration.path is None else f" --calibration {calibration.path.name}"
+    return f"{calibration.machine.as_option}{file}"
 
 
 def _conditions(found: Budget) -> str:
@@ -341,8 +347,11 @@ def _tables(found: Budget) -> list[Step]:
 
 
 def _tabled(one: Contribution, machine: Machine) -> bool:
-    """Whether a table over the position of an axis can take it out: not what comes with temperature, nor what no axis moves."""
-    if one.iso_class not in TABLES or one.rms_um <= 0.0 or one.name.startswith("thermal"):
+    """Whether a table over the position of an axis can take it out: not what comes with temperature, nor what no axis moves.
+
+    Nor what is smaller than its own 95 % half-width: a table of it would as likely do harm. Where that is unknown, it is taken.
+    """
+    if one.iso_class not in TABLES or one.rms_um <= 0.0 or one.name.startswith("thermal") or one.peak <= one.peak_half:
         return False
     across = re.search(r"E_([XYZ])", one.name) if one.iso_class == "L-STR" else None
     return across is None or any(
@@ -362,10 +371,17 @@ def _measure(found: Budget, outcome: After) -> list[Step]:
         ]
     steps = []
     weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
+    what = None
     if outcome.likely is not None and outcome.exact is not None and outcome.likely.rms_um > 2.0 * outcome.exact.rms_um:
+        what = "What compensation leaves is mostly what is not known"
+    elif outcome.exact is None and found.total.u_rms_um > found.total.rms_um:
+        what = f"U at the tool ({figure(found.total.u_rms_um, 'µm')}) is more than the error itself. Known worst"
+    if what is not None:
         names = listed([f"{lower(one.words)} ({one.name}, U {figure(one.u_rms_um, 'µm')})" for one in weak])
         reduce = " ".join(one.name for one in weak if one.name.startswith("E_"))
-        text = f"What compensation leaves is mostly what is not known: {names}. `twin plan -o plan.csv --reduce {reduce or 'tool'}`"
+        text = (
+            f"{what}: {names}. `twin plan -o plan.csv{found.kinematics.machine.as_option} --reduce {reduce or 'tool'}`"
+        )
         steps.append(Step("measure", "Measure again what is known worst", f"{text} says where to measure."))
     if found.without_uncertainty:
         steps.append(
