@@ -57,7 +57,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, get_args
+from typing import Any, BinaryIO, Final, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -66,6 +66,21 @@ from twin.errors import InputError, nearest
 
 Schema = TypeVar("Schema", bound=BaseModel)
 Place = tuple[str | int, ...]
+_IN_WORDS: Final = {
+    "missing": "this entry",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
+    "bool_parsing": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "entries, each `name: value`",
+    "model_type": "entries, each `name: value`",
+    "mapping_type": "entries, each `name: value`",
+}
+"""What pydantic's kinds of errors want."""
 
 
 def read_text(path: Path) -> str:
@@ -123,25 +138,38 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
         # pydantic names the member of a union it tried; the file has no such entry.
         place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
-        expected = str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
+        known = _known(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
         raise InputError(
-            f"`{entry}` does not fit",
-            expected=expected,
+            f"`{entry}` is missing" if first["type"] == "missing" else f"`{entry}` does not fit",
+            expected=_expected(first, known),
             file=path,
             line=line_of(place, lines),
-            value=first["input"],
-            nearest=_meant(schema, first),
+            # Of a whole file it would be all of it.
+            value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
+            nearest=_meant(first, known),
         ) from error
 
 
-def _meant(schema: type[BaseModel], first: Any) -> str | None:
+def _expected(first: Any, known: Sequence[str]) -> str:
+    """What should stand there, in words of ours where pydantic's are about programs."""
+    if known:
+        return f"one of {', '.join(known)}"
+    if first["type"] in _IN_WORDS:
+        return _IN_WORDS[first["type"]]
+    return str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
+
+
+def _meant(first: Any, known: Sequence[str]) -> str | None:
     """What a key nobody knows, or a word that is none of a list, was probably meant to be."""
     if first["type"] == "literal_error":
         return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
-    if first["type"] != "extra_forbidden":
-        return None
+    return nearest(str(first["loc"][-1]), known) if known else None
+
+
+def _known(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
+    """The keys there are where one stands that nobody knows."""
     models: list[type[BaseModel]] = [schema]
-    for part in first["loc"][:-1]:
+    for part in place[:-1]:
         below = [
             field.annotation
             for model in models
@@ -149,8 +177,7 @@ def _meant(schema: type[BaseModel], first: Any) -> str | None:
             if part in (name, field.alias)
         ]
         models = [model for annotation in below for model in _models(annotation)] or models
-    known = [field.alias or name for model in models for name, field in model.model_fields.items()]
-    return nearest(str(first["loc"][-1]), known)
+    return [field.alias or name for model in models for name, field in model.model_fields.items()]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
