@@ -291,6 +291,12 @@ class Calibration:
             corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
         return replace(self, control=control, corrections=tuple(corrections))
 
+    def with_tool(self, tool_length_mm: float) -> Calibration:
+        """The same errors under a control that moves a tool of that length, where it counts the tool in."""
+        corrections = tuple(one.with_tool(tool_length_mm) for one in self.corrections)
+        same = all(one is before for one, before in zip(corrections, self.corrections, strict=True))
+        return self if same else replace(self, corrections=corrections)
+
     def where(self, keep: Callable[[str], bool]) -> Calibration:
         """The same calibration with only the effects (error motions, squareness, locations and others) whose name is kept."""
         numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}

@@ -100,7 +100,8 @@ class Kinematics:
         conditions: temperatures and time, for the effects that need them.
 
     Attributes:
-        machine, calibration, tool_length_mm, conditions: as given.
+        machine, tool_length_mm, conditions: as given.
+        calibration: as given, the control's own correction taken with this tool.
         chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.symbolic.chain_function`.
         directed: whether the side an axis was come to from matters (a reversal): where an argument ``approach`` is taken, it is
             (n, axes), from +1 (from below) to −1 (from above), 0 where it is not known, and 0 throughout if None.
@@ -120,10 +121,11 @@ class Kinematics:
     ) -> None:
         self.machine = machine
         self.conditions = Conditions() if conditions is None else conditions
-        self.calibration = Calibration.default(machine) if calibration is None else calibration
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
         if not np.isfinite(self.tool_length_mm):
             raise InputError("tool length is no number", expected="a finite number of mm", value=tool_length_mm)
+        given_errors = Calibration.default(machine) if calibration is None else calibration
+        self.calibration = given_errors.with_tool(self.tool_length_mm)
         self.chain = chain_function(machine)
         q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(machine.axes))
         sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}

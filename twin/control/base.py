@@ -19,6 +19,10 @@ class Correction(ABC):
     def axes(self) -> tuple[str, ...]:
         """Names of the axes it moves, in the machine's command order."""
 
+    def with_tool(self, tool_length_mm: float) -> Correction:
+        """What it does with a tool of another length: the same, unless the control counts the tool in."""
+        return self
+
     @abstractmethod
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
         """What is added to the command of one axis: µm for a linear axis, µrad for a rotary one.

@@ -85,6 +85,12 @@ class Volumetric(Correction):
         """See `Correction.axes`."""
         return self._linear if self.errors else ()
 
+    def with_tool(self, tool_length_mm: float) -> Volumetric:
+        """See `Correction.with_tool`: this control counts the active tool's length."""
+        if tool_length_mm == self.geometry.tool_length_mm:
+            return self
+        return Volumetric(self.errors, Geometry(self.geometry.machine, tool_length_mm))
+
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
         """See `Correction.shift`."""
         total: list[Any] = [0.0, 0.0, 0.0]

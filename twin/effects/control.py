@@ -43,6 +43,12 @@ class ControlCorrection(Effect):
         """The motion frame of its axis."""
         return Frame(self.axis.name, "motion")
 
+    def with_tool(self, tool_length_mm: float) -> ControlCorrection:
+        """The same table with a tool of that length in the spindle."""
+        correction = self.correction.with_tool(tool_length_mm)
+        same = correction is self.correction
+        return self if same else ControlCorrection(self.axis, correction, self.kind, self.classes)
+
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`."""
         return along(self.axis, self.correction.shift(self.axis.name, positions))
