@@ -231,7 +231,7 @@ def copy(tmp_path: Path) -> Path:
         ("tool: spindle", "tool: nose", "no such link", "spindle"),
         ("joint: z_joint, kind: linear", "joint: z_joint, kind: rotary", "joint z_joint is", "kind: linear"),
         ("joint: x_joint, kind: linear", "joint: x_joint, kind: hydraulic", "does not fit", "'linear' or 'rotary'"),
-        ("joint: c_joint, kind: rotary", "joint: c_joint, kind: linear", "joint c_joint is", "kind: rotary"),
+        ("joint: c_joint, kind: rotary", "joint: c_joint, kind: linear", "joint c_joint of the URDF turns", "kind: rotary"),
         ("range: [0, 600]", "range: [600, 0]", "empty range", "lower < upper"),
         ("range: [0, 600]", "range: unlimited", "without limits", "[lower, upper] in mm"),
         ("range: [0, 600]", "range: [0, .nan]", "axes.0.range.1", "finite"),

@@ -418,7 +418,8 @@ def _check(entries: _MachineFile, source: pin.Model, path: Path, lines: Mapping[
             )
         if ("P" in joint.shortname().removeprefix("JointModel")[:1]) != (entry.kind == "linear"):
             kind = "linear" if entry.kind == "rotary" else "rotary"
-            raise fail("kind", f"joint {entry.joint} is {joint.shortname()}", f"kind: {kind}", entry.kind)
+            does = "slides" if kind == "linear" else "turns"
+            raise fail("kind", f"joint {entry.joint} of the URDF {does}", f"kind: {kind}", entry.kind)
         if entry.range == "unlimited":
             if entry.kind == "linear":
                 raise fail("range", "a linear axis without limits", "range: [lower, upper] in mm", entry.range)
