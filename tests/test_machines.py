@@ -229,7 +229,7 @@ def copy(tmp_path: Path) -> Path:
         ("joint: a_joint", "joint: q_joint", "no such moving joint", "a_joint"),
         ("work: table ", "work: pallet ", "no such link", "table"),
         ("tool: spindle", "tool: nose", "no such link", "spindle"),
-        ("joint: z_joint, kind: linear", "joint: z_joint, kind: rotary", "joint z_joint is", "kind: linear"),
+        ("joint: z_joint, kind: linear", "joint: z_joint, kind: rotary", "joint z_joint of the URDF slides", "kind: linear"),
         ("joint: x_joint, kind: linear", "joint: x_joint, kind: hydraulic", "does not fit", "'linear' or 'rotary'"),
         ("joint: c_joint, kind: rotary", "joint: c_joint, kind: linear", "joint c_joint of the URDF turns", "kind: rotary"),
         ("range: [0, 600]", "range: [600, 0]", "empty range", "lower < upper"),
