@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from twin.axis_run.layout import AxisLayout
 from twin.axis_run.motions import NAMES, AxisCurves, Motions
 from twin.axis_run.readings import Readings
+from twin.show import finite
 
 SCHEMA: Final = "twin.axis_run/1"
 UNLIKELY: Final = 1e-3
@@ -70,10 +70,10 @@ def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
         },
         "reversal": {name: {"value": value, "u": u} for name, (value, u) in curves.reversal.items()},
         "repeatability": {
-            f"E_{letter}{motions.axis}": _number(float(motions.repeatability[i])) for i, letter in enumerate(NAMES)
+            f"E_{letter}{motions.axis}": finite(float(motions.repeatability[i])) for i, letter in enumerate(NAMES)
         },
         "misfit": {"chi2": motions.chi2, "dof": motions.dof, "p_value": motions.p_value},
-        "curves_misfit": {"chi2": curves.chi2, "dof": curves.dof, "p_value": _number(curves.p_value)},
+        "curves_misfit": {"chi2": curves.chi2, "dof": curves.dof, "p_value": finite(curves.p_value)},
         "installation": [
             {
                 "name": name,
@@ -111,7 +111,3 @@ def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
     lines += ["", *(f"note: {text}" for text in (*readings.notices, *notices(motions, curves)))]
     lines += [f"line {note.line} set aside: {note.text}" for note in readings.set_aside]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

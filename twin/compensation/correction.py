@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, final, overload
 
 import numpy as np
 
-from twin.show import rounded
+from twin.show import finite, rounded
 from twin.uncertainty import DEFINITION, ToolUncertainty
 
 NAMED = 8
@@ -128,10 +127,6 @@ class Correction:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where it is not known."""
-
-        def number(value: float) -> float | None:
-            return value if isfinite(value) else None
-
         end = f"_{self.unit}"
         return {
             "known": self.known,
@@ -142,11 +137,11 @@ class Correction:
             "correction_rms" + end: self.rms,
             "correction_max" + end: self.max,
             "correction_max_line": self.max_line,
-            "expanded_at_correction_max" + end: number(self.max_expanded),
-            "expanded_rms" + end: number(self.expanded_rms),
-            "expanded_max" + end: number(self.expanded_max),
+            "expanded_at_correction_max" + end: finite(self.max_expanded),
+            "expanded_rms" + end: finite(self.expanded_rms),
+            "expanded_max" + end: finite(self.expanded_max),
             "expanded_max_line": self.expanded_max_line if self.known else None,
-            "standard_rms" + end: [number(value) for value in self.standard_rms],
+            "standard_rms" + end: [finite(value) for value in self.standard_rms],
             "below": [
                 {"line": one.line, "correction" + end: one.correction, "expanded" + end: one.expanded}
                 for one in self.below

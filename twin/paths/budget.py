@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import sqrt
 from typing import Final, final
 
 COVERAGE_FACTOR: Final = 2.0
@@ -44,8 +44,3 @@ class Contribution:
 def combined(contributions: Sequence[Contribution], coverage_factor: float = COVERAGE_FACTOR) -> float:
     """U = k √Σu² in µm; NaN where a contribution is not known."""
     return coverage_factor * sqrt(sum(one.standard_um**2 for one in contributions))
-
-
-def number_or_none(value: float) -> float | None:
-    """For JSON: null where it is not known."""
-    return value if isfinite(value) else None

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, final
 
 from twin.compensation.report import LineNote, Report
-from twin.paths.budget import COVERAGE_FACTOR, Contribution, combined, number_or_none
-from twin.show import UNKNOWN, bar, card, note, pairs, several, table
+from twin.paths.budget import COVERAGE_FACTOR, Contribution, combined
+from twin.show import UNKNOWN, bar, card, finite, note, pairs, several, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
@@ -138,9 +138,9 @@ class PathReport:
             "notes": [asdict(note) for note in self.notes],
             "uncertainty": {
                 "coverage_factor": COVERAGE_FACTOR,
-                "expanded_um": number_or_none(self.expanded_um),
+                "expanded_um": finite(self.expanded_um),
                 "contributions": [
-                    {"name": one.name, "standard_um": number_or_none(one.standard_um), "how": one.how}
+                    {"name": one.name, "standard_um": finite(one.standard_um), "how": one.how}
                     for one in self.contributions
                 ],
             },
