@@ -116,6 +116,8 @@ def test_over_the_volume(
     assert account.remains.tables.rms_um == pytest.approx(rms(after), rel=0.25)
     assert account.remains.program.max_um < 0.01
     assert {one.share for one in account.carried} == {"whole"}
+    # What is to be tried on the machine first is a shift, which a gauge shows.
+    assert "µm) against a dial gauge" in account.to_text()
 
 
 @pytest.mark.parametrize("kind", ["isg", "siemens"])

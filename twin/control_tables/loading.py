@@ -35,7 +35,8 @@ def steps(made: Made) -> tuple[str, ...]:
 
 def trial(made: Made) -> str:
     """The check on the machine that shows a sign the wrong way round."""
-    best = max((one for one in made.tables if one.nodes), key=lambda one: one.peak, default=None)
+    # A shift shows by itself; an angle alone only of a rotary axis.
+    best = max((one for one in made.tables if one.nodes), key=lambda one: (one.unit == "um", one.peak), default=None)
     if best is None:
         return ""
     against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
