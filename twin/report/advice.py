@@ -281,8 +281,12 @@ def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list
             f" At {share:.2g} % of the positions, at the ends of the travel, the correction asks for more than the axes have: up to "
             f"{figure(outcome.out_of_range_um, 'µm')} stays there."
         )
-    title = "With measured numbers: compensate the programs" if calibration.illustrative else "Compensate the programs"
-    return [Step("do", title, text)]
+    return [Step("do", _with_measured("compensate the programs", calibration), text)]
+
+
+def _with_measured(what: str, calibration: Calibration) -> str:
+    """A title: what is not to be done with these numbers is said to be for others."""
+    return f"With measured numbers: {what}" if calibration.illustrative else f"{what[0].upper()}{what[1:]}"
 
 
 def _about(calibration: Calibration) -> str:
@@ -339,7 +343,8 @@ def _tables(found: Budget) -> list[Step]:
     gain = f"from {figure(total, 'µm')} to {figure(rest, 'µm')} RMS at the tool"
     text = f"They take out {listed([f'{TABLES[name]} ({name})' for name in of])} for all programs at once: {gain}."
     if worth:
-        return [Step("do", "Fill the control's axis tables", f"{text} `twin control` writes them.")]
+        title = _with_measured("fill the control's axis tables", found.kinematics.calibration)
+        return [Step("do", title, f"{text} `twin control` writes them.")]
     text += (
         " These errors partly cancel the others." if rest > total else " The rest is tilts, squareness and rotary axes."
     )
