@@ -18,8 +18,10 @@ from tests.test_control_formats import BY_HAND, put
 from tests.truth import TruthMachine
 from twin.calibration import Calibration, Curve
 from twin.cli import main
-from twin.control import FORMATS, ControlSection, read_tables
+from twin.compensation import compensate
+from twin.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.control_tables import Made, Request, account_of, deliver, make
+from twin.control_tables.make import bundle
 from twin.effects import CrossAxis, Reversal
 from twin.errors import InputError
 from twin.kinematics import Kinematics
@@ -142,6 +144,13 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     assert np.abs(model - real).max() * 1e3 < 0.25  # second order: errors are read at q
     off = rms(machine.deviations(commands, q)[0])
     assert off < 1.7 if kind == "isg" else off > 3.0
+    # Where the errors are those left under them, nobody knows which tool was active then: it is said wherever they are used.
+    left = ControlSection(
+        "remaining", tuple(TableEntry.of(tmp_path / "tables" / name, kind, ()) for name in bundle(made.files, kind))
+    )
+    report = compensate("cone_frustum.nc", dmu50, calibration.with_control(left)).report
+    assert report.control is not None
+    assert ("for that length alone" in report.control.sentence) == (kind == "isg") == ("active" in report.to_text())
 
 
 @pytest.mark.parametrize("kind", [slow("linuxcnc"), "heidenhain"])

@@ -118,6 +118,7 @@ def identify(
     if tables is not None:
         print(
             "\nThese errors are what the control's tables left: leave them on; add to them, never replace them (twin control --add)."
+            + (f"\n{tables.caution}" if tables.caution else "")
         )
     print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
     if not found.complete:

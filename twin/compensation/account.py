@@ -375,7 +375,7 @@ class Account:
             return None
         files = tuple(entry.file.name for entry in section.tables)
         if alone is None:
-            return ControlNote(section.errors_are, files, (), None, None)
+            return ControlNote(section.errors_are, files, (), None, None, section.caution)
         before, before_from, _, _ = self._sample.poses()
         moved = alone.forward(before, before_from).point_mm - self.bench.space.nominal.forward(before).point_mm
         share = np.linalg.norm(moved, axis=1) * 1e3

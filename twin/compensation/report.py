@@ -145,6 +145,7 @@ class ControlNote:
         tables: the files.
         axes: what they move; empty where they are part of the errors.
         rms_um, max_um: how far they move the tool over the program; None likewise.
+        caution: what is to be minded beside; nothing if empty.
     """
 
     errors_are: str
@@ -152,6 +153,7 @@ class ControlNote:
     axes: tuple[str, ...]
     rms_um: float | None
     max_um: float | None
+    caution: str = ""
 
     @property
     def sentence(self) -> str:
@@ -160,7 +162,7 @@ class ControlNote:
         if self.rms_um is None or self.max_um is None:
             return (
                 f"these errors were measured with its tables on ({files}): leave them on; "
-                "the program is corrected for what they leave"
+                f"the program is corrected for what they leave{'. ' if self.caution else ''}{self.caution}"
             )
         return (
             f"corrects by itself ({files}; moves {' '.join(self.axes)}): {self.rms_um:.3f} µm RMS, {self.max_um:.3f} µm at most "

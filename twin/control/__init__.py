@@ -37,6 +37,10 @@ what they take out, and are refused; `--add` writes old and new together, on the
 names the new part alone (`added/`): its errors are those left under the old tables. Where the errors are `uncorrected`, new
 tables take the place of the old ones.
 
+**Another tool.** Tables of axes and the grid move the axes by the same whatever tool is in: with a longer one they leave more, the
+model knows it, and a program is corrected for that. The control of `isg` counts the active tool in, and so does the model. Errors
+measured with its tables on hold for the tool that was active then; every account of them says so.
+
 **What was not checked** against a public description of a control is said in the module of its format
 (`help(twin.control.siemens)`), and again beside every table that is written. One sign the wrong way round doubles an error: the
 text says how to try a table before anything is cut.

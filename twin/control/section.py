@@ -17,13 +17,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 from twin.errors import InputError
 
 ErrorsAre = Literal["uncorrected", "remaining"]
 BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
 """The classes of ISO/TR 16907 that every error motion belongs to exactly one of."""
+
+COUNT_THE_TOOL: Final = ("isg",)
+"""Formats of controls that count the active tool's length in."""
 
 
 @final
@@ -84,6 +87,16 @@ class ControlSection:
     def formats(self) -> tuple[str, ...]:
         """Kinds of its tables, each once."""
         return tuple(dict.fromkeys(entry.format for entry in self.tables))
+
+    @property
+    def caution(self) -> str:
+        """What is to be minded where the errors are those its tables leave: a sentence, or nothing."""
+        if self.errors_are == "uncorrected" or not set(self.formats) & set(COUNT_THE_TOOL):
+            return ""
+        return (
+            "The control counts the active tool in: these errors are what it left with the tool that was active while measuring, "
+            "and hold for that length alone."
+        )
 
     def to_entry(self, folder: Path | None) -> dict[str, Any]:
         """As the file has it; table files named as seen from a folder, if one is given."""

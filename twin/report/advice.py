@@ -238,6 +238,7 @@ def _control(calibration: Calibration, outcome: After) -> list[Step]:
     names = "; ".join(f"{listed(files)}: {' '.join(classes)}" for classes, files in alike.items())
     if control.errors_are == "remaining":
         text = f"These errors were measured with its tables on ({names}): they are what is left. A new table is added to them."
+        text += f" {control.caution}" if control.caution else ""
     else:
         bare = outcome.bare
         was = (
