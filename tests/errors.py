@@ -6,8 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.machine import Machine
+from twin.motion_curve import Curve
 
 
 def random_calibration(machine: Machine, rng: np.random.Generator, size: float = 1000.0) -> Calibration:

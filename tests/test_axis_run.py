@@ -22,10 +22,11 @@ from twin.axis_run import (
     simulate_run,
     to_text,
 )
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.effects import Reversal
 from twin.errors import InputError
 from twin.machine import Machine
+from twin.motion_curve import Curve
 from twin.three_point import three_point
 
 LAYOUT = Path(__file__).resolve().parents[1] / "twin" / "samples" / "nine_beams_x.yaml"

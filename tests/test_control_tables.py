@@ -16,7 +16,7 @@ import pytest
 
 from tests.test_control_formats import BY_HAND, put
 from tests.truth import TruthMachine
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.cli import main
 from twin.compensation import compensate
 from twin.control import FORMATS, ControlSection, TableEntry, read_tables
@@ -26,6 +26,7 @@ from twin.effects import CrossAxis, Reversal
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.motion_curve import Curve
 
 LENGTH = 100.0
 

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from tests import hidden
 from tests.benchmarks.curves import exact as exact_least_squares
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.curves import BASES, FGBernstein, basis_named, conversion
 from twin.diagnosis import diagnose
@@ -32,6 +32,7 @@ from twin.identification.unknowns import CurveSpace, Unknowns
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import load
+from twin.motion_curve import Curve
 
 EPS = float(np.finfo(float).eps)
 POWER, FOURIER, BERNSTEIN = BASES

@@ -6,6 +6,7 @@ The drill errs by a formula written out here, and its tables are looked up by `t
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from tests.test_control_formats import BY_HAND
 from tests.test_control_tables import state_of
 from twin.calibration import Calibration
 from twin.cli import main
+from twin.compensation import compensate
+from twin.errors import InputError
 from twin.identification import identify
 from twin.identification.solve import PLAIN
 from twin.instruments import LaserTracker
@@ -158,7 +161,7 @@ def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(dril
     planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
     readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(16))
     found = identify(readings, machine)
-    assert found.converged and "SETTLE" not in found.calibration.source
+    assert found.converged and found.calibration.settled
     assert PLAIN < found.solution.steps <= 25
     found.calibration.save(drill.parent / "found.yaml")
     one = machine_report(machine, Calibration.load(drill.parent / "found.yaml", machine), made=MADE)
@@ -171,7 +174,14 @@ def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(dril
     assert "`twin plan -o plan.csv --machine drill.yaml --reduce " in told
 
 
-def test_what_did_not_settle_says_so_for_ever(drill: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_did_not_settle_is_used_for_nothing(
+    drill: Path,
+    dmu50: Machine,
+    calibration: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The file says it, and no program and no table is made of it."""
     machine = Machine.load(drill)
     planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
     truth = Calibration.load(drill.parent / "mine.yaml", machine)
@@ -179,7 +189,16 @@ def test_what_did_not_settle_says_so_for_ever(drill: Path, monkeypatch: pytest.M
     # An estimate whose steps all stay large.
     monkeypatch.setattr("twin.identification.solve.STILL", 0.0)
     found = identify(readings, machine)
-    assert not found.converged and found.calibration.source.endswith("THE ESTIMATE DID NOT SETTLE: do not use it")
+    assert not found.converged and not found.calibration.settled
+    found.calibration.save(drill.parent / "mine.yaml")
+    assert "settled: false" in (drill.parent / "mine.yaml").read_text()
+    assert control(drill, "siemens") == 2
+    assert "mine.yaml: the estimate this calibration comes from did not settle" in capsys.readouterr().err
+    report = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
+    assert "Use this calibration" in [step.title for step in report.advice.steps if step.kind == "never"]
+    replace(calibration, settled=False).save(drill.parent / "five.yaml")
+    with pytest.raises(InputError, match=r"five.yaml: .* did not settle: 'settled: false'; expected one that did"):
+        compensate("cone_frustum.nc", dmu50, Calibration.load(drill.parent / "five.yaml", dmu50))
 
 
 def test_a_report_promises_no_programs(drill: Path) -> None:

@@ -10,10 +10,11 @@ import pytest
 
 from tests.reference import dmu50_pose, sorby_forward, sorby_inverse
 from twin.batch import BatchFunction
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.motion_curve import Curve
 from twin.symbolic import chain_function
 
 POSES = 10_000

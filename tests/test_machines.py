@@ -13,10 +13,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine, bundled_folder
+from twin.motion_curve import Curve
 
 BUNDLED = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
 MM_TOLERANCE = 1e-9  # contract: what two formulations of the chain may differ by

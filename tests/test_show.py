@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import twin
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.compensation import Options, compensate
 from twin.covariance import Covariance
@@ -32,6 +32,7 @@ from twin.iso16907 import Scope
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import Measurements, RowNote
+from twin.motion_curve import Curve
 from twin.parallel import Workers
 from twin.paths import refit
 from twin.planning import judge

@@ -17,11 +17,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.instruments import LaserTracker, TrackingInterferometer
 from twin.machine import Machine
 from twin.measurement import Measurements
+from twin.motion_curve import Curve
 from twin.samples import thesis_plan
 from twin.simulate import simulate
 from twin.thesis_identification import ThesisIdentification, identify_as_thesis

@@ -3,7 +3,7 @@
 The names a script needs; everything else lives in the room its name says.
 """
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.changes import Changes, compare
 from twin.channels import Conditions
 from twin.compensation import Compensation, Compensator, Options, compensate, compensate_file
@@ -15,6 +15,7 @@ from twin.iso16907 import Scope
 from twin.kinematics import Kinematics, Poses
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
+from twin.motion_curve import Curve
 from twin.nc import read_program
 from twin.parallel import Workers
 from twin.paths import Refit, refit

@@ -15,14 +15,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from twin.arrays import locked
 from twin.control import BasicClass, ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
-from twin.curves import BASES, POWER, Basis, basis_named, conversion
-from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name, unit_of
+from twin.curves import BASES, basis_named
+from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError, nearest
 from twin.extension import effect_named, entry_of
 from twin.files import Place, line_of, load_yaml, write_whole
 from twin.machine import Machine
+from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
 from twin.show import card
-from twin.strips import about_html, errors_html, motion_html
+from twin.strips import about_html, errors_html
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
@@ -72,78 +73,13 @@ class _CalibrationFile(BaseModel):
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
     machine: str
     source: str
+    settled: bool = True
     curves: dict[str, _CurveEntry] = {}
     squareness: dict[str, float] = {}
     location: dict[str, float] = {}
     covariance: _CovarianceEntry | None = None
     effects: tuple[_EffectEntry, ...] = ()
     control: _ControlEntry | None = None
-
-
-@final
-@dataclass(frozen=True)
-class Curve:
-    """One error motion.
-
-    Attributes:
-        name: ISO 230-1 name.
-        unit: ``um`` or ``urad``.
-        domain: (lo, hi) in mm or degrees.
-        basis: name of its basis.
-        coefficients: in ``unit``.
-        covariance: (k, k) of the coefficients, or None where it is not known.
-        source: where the numbers come from.
-        illustrative: whether they are drawn, not measured.
-    """
-
-    name: str
-    unit: str
-    domain: tuple[float, float]
-    basis: str
-    coefficients: tuple[float, ...]
-    covariance: np.ndarray | None = None
-    source: str = ""
-    illustrative: bool = False
-
-    def __call__(self, q: Any) -> np.ndarray:
-        """The curve at axis positions q (mm or degrees, any shape), in ``unit``.
-
-        Raises:
-            InputError: a position outside the domain.
-        """
-        positions = np.asarray(q, dtype=float)
-        lo, hi = self.domain
-        outside = ~((positions >= lo) & (positions <= hi))
-        if np.any(outside):
-            raise InputError(
-                f"{self.name} outside its domain",
-                expected=f"a position from {lo:g} to {hi:g}",
-                value=float(np.asarray(positions)[outside].flat[0]),
-            )
-        return np.asarray(_basis(self.basis).value(positions, self.domain, self.coefficients))
-
-    def _repr_html_(self) -> str:
-        motion = ErrorMotion(self.name, _basis(self.basis), self.domain, self.coefficients, wrapped=False)
-        return motion_html(motion, self.covariance, source=self.source, illustrative=self.illustrative).text
-
-    def in_powers(self) -> Curve | None:
-        """The same curve in powers of u; None if it is no polynomial."""
-        count = len(self.coefficients)
-        return None if conversion(_basis(self.basis), POWER, count, count) is None else self.written(POWER.name, count)
-
-    def written(self, basis: str, count: int) -> Curve:
-        """The same curve, with its covariance, as ``count`` coefficients of another basis.
-
-        Raises:
-            InputError: no such basis; one that cannot make this curve.
-        """
-        matrix = _conversion(self.name, _basis(self.basis), _basis(basis), len(self.coefficients), count)
-        return replace(
-            self,
-            basis=basis,
-            coefficients=tuple(float(v) for v in matrix @ self.coefficients),
-            covariance=None if self.covariance is None else locked(matrix @ self.covariance @ matrix.T),
-        )
 
 
 @final
@@ -162,6 +98,7 @@ class Calibration:
         path: the file it was read from, or None.
         control: what it says of the machine's control; None: nothing, as of a control that corrects nothing.
         corrections: what the control takes out of these errors by itself; nothing where they are what it leaves.
+        settled: whether the estimate it comes from did; if not, no program and no table is made of it.
     """
 
     machine: Machine
@@ -174,6 +111,7 @@ class Calibration:
     path: Path | None = None
     control: ControlSection | None = None
     corrections: tuple[ControlCorrection, ...] = ()
+    settled: bool = True
 
     @classmethod
     def zero(cls, machine: Machine) -> Calibration:
@@ -216,6 +154,7 @@ class Calibration:
             location=MappingProxyType(dict(entries.location)),
             extra=extra,
             path=path,
+            settled=entries.settled,
         )
         if entries.covariance is not None:
             loaded = replace(loaded, joint=check.joint(entries.covariance, loaded))
@@ -242,6 +181,7 @@ class Calibration:
             "schema": SCHEMA,
             "machine": self.machine.name,
             "source": self.source,
+            **({} if self.settled else {"settled": False}),
             "curves": {name: _entry(curve) for name, curve in self.curves.items()},
             "squareness": {name: float(value) for name, value in self.squareness.items()},
             "location": {name: float(value) for name, value in self.location.items()},
@@ -267,7 +207,7 @@ class Calibration:
             axis = self.machine.by_name[split_name(curve.name)[2]]
             found.append(
                 ErrorMotion(
-                    curve.name, _basis(curve.basis), curve.domain, curve.coefficients, wrapped=axis.lower is None
+                    curve.name, basis_of(curve.basis), curve.domain, curve.coefficients, wrapped=axis.lower is None
                 )
             )
         for name, angle in self.squareness.items():
@@ -290,6 +230,20 @@ class Calibration:
             table = read_tables(kind, [entry.file for entry in entries], self.machine)
             corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
         return replace(self, control=control, corrections=tuple(corrections))
+
+    def check_settled(self) -> None:
+        """That it may be used at a machine.
+
+        Raises:
+            InputError: the estimate did not settle.
+        """
+        if not self.settled:
+            raise InputError(
+                "the estimate this calibration comes from did not settle",
+                expected="one that did: identify again with more readings, other poses, or the places of targets and stations given",
+                file=self.path,
+                value="settled: false",
+            )
 
     def with_tool(self, tool_length_mm: float) -> Calibration:
         """The same errors under a control that moves a tool of that length, where it counts the tool in."""
@@ -343,7 +297,7 @@ class Calibration:
         for effect in effects:
             if isinstance(effect, ErrorMotion):
                 motions.setdefault(effect.name, []).append(effect)
-                curves[effect.name] = _added(curves.get(effect.name), effect)
+                curves[effect.name] = added(curves.get(effect.name), effect)
             elif isinstance(effect, Squareness):
                 squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
             elif isinstance(effect, AxisLocation):
@@ -351,10 +305,10 @@ class Calibration:
             else:
                 extra.append(effect)
         for name in [name for name in motions if name in self.curves]:
-            basis, count = _basis(curves[name].basis), len(curves[name].coefficients)
+            basis, count = basis_of(curves[name].basis), len(curves[name].coefficients)
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))
-            own = own.rewritten(name, _conversion(name, basis, basis, len(self.curves[name].coefficients), count))
-            found = found.rewritten(name, _conversion(name, widest.basis, basis, len(widest.coefficients), count))
+            own = own.rewritten(name, conversion_of(name, basis, basis, len(self.curves[name].coefficients), count))
+            found = found.rewritten(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
         whole = replace(
             self,
             source=f"{self.source}; {source}",
@@ -420,41 +374,6 @@ class Calibration:
         return bounds
 
 
-def _added(curve: Curve | None, motion: ErrorMotion) -> Curve:
-    """A curve with another over the same domain added, in the basis of the first."""
-    unit = unit_of(motion.name)
-    if curve is None:
-        return Curve(motion.name, unit, motion.domain, motion.basis.name, motion.coefficients)
-    if curve.domain != motion.domain:
-        raise InputError(
-            f"{motion.name} cannot be added to a curve of another domain",
-            expected=f"{curve.domain}",
-            value=f"{motion.domain}",
-        )
-    basis, count = _basis(curve.basis), max(len(curve.coefficients), len(motion.coefficients))
-    own = _conversion(curve.name, basis, basis, len(curve.coefficients), count) @ curve.coefficients
-    total = own + _conversion(curve.name, motion.basis, basis, len(motion.coefficients), count) @ motion.coefficients
-    return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
-
-
-def _conversion(name: str, source: Basis, target: Basis, count: int, into: int) -> np.ndarray:
-    matrix = conversion(source, target, count, into)
-    if matrix is None or into < count:
-        raise InputError(
-            f"{name} cannot be written in another basis",
-            expected=f"{source.name}, {count} coefficients or more",
-            value=f"{target.name}, {into}",
-        )
-    return matrix
-
-
-def _basis(name: str) -> Basis:
-    basis = basis_named(name)
-    if basis is None:
-        raise InputError("no such basis", expected=_bases(), value=name)
-    return basis
-
-
 @final
 @dataclass(frozen=True)
 class _Check:
@@ -497,7 +416,7 @@ class _Check:
         basis = basis_named(entry.basis)
         if basis is None:
             known = [one.name for one in BASES]
-            raise self.fail((*place, "basis"), "no such basis", _bases(), entry.basis, nearest(entry.basis, known))
+            raise self.fail((*place, "basis"), "no such basis", known_bases(), entry.basis, nearest(entry.basis, known))
         misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
@@ -565,10 +484,6 @@ class _Check:
                     curve.name,
                 )
         return found
-
-
-def _bases() -> str:
-    return "one of " + ", ".join(basis.name for basis in BASES)
 
 
 def _entry(curve: Curve) -> dict[str, Any]:

@@ -17,7 +17,8 @@ kinematics (`tcp_on`, `tcp_off`) and a default tool length.
     location: {E_X0C: 4.0, E_A0C: -12.0}   # µm, µrad
 
 `identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above)
-and `lower`, the lower triangle, one row a line. It takes the place of the curves' own.
+and `lower`, the lower triangle, one row a line. It takes the place of the curves' own. `settled: false` says that the estimate did
+not settle: no program and no table is made of such a file.
 
 A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k
 (1 − x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, the curve between its smallest and largest

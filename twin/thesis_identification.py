@@ -34,10 +34,11 @@ import pinocchio as pin
 from numpy.polynomial import Polynomial, polynomial
 
 from twin.arrays import locked
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.machine import DIRECTIONS, Machine
 from twin.measurement import Measurements
+from twin.motion_curve import Curve
 from twin.spatial import rotation_exp
 from twin.three_point import REFLECTORS, three_point
 from twin.units import DEG, MM, UM, URAD

@@ -92,14 +92,15 @@ class Bench:
         limits: (axes, 2) mm and degrees that commands keep to: ranges, and domains of curves where those are narrower.
 
     Raises:
-        InputError: the machine cannot run programs, or the method does not fit it; a temperature or time that the calibration needs
-            and nobody gave, or a temperature of nothing it knows.
+        InputError: the machine cannot run programs, the calibration did not settle, or the method does not fit it; a temperature or
+            time that the calibration needs and nobody gave, or a temperature of nothing it knows.
     """
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
         self.machine = machine
         self.calibration = calibration
         self.options = options
+        calibration.check_settled()
         options.conditions.require(calibration)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.full = self._with(calibration)

@@ -18,9 +18,10 @@ from typing import final
 
 import numpy as np
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.kinematics import Kinematics
+from twin.motion_curve import Curve
 from twin.units import URAD
 
 CLASSES = ("L-POS", "L-STR", "L-SQU", "R-ANG")

@@ -190,11 +190,12 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
         request: what is asked for.
 
     Raises:
-        InputError: a format there is not; a calibration whose errors are left under tables, without ``add``; old tables that cannot
-        be added to.
+        InputError: a format there is not; a calibration that did not settle; one whose errors are left under tables, without ``add``;
+            old tables that cannot be added to.
     """
     if not request.tolerance_um > 0.0:
         raise InputError("--tolerance is not positive", expected="µm", value=request.tolerance_um)
+    calibration.check_settled()
     doubts = (f"not checked against a public description: {one}" for one in UNCHECKED.get(request.kind, ()))
     request = replace(request, notes=(*request.notes, *doubts))
     old = _old(machine, calibration, request)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, final
 
 import numpy as np
@@ -290,12 +290,11 @@ def _result(
         whole = solution.spectrum.covariance()
     covariance = whole[:count, :count]
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
-    if not solution.converged:
-        source += "; THE ESTIMATE DID NOT SETTLE: do not use it"
     kept = [
         i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in best.together
     ]
-    calibration, _ = unknowns.calibration(solution.theta, kept, source, covariance)
+    estimate, _ = unknowns.calibration(solution.theta, kept, source, covariance)
+    calibration = replace(estimate, settled=solution.converged)
     rows = np.arange(len(data))
     difference = network.difference(solution.theta, solution.setup, rows)
     whitened = network.residual(solution.theta, solution.setup)

@@ -20,13 +20,14 @@ from typing import Final, final
 import numpy as np
 
 from twin.arrays import locked
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.curves import Basis, of_legendre
 from twin.effects import AxisLocation, Squareness, split_name, unit_of
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
 from twin.measurement import CARRIERS, Measurements
+from twin.motion_curve import Curve
 from twin.units import UM
 
 NODES: Final = 400

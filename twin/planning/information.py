@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.arrays import locked
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.curves import FOURIER, POWER, Basis
 from twin.effects import split_name
 from twin.identification.network import PIECE, Network
@@ -28,6 +28,7 @@ from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.measurement import Measurements
+from twin.motion_curve import Curve
 from twin.simulate import Setting, simulate
 from twin.spatial import rotation_exp
 from twin.units import MM

@@ -112,6 +112,7 @@ def advise(
     steps = [
         *_illustrative(calibration),
         *_incomplete(left_out, identified),
+        *_settled(calibration.settled and (identified is None or identified.converged)),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
         *_one_of(
@@ -180,8 +181,6 @@ def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified 
     ]
     if identified is None:
         return steps
-    if not identified.converged:
-        steps.append(Step("never", "Use this calibration", "The estimate it comes from did not settle."))
     if identified.others:
         steps.append(
             Step(
@@ -211,6 +210,10 @@ def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified 
             )
         )
     return steps
+
+
+def _settled(settled: bool) -> list[Step]:
+    return [] if settled else [Step("never", "Use this calibration", "The estimate it comes from did not settle.")]
 
 
 def _misfit(points: Sequence[Checked], calibration: Calibration) -> list[Step]:

@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from twin.calibration import Calibration, Curve
+from twin.calibration import Calibration
 from twin.machine import Machine
+from twin.motion_curve import Curve
 
 FIGURE_3_11: Final = np.array(
     [
