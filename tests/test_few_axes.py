@@ -21,7 +21,7 @@ from twin.calibration import Calibration
 from twin.cli import main
 from twin.compensation import compensate
 from twin.errors import InputError
-from twin.identification import identify
+from twin.identification import Identification, identify
 from twin.identification.solve import PLAIN
 from twin.instruments import LaserTracker
 from twin.machine import Machine
@@ -154,13 +154,19 @@ def test_a_joint_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "reference encoder" in capsys.readouterr().out
 
 
-def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(drill: Path) -> None:
-    """One station and six targets leave the station's turn hardly better known than beforehand: plain steps took 80 for this seed."""
+def identified(drill: Path, seed: int) -> Identification:
+    """The drill with the errors of its file, measured in an hour as planned for it, and identified."""
     machine = Machine.load(drill)
     truth = Calibration.load(drill.parent / "mine.yaml", machine)
     planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
-    readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(16))
-    found = identify(readings, machine)
+    readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(seed))
+    return identify(readings, machine)
+
+
+def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(drill: Path) -> None:
+    """One station and six targets leave the station's turn hardly better known than beforehand: plain steps took 80 for this seed."""
+    found = identified(drill, seed=16)
+    machine = found.calibration.machine
     assert found.converged and found.calibration.settled
     assert PLAIN < found.solution.steps <= 25
     found.calibration.save(drill.parent / "found.yaml")
@@ -182,13 +188,10 @@ def test_what_did_not_settle_is_used_for_nothing(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The file says it, and no program and no table is made of it."""
-    machine = Machine.load(drill)
-    planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
-    truth = Calibration.load(drill.parent / "mine.yaml", machine)
-    readings, _ = simulate(planned, machine, truth, LaserTracker(), np.random.default_rng(2))
     # An estimate whose steps all stay large.
     monkeypatch.setattr("twin.identification.solve.STILL", 0.0)
-    found = identify(readings, machine)
+    found = identified(drill, seed=2)
+    machine = found.calibration.machine
     assert not found.converged and not found.calibration.settled
     found.calibration.save(drill.parent / "mine.yaml")
     assert "settled: false" in (drill.parent / "mine.yaml").read_text()

@@ -61,8 +61,7 @@ class LostMotion:
         self.size = np.zeros(len(machine.axes))
         for effect in calibration.effects:
             if isinstance(effect, Reversal):
-                axis = effect.axis
-                self.size[machine.names.index(axis.name)] += effect.size * (UM if axis.linear else URAD) / axis.scale
+                size = effect.size
             elif isinstance(effect, ControlCorrection):
                 low, high = effect.lost_motion(ranges)
                 if high - low > UNEVEN:
@@ -71,9 +70,11 @@ class LostMotion:
                         expected="the same difference between both directions everywhere: the rest cannot be taken up by a program",
                         value=f"{low:.2f} to {high:.2f}",
                     )
-                axis = effect.axis
-                size = 0.5 * (low + high) * (UM if axis.linear else URAD) / axis.scale
-                self.size[machine.names.index(axis.name)] += size
+                size = 0.5 * (low + high)
+            else:
+                continue
+            axis = effect.axis
+            self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
         self.size[np.abs(self.size) < NOTHING] = 0.0
         self.axes = [int(i) for i in np.flatnonzero(self.size)]
         self._dead_band = TURN * np.array([axis.increment for axis in machine.axes])

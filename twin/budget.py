@@ -10,7 +10,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
 from twin.iso16907 import acts_as, iso_class
-from twin.kinematics import Kinematics, Poses, rms_and_max
+from twin.kinematics import Kinematics, rms_and_max
 from twin.machine import Machine
 
 POSES: Final = 2000
@@ -53,6 +53,12 @@ def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray
     return latin_hypercube(np.array([axis.domain for axis in machine.axes]), poses, np.random.default_rng(seed))
 
 
+def known_volume(calibration: Calibration) -> np.ndarray:
+    """(n, axes) those of `volume` where every error of a calibration is known."""
+    q = volume(calibration.machine)
+    return np.asarray(q[~calibration.outside(q).any(axis=1)])
+
+
 def latin_hypercube(ranges: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, k) points drawn over (k, 2) ranges: every one of ``count`` slices of every range once."""
     lower, upper = ranges.T
@@ -82,10 +88,8 @@ def error_budget(
         tool_length_mm: None for the machine file's own.
         conditions: temperatures and time.
     """
-    q = volume(machine)
+    q = known_volume(calibration)
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
-    within = ~calibration.outside(q).any(axis=1)
-    q, meant = q[within], Poses(meant.point_mm[within], meant.rotation[within])
     sides = drawn_sides(q)
     acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
 

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin.budget import drawn_sides, volume
+from twin.budget import drawn_sides, known_volume
 from twin.calibration import Calibration
 from twin.channels import Listening
 from twin.control_tables.wanted import Wanted, step_back
@@ -64,39 +64,31 @@ def remains(wanted: Wanted, calibration: Calibration) -> Remains:
         wanted: the machine, its errors alone, tool length and conditions.
         calibration: the same errors under the control with its tables; none whose channel nobody gave.
     """
-    machine = wanted.machine
-
-    def real(errors: Calibration) -> Kinematics:
-        return Kinematics(machine, errors, tool_length_mm=wanted.tool_length_mm, conditions=wanted.conditions)
-
-    meant, bare, with_tables = real(Calibration.zero(machine)), real(wanted.calibration), real(calibration)
-    q = volume(machine)
-    q = q[~calibration.outside(q).any(axis=1)]
-    sides, goal = drawn_sides(q), meant.forward(q)
-    commands, limited = _compensated(wanted, with_tables, q, sides, goal)
+    with_tables = wanted.under(calibration)
+    q = known_volume(calibration)
+    sides, goal = drawn_sides(q), wanted.meant.forward(q)
+    program, limited = _program(wanted, with_tables, q, sides, goal) if wanted.machine.runs_programs else (None, 0)
     return Remains(
-        _left(bare.forward(q, sides), goal),
+        _left(wanted.under(wanted.calibration).forward(q, sides), goal),
         _left(with_tables.forward(q, sides), goal),
-        _left(with_tables.forward(commands, sides), goal) if machine.runs_programs else None,
+        program,
         len(q),
-        int(limited.sum()),
+        limited,
     )
 
 
-def _compensated(
+def _program(
     wanted: Wanted, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n, axes) commands of a program that corrects the point for what the tables leave; (n,) where an axis has no room for it."""
+) -> tuple[Left, int]:
+    """What a program leaves that corrects the point for what the tables leave, and at how many poses an axis has no room for it."""
     machine, commands, limited = wanted.machine, q.copy(), np.zeros(len(q), dtype=bool)
-    if not machine.runs_programs:
-        return commands, limited
     linear = list(machine.linear)
     limits = np.array([wanted.range_of(machine.axes[i]) for i in linear])
     for _ in range(STEPS):
         step = commands[:, linear] + step_back(with_tables, commands, sides, goal.point_mm)
         commands[:, linear] = np.clip(step, *limits.T)
         limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
-    return commands, limited
+    return _left(with_tables.forward(commands, sides), goal), int(limited.sum())
 
 
 def _left(reached: Poses, goal: Poses) -> Left:

@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from twin.budget import drawn_sides, volume
+from twin.budget import drawn_sides, known_volume
 from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.effects import Effect
@@ -35,6 +35,9 @@ class Wanted:
         classes: basic classes of ISO/TR 16907 to correct.
         conditions: temperatures and time.
 
+    Attributes:
+        meant: the machine as drawn.
+
     Raises:
         InputError: linear axes that move the point the same way, so that nobody knows which of them is to be corrected.
     """
@@ -53,8 +56,8 @@ class Wanted:
         self.tool_length_mm = tool_length_mm
         self.conditions = conditions
         self.calibration = calibration
-        self._meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
-        by = _by_linear(self._meant, np.array([[self.at[name] for name in machine.names]]), None)[0]
+        self.meant = self.under(Calibration.zero(machine))
+        by = _by_linear(self.meant, np.array([[self.at[name] for name in machine.names]]), None)[0]
         if machine.linear and np.linalg.matrix_rank(by) < len(machine.linear):
             raise InputError(
                 f"{machine.name} has linear axes that move the point the same way",
@@ -64,6 +67,10 @@ class Wanted:
             )
         self._classes = classes
         self._real: dict[str, Kinematics] = {}
+
+    def under(self, errors: Calibration) -> Kinematics:
+        """The machine with some errors, its tool and conditions."""
+        return Kinematics(self.machine, errors, tool_length_mm=self.tool_length_mm, conditions=self.conditions)
 
     def class_of(self, effect: Effect) -> str:
         """The basic class of an effect."""
@@ -86,10 +93,7 @@ class Wanted:
                 for effect in self.calibration.effects
                 if effect.frame.axis in axes and self.class_of(effect) in self._classes
             }
-            limited = self.calibration.where(lambda name: name in kept)
-            self._real[key] = Kinematics(
-                self.machine, limited, tool_length_mm=self.tool_length_mm, conditions=self.conditions
-            )
+            self._real[key] = self.under(self.calibration.where(lambda name: name in kept))
         return self._real[key]
 
     def line(self, axis: Axis, q: np.ndarray, others: Mapping[str, float] | None = None) -> np.ndarray:
@@ -107,21 +111,15 @@ class Wanted:
             positions: (n, axes) mm and degrees.
             side: the side these axes come from.
         """
-        return undo(self.real(axes), self._meant, positions, self._sides(axes, positions, side)) * 1e3
+        return undo(self.real(axes), self.meant, positions, self._sides(axes, positions, side)) * 1e3
 
     def beyond(self, effect: Effect) -> float:
         """Share of what one effect does to the point that no linear axis can undo: 0 where there are three of them."""
         if len(self.machine.linear) == 3:
             return 0.0
-        alone = Kinematics(
-            self.machine,
-            self.calibration.where(lambda name: name == effect.name),
-            tool_length_mm=self.tool_length_mm,
-            conditions=self.conditions,
-        )
-        q = volume(self.machine)
-        q = q[~self.calibration.outside(q).any(axis=1)]
-        sides, goal = drawn_sides(q), self._meant.forward(q).point_mm
+        alone = self.under(self.calibration.where(lambda name: name == effect.name))
+        q = known_volume(self.calibration)
+        sides, goal = drawn_sides(q), self.meant.forward(q).point_mm
         off = alone.forward(q, sides).point_mm - goal
         left = off + (_by_linear(alone, q, sides) @ step_back(alone, q, sides, goal)[:, :, None])[:, :, 0]
         size = float(np.linalg.norm(off))

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.budget import BudgetRow, drawn_sides, error_budget, volume
+from twin.budget import BudgetRow, drawn_sides, error_budget, known_volume
 from twin.effects import split_name
 from twin.iso16907 import acts_as, iso_class
 from twin.kinematics import Kinematics, Poses
@@ -140,8 +140,7 @@ def budget(kinematics: Kinematics) -> Budget:
     rows, classes = error_budget(
         machine, calibration, tool_length_mm=kinematics.tool_length_mm, conditions=kinematics.conditions
     )
-    q = volume(machine)
-    q = q[~calibration.outside(q).any(axis=1)]
+    q = known_volume(calibration)
     sides = drawn_sides(q)
     meant, reached = as_drawn(kinematics).forward(q), kinematics.forward(q, sides)
     share = _Shares(kinematics, q, sides)

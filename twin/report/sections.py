@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from twin.diagnosis.words import capital, listed, probability
 from twin.page import bullets, embedded, escaped, facts, table
 from twin.report.after import Level
 from twin.report.contributions import Contribution
+from twin.report.field import Slice
 from twin.report.motions import Motion
 from twin.report.numbers import SIGNS, UNKNOWN, bound, expanded, figure, place, with_half
 from twin.report.plots import (
@@ -248,16 +249,22 @@ def field_part(report: MachineReport) -> str:
     )
     if not field.slices:
         return text + "<p>There are no planes to show: that takes two linear axes.</p>"
-    top = scale_top_um(float(field.size_um.max()))
+    pictures = _planes("error", [(one, one.error_um) for one in field.slices], field.size_um)
+    return text + f"<h3>Planes</h3>{pictures}{_grid_note(report)}"
+
+
+def _planes(what: str, planes: Sequence[tuple[Slice, np.ndarray]], everywhere_um: np.ndarray) -> str:
+    """Planes of the volume with one scale, each with its values in µm."""
+    top = scale_top_um(float(everywhere_um.max()))
     pictures = "".join(
         embedded(
-            plot_slice(one, one.error_um, top, "error [µm]"),
-            f"error over {one.horizontal} and {one.vertical}, {place(one.fixed)}: up to {figure(float(one.error_um.max()), 'µm')}",
+            plot_slice(one, values, top, f"{what} [µm]"),
+            f"{what} over {one.horizontal} and {one.vertical}, {place(one.fixed)}: up to {figure(float(values.max()), 'µm')}",
             place(one.fixed) if one.fixed else f"{one.horizontal} and {one.vertical}",
         )
-        for one in field.slices
+        for one, values in planes
     )
-    return text + f"<h3>Planes</h3><div class=figures>{pictures}</div>{_grid_note(report)}"
+    return f"<div class=figures>{pictures}</div>"
 
 
 def _over(report: MachineReport) -> str:
@@ -397,17 +404,9 @@ def known_part(report: MachineReport) -> str:
     )
     if not field.known or not field.slices:
         return text
-    top = scale_top_um(float(field.u_um.max()))
-    pictures = "".join(
-        embedded(
-            plot_slice(one, one.u_um, top, "U [µm]"),
-            f"U over {one.horizontal} and {one.vertical}, {place(one.fixed)}: up to {figure(float(one.u_um.max()), 'µm')}",
-            place(one.fixed) if one.fixed else f"{one.horizontal} and {one.vertical}",
-        )
-        for one in field.slices
-    )
+    pictures = _planes("U", [(one, one.u_um) for one in field.slices], field.u_um)
     stands = f"{escaped(place(field.standing))} standing still." if field.standing else ""
-    return text + f"<div class=figures>{pictures}</div><p class=small>U of the tool point. {stands}</p>"
+    return text + f"{pictures}<p class=small>U of the tool point. {stands}</p>"
 
 
 def gaps_part(report: MachineReport) -> str:

@@ -138,7 +138,6 @@ def scene_html(
         "line": path.lines[frames.block].astype(int).tolist(),
         "cutting": path.cutting[frames.block].astype(int).tolist(),
     }
-    legend = viridis(np.linspace(0.0, 1.0, 17))
     return PAGE.substitute(
         title=html.escape(title),
         camera=CAMERA,
@@ -146,8 +145,7 @@ def scene_html(
         viewer=viewer_source(),
         commands=json.dumps([packed(command) for command in commands]),
         page=json.dumps(page).replace("</", "<\\/"),
-        gradient=", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in legend),
-        ticks="".join(f"<span>{short(top_um * share / 4)}</span>" for share in range(5)),
+        **colour_bar(top_um),
         factor=short(factor),
         max_um=short(path.max_um),
         rms_um=short(path.rms_um),
@@ -461,6 +459,15 @@ def _moved(placement: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _hex(colour: tuple[float, float, float]) -> int:
     red, green, blue = (round(255 * part) for part in colour)
     return red << 16 | green << 8 | blue
+
+
+def colour_bar(top: float) -> dict[str, str]:
+    """What a page's colour bar from 0 to ``top`` is made of: its CSS gradient, and the numbers below it."""
+    colours = viridis(np.linspace(0.0, 1.0, 17))
+    return {
+        "gradient": ", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in colours),
+        "ticks": "".join(f"<span>{short(top * share / 4)}</span>" for share in range(5)),
+    }
 
 
 def short(value: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.scene.camera import CAMERA
-from twin.scene.draw import bare_stage, lines_command, mesh_command, node_of, packed, short, viewer_source
+from twin.scene.draw import bare_stage, colour_bar, lines_command, mesh_command, node_of, packed, short, viewer_source
 from twin.scene.path import Mesh, arrow, joined, rounded_125, scale_top_um, viridis
 from twin.units import MM
 
@@ -87,15 +87,13 @@ def field_html(
         "outline": outline[np.unique(np.argmax(outline @ _WAYS.T, axis=0))].round(5).tolist(),
         "labels": [{"text": text, "at": ((a + b) / 2.0 * MM).round(5).tolist()} for text, a, b in edges if text],
     }
-    legend = viridis(np.linspace(0.0, 1.0, 17))
     return PAGE.substitute(
         title=html.escape(title),
         camera=CAMERA,
         viewer=viewer_source(),
         commands=json.dumps([packed(command) for command in commands]),
         page=json.dumps(page).replace("</", "<\\/"),
-        gradient=", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in legend),
-        ticks="".join(f"<span>{short(top * share / 4)}</span>" for share in range(5)),
+        **colour_bar(top),
         factor=short(factor),
         notice="<b>drawn, not measured</b>" if illustrative else "",
     )
