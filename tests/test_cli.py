@@ -12,28 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.commands import TWIN, refused, twin
 from tests.truth import run_iso
 from twin import cli
 
-TWIN = [sys.executable, "-m", "twin.cli"]
 PROGRAM = "G21 G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X120 F500\nY150 C20\nM30\n"
 CALIBRATION = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: a test\n"
-
-
-def twin(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*TWIN, *map(str, arguments)], capture_output=True, text=True, cwd=cwd, timeout=120, check=False
-    )
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run in this process; it must end with exit status 2 and one line on stderr."""
-    with pytest.raises(SystemExit) as stopped:
-        cli.main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    assert stopped.value.code == 2, captured
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 @pytest.fixture
@@ -226,7 +210,7 @@ def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # In the middle of the work: some of the output is there, under another name.
-    while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob(".out.nc.*")):
+    while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob(".twin-*")):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)

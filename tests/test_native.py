@@ -6,10 +6,10 @@ import ctypes
 import dataclasses
 import math
 import os
+import platform
 import stat
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -354,7 +354,7 @@ def test_compiled_once(cache: Path, tmp_path: Path) -> None:
     assert calls(tmp_path) == 1
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
     assert all(not path.stat().st_mode & 0o022 for path in cache.iterdir())
-    assert not list(cache.glob("build-*"))
+    assert not list(cache.glob(".twin-*"))
     # Another source, another compiler: another library.
     assert store.key(TINY, tool) != store.key(TINY + "\n", tool)
     assert store.key(TINY, tool) != store.key(TINY, Compiler(tool.command, "counting 1.1"))
@@ -443,13 +443,15 @@ def test_two_processes_at_once(cache: Path, tmp_path: Path) -> None:
 
 
 @compiled
-def test_what_killed_builds_left_is_swept_up(cache: Path, tmp_path: Path) -> None:
-    old, new = cache / "build-old", cache / "build-new"
-    for left in (old, new):
-        left.mkdir(parents=True, mode=0o700)
-        (left / "made.so").write_text("half")
+def test_what_killed_builds_left_is_removed(cache: Path, tmp_path: Path) -> None:
+    cache.mkdir(parents=True)
     cache.chmod(0o700)
-    os.utime(old, (time.time() - 2 * store.STALE_S,) * 2)
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    old, new = (cache / f".twin-{pid}-00ff-{platform.node()}" for pid in (gone.pid, os.getpid()))
+    for left in (old, new):
+        left.mkdir()
+        (left / "made.so").write_text("half")
     store.library(TINY, counting(tmp_path))
     assert not old.exists() and new.exists()
 
@@ -472,7 +474,7 @@ def test_a_compiler_that_fails_is_said_once(
     assert in_use() == f"NumPy ({script.command[0]}: error: no disc)"
     with pytest.raises(CompilerError, match="no disc"):
         store.library(TINY, script)
-    assert not list(cache.glob("build-*"))
+    assert not list(cache.glob(".twin-*"))
 
 
 def test_no_compiler_and_switched_off(

@@ -52,13 +52,20 @@ ones, on either side; kinematics needs only a chain.
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import platform
 import re
+import secrets
+import shutil
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar, get_args
+from typing import Any, BinaryIO, Final, TypeVar, final, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -82,20 +89,45 @@ _IN_WORDS: Final = {
     "mapping_type": "entries, each `name: value`",
 }
 """What pydantic's kinds of errors want."""
+TEMPORARY: Final = ".twin-"
+"""How the names of all temporary files and folders begin; process, random part and computer follow."""
+
+
+def note_input(path: Path) -> None:
+    """Tell the running command, if there is one, that this file is read.
+
+    Raises:
+        InputError: the command is going to write it.
+    """
+    run = _COMMAND.get()
+    if run is not None:
+        run.add_input(path)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        InputError: there is no such file, it cannot be read, or the running command is going to write it.
+    """
+    note_input(path)
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        value = error.strerror if isinstance(error, OSError) else error
+        raise InputError("cannot be read", expected="a readable file", file=path, value=value) from error
 
 
 def read_text(path: Path) -> str:
-    """A UTF-8 text file.
+    """Return the content of a UTF-8 text file.
 
     Raises:
-        InputError: there is no such file, it cannot be read, or it is not UTF-8 text.
+        InputError: as `read_bytes`; it is not UTF-8 text.
     """
     try:
-        return path.read_bytes().decode("utf-8-sig")
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError("not a text file", expected="UTF-8 text", file=path, value=error.reason) from error
-    except OSError as error:
-        raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
 
 
 def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[Place, int]]:
@@ -224,34 +256,149 @@ def _scalar(node: yaml.Node) -> Any:
     return value
 
 
-def check_writable(paths: Sequence[Path]) -> None:
-    """Find out before the work that every output can be written.
+@final
+class CommandFiles:
+    """The files that one command reads and writes; a file cannot be both.
+
+    Attributes:
+        read: input files by their resolved paths.
+        outputs: output files by their resolved paths.
+        written: those of them that are complete: reading them back is allowed.
+    """
+
+    def __init__(self) -> None:
+        self.read: set[Path] = set()
+        self.outputs: set[Path] = set()
+        self.written: set[Path] = set()
+
+    def add_input(self, path: Path) -> None:
+        """Note that a file is read.
+
+        Raises:
+            InputError: the command is going to write it.
+        """
+        file = _resolved(path)
+        if file in self.outputs - self.written:
+            raise _also_an_input(path)
+        self.read.add(file)
+
+    def add_output(self, path: Path) -> None:
+        """Note that a file is going to be written.
+
+        Raises:
+            InputError: the command has read it, under this name or another one.
+        """
+        file = _resolved(path)
+        if file in self.written:
+            return
+        if any(_same_file(file, one) for one in self.read):
+            raise _also_an_input(path)
+        self.outputs.add(file)
+
+
+_COMMAND: Final[ContextVar[CommandFiles | None]] = ContextVar("files of the running command", default=None)
+
+
+@contextmanager
+def command_files() -> Iterator[CommandFiles]:
+    """Keep account of all files that are read and written meanwhile, so that no input is overwritten.
+
+    Outside of it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested one is the outer one.
+    """
+    running = _COMMAND.get()
+    if running is not None:
+        yield running
+        return
+    files = CommandFiles()
+    token = _COMMAND.set(files)
+    try:
+        yield files
+    finally:
+        _COMMAND.reset(token)
+
+
+def _also_an_input(path: Path) -> InputError:
+    return InputError("an output is one of the inputs", expected="another file", file=path)
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    try:
+        return one == other or one.samefile(other)
+    except (OSError, ValueError):
+        return False
+
+
+def _resolved(path: Path) -> Path:
+    """Return the path without symbolic links.
 
     Raises:
-        InputError: a folder is missing or not writable, an output is a folder, or two outputs are one file.
+        InputError: the operating system does not take it for a path.
     """
-    seen: set[Path] = set()
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError("not a path", expected="the path of a file", file=path, value=error) from error
+
+
+def check_writable(paths: Sequence[Path]) -> None:
+    """Find out before the work whether every output can be written, and clear away what killed runs left beside them.
+
+    Raises:
+        InputError: a folder is missing or not writable; an output is an input, no regular file or read-only; two outputs are one file.
+    """
+    run = _COMMAND.get()
+    seen: set[Path] = set() if run is None else set(run.outputs)
     for path in paths:
-        folder = path.parent
-        if path.resolve() in seen:
+        file = _resolved(path)
+        if file in seen:
             raise InputError("two outputs are the same file", expected="a file each", file=path)
-        seen.add(path.resolve())
-        if path.is_dir():
-            raise InputError("cannot be written", expected="a file, not a folder", file=path)
-        if not folder.is_dir():
-            raise InputError("cannot be written", expected=f"an existing folder {folder}", file=path)
-        try:
-            handle, probe = tempfile.mkstemp(dir=folder, prefix=f".{path.name}.")
-        except OSError as error:
-            raise InputError(
-                "cannot be written", expected="a writable folder", file=path, value=error.strerror
-            ) from error
-        os.close(handle)
-        os.unlink(probe)
+        seen.add(file)
+        check_folder(_target(path).parent, path)
+
+
+def check_folder(folder: Path, path: Path) -> None:
+    """Find out whether files can be made in a folder, and clear away what killed runs left there.
+
+    Args:
+        folder: the folder.
+        path: the output that is to go there, for the message.
+
+    Raises:
+        InputError: it is not writable.
+    """
+    _sweep(folder)
+    try:
+        os.unlink(_created(folder))
+    except OSError as error:
+        raise InputError("cannot be written", expected="a writable folder", file=path, value=error.strerror) from error
+
+
+def _target(path: Path) -> Path:
+    """Return the file that a write to the path replaces: a symbolic link is followed.
+
+    Raises:
+        InputError: as `check_writable`, of one path.
+    """
+    file = _resolved(path)
+    run = _COMMAND.get()
+    if run is not None:
+        run.add_output(path)
+    try:
+        mode = path.stat().st_mode if path.exists() else None
+    except OSError as error:
+        raise InputError("cannot be written", expected="a writable file", file=path, value=error.strerror) from error
+    if mode is not None and not stat.S_ISREG(mode):
+        expected = "a file, not a folder" if stat.S_ISDIR(mode) else "a regular file, not a device or a pipe"
+        raise InputError("cannot be written", expected=expected, file=path)
+    if mode is not None and not (mode & 0o222 and os.access(file, os.W_OK)):
+        raise InputError("cannot be written", expected="a file that is not read-only", file=path)
+    if not file.parent.is_dir():
+        raise InputError("cannot be written", expected=f"an existing folder {file.parent}", file=path)
+    return file
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file so that at every moment the old content or the new one is there, whole.
+    """Write a file atomically: at every moment the path holds the old content or the new one.
 
     Raises:
         InputError: it cannot be written.
@@ -260,29 +407,119 @@ def write_whole(path: Path, content: str | bytes) -> None:
         stream.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
-@contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to write bit by bit, which takes its place when all of it is there; where the writing breaks off, nothing is left.
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON atomically; a number that is not finite is written as null, which means unknown.
 
     Raises:
         InputError: it cannot be written.
     """
+    write_whole(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
+
+
+def _finite(data: Any) -> Any:
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if isinstance(data, Mapping):
+        return {key: _finite(value) for key, value in data.items()}
+    return [_finite(value) for value in data] if isinstance(data, list | tuple) else data
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file that takes the path's place when all of it is written; on an error nothing is left.
+
+    An existing file keeps its mode and, where permitted, its owner; a symbolic link stays, and its target is replaced.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    target = _target(path)
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        temporary = _created(target.parent)
         try:
-            with os.fdopen(handle, "wb") as stream:
+            with temporary.open("wb") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-            os.chmod(temporary, 0o666 & ~_umask())
-            os.replace(temporary, path)
+            move_into_place(temporary, path)
         finally:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise InputError("cannot be written", expected="a writable file", file=path, value=error.strerror) from error
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def move_into_place(made: Path, path: Path) -> None:
+    """Replace an output by a complete file from the same file system.
+
+    Raises:
+        InputError: the output cannot be written.
+        OSError: the operating system refuses.
+    """
+    target = _target(path)
+    if target.exists():
+        old = target.stat()
+        with suppress(PermissionError):
+            os.chown(made, old.st_uid, old.st_gid)
+        os.chmod(made, stat.S_IMODE(old.st_mode))
+    os.replace(made, target)
+    run = _COMMAND.get()
+    if run is not None:
+        run.written.add(target)
+
+
+@contextmanager
+def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Make a folder for temporary files, in TMPDIR unless a parent is given; it is removed afterwards.
+
+    What a killed run left is removed by the next one that makes a folder or writes a file there.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    place = Path(tempfile.gettempdir()) if parent is None else parent
+    _sweep(place)
+    folder = place / _temporary_name()
+    os.mkdir(folder, 0o700)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _created(folder: Path) -> Path:
+    """Create an empty temporary file, with the mode that a new file gets."""
+    path = folder / _temporary_name()
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return path
+
+
+def _temporary_name() -> str:
+    return f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}-{platform.node()}"
+
+
+def _sweep(folder: Path) -> None:
+    """Remove temporary files and folders of this user whose process, on this computer, is gone."""
+    try:
+        left = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY)]
+    except OSError:
+        return
+    for path in left:
+        pid, _, rest = path.name.removeprefix(TEMPORARY).partition("-")
+        with suppress(OSError):
+            ours = path.lstat().st_uid == os.geteuid() and rest.partition("-")[2] == platform.node()
+            if not (ours and pid.isdecimal()) or _runs(int(pid)):
+                continue
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True

@@ -6,9 +6,6 @@ data and come back as data: its workers need no file system of ours.
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
@@ -20,7 +17,7 @@ from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.compensation.report import Report
 from twin.errors import InputError, OutputError
-from twin.files import check_writable, write_whole
+from twin.files import check_writable, move_into_place, scratch_folder, write_json, write_whole
 from twin.machine import Machine
 from twin.nc import DIALECTS, find_program
 from twin.parallel import Workers, finished
@@ -139,8 +136,8 @@ class Shop:
             return Answer("", {}, error)
 
     def _elsewhere(self, order: Order, data: bytes) -> Answer:
-        with tempfile.TemporaryDirectory(prefix="twin-") as room:
-            own, out = Path(room) / order.program.name, Path(room) / f"out.{order.program.name}"
+        with scratch_folder() as room:
+            own, out = room / order.program.name, room / f"out.{order.program.name}"
             own.write_bytes(data)
             try:
                 report = self.compensator.compensate_file(own, out)
@@ -221,11 +218,11 @@ def compensate_files(
     folder.mkdir(exist_ok=True)
     try:
         # In the same file system: what is done appears by renaming, and what is not goes with the room.
-        with tempfile.TemporaryDirectory(prefix=".twin-", dir=folder) as room:
+        with scratch_folder(folder) as room:
             there, goal_of = [], []
             for program, goal in goals.items():
                 try:
-                    there.append((find_program(program), Path(room) / goal.name))
+                    there.append((find_program(program), room / goal.name))
                     goal_of.append((program, goal))
                 except InputError as error:
                     yield Outcome(program, None, {}, error)
@@ -269,11 +266,11 @@ def _keep(answer: Answer, made: Path, goal: Path) -> None:
     """The reports first: where the program is, they are."""
     program, text, data = _written(goal)
     write_whole(text, answer.text)
-    write_whole(data, json.dumps(answer.report, indent=1) + "\n")
+    write_json(data, answer.report)
     if answer.data is not None:
         write_whole(program, answer.data)
         return
     try:
-        os.replace(made, program)
+        move_into_place(made, program)
     except OSError as error:
         raise InputError("cannot be written", expected="a writable file", file=goal, value=error.strerror) from error

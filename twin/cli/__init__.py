@@ -9,6 +9,7 @@ from twin.cli import info, compare, volume, compensate, path, scene, simulate  #
 from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.cli.complete import told_word_by_word
+from twin.cli.signals import as_interrupt
 from twin.cli.usage import UsageError, help_of, line_of_usage
 from twin.errors import InputError, OutputError
 from twin.options import gathered
@@ -35,28 +36,29 @@ __all__ = [
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point: exit 0 done, 2 bad input or usage, 3 done but something could not be met, all of it listed."""
-    try:
-        # Not standalone: the parser's own errors are told in one line, as all others.
-        told_word_by_word()
-        words = gathered(sys.argv[1:] if arguments is None else arguments)
-        status = app(args=words, prog_name="twin", standalone_mode=False)
-        if status == INTERRUPTED:  # the parser's own way to pass on Ctrl-C
-            raise KeyboardInterrupt
-        sys.exit(status if isinstance(status, int) else 0)
-    except UsageError as error:
-        shown = help_of(error)
-        if shown is None:
-            print(f"twin: {line_of_usage(error)}", file=sys.stderr)
-        else:
-            print(shown, end="")
-        sys.exit(BAD_INPUT)
-    except InputError as error:
-        print(f"twin: {error}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
-    except OutputError as error:
-        print(f"twin: defect, nothing written: {error}", file=sys.stderr)
-        sys.exit(NOT_ALL_MET)
-    except KeyboardInterrupt:
-        print("twin: interrupted, nothing half written", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+    """Run a command: exit 0 done, 2 bad input or usage, 3 done but something was not met, 128 + n ended by signal n."""
+    with as_interrupt() as received:
+        try:
+            # Not standalone: the parser's own errors are printed in one line, as all others.
+            told_word_by_word()
+            words = gathered(sys.argv[1:] if arguments is None else arguments)
+            status = app(args=words, prog_name="twin", standalone_mode=False)
+            if status == INTERRUPTED:  # the parser's own way to pass on KeyboardInterrupt
+                raise KeyboardInterrupt
+            sys.exit(status if isinstance(status, int) else 0)
+        except UsageError as error:
+            shown = help_of(error)
+            if shown is None:
+                print(f"twin: {line_of_usage(error)}", file=sys.stderr)
+            else:
+                print(shown, end="")
+            sys.exit(BAD_INPUT)
+        except InputError as error:
+            print(f"twin: {error}", file=sys.stderr)
+            sys.exit(BAD_INPUT)
+        except OutputError as error:
+            print(f"twin: defect, nothing written: {error}", file=sys.stderr)
+            sys.exit(NOT_ALL_MET)
+        except KeyboardInterrupt:
+            print(f"twin: {received.reason}, nothing half written", file=sys.stderr)
+            sys.exit(received.status)

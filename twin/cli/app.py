@@ -94,7 +94,6 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a Dask scheduler (tcp://host:8786): its workers do it instead."),
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON.")]
 
 
 def tell_unused(at: Conditions, errors: Calibration) -> None:
@@ -106,11 +105,6 @@ def tell_unused(at: Conditions, errors: Calibration) -> None:
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     """The calibration of that file, or the machine file's own."""
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
-
-
-def examples(*lines: str) -> str:
-    """What stands under a command's ``--help``: calls to copy, one a line."""
-    return "\n\n".join(("Examples:", *lines))
 
 
 @contextmanager

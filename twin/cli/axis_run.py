@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -13,9 +12,10 @@ import typer
 
 from twin.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run, to_dict, to_text
 from twin.cli import complete
-from twin.cli.app import NOT_ALL_MET, CalibrationOption, JsonOption, MachineOption, app, calibration_of, examples
+from twin.cli.app import NOT_ALL_MET, CalibrationOption, MachineOption, calibration_of
+from twin.cli.outputs import CALIBRATION, TABLE, JsonOption, command
 from twin.errors import InputError, nearest
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 
@@ -37,18 +37,18 @@ class RunScatter(StrEnum):
     repeats = "repeats"
 
 
-@app.command(
-    "axis-run",
-    epilog=examples(
-        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv",
-        "twin axis-run run.csv --layout nine_beams_x.yaml -o x_axis.yaml --json x_axis.json",
-    ),
+@command(
+    "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv",
+    "twin axis-run run.csv --layout nine_beams_x.yaml -o x_axis.yaml --json x_axis.json",
+    name="axis-run",
 )
 def axis_run(
     readings: Annotated[
         Path, typer.Argument(help="The table of readings: a column a beam.", autocompletion=complete.tables)
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis."), CALIBRATION
+    ],
     layout: LayoutOption,
     machine: MachineOption = DEFAULT,
     spread: Annotated[
@@ -60,10 +60,7 @@ def axis_run(
     """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty."""
     loaded = Machine.load(machine)
     written = [path for path in (output, json_file) if path is not None]
-    check_writable(written)
     standing = AxisLayout.load(_layout_file(layout), loaded)
-    if {readings.resolve(), _layout_file(layout).resolve()} & {path.resolve() for path in written}:
-        raise InputError("the output is an input itself", expected="another file", file=output)
     data = load_readings(readings, standing)
     motions = error_motions(standing, data, spread=spread.value)
     curves = axis_curves(
@@ -71,22 +68,20 @@ def axis_run(
     )
     curves.calibration.save(output)
     if json_file is not None:
-        write_whole(json_file, json.dumps(to_dict(standing, data, motions, curves), indent=1) + "\n")
+        write_json(json_file, to_dict(standing, data, motions, curves))
     print(to_text(standing, data, motions, curves), end="")
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
     if data.set_aside:
         raise typer.Exit(NOT_ALL_MET)
 
 
-@app.command(
-    "simulate-run",
-    epilog=examples(
-        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv --seed 7",
-        "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o quiet.csv --no-noise --json quiet.json",
-    ),
+@command(
+    "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv --seed 7",
+    "twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o quiet.csv --no-noise --json quiet.json",
+    name="simulate-run",
 )
 def simulate_axis_run(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings."), TABLE],
     layout: LayoutOption,
     positions: Annotated[str, typer.Option("--positions", help="from,to,count of the axis (mm).")],
     machine: MachineOption = DEFAULT,
@@ -99,11 +94,7 @@ def simulate_axis_run(
     """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer."""
     loaded = Machine.load(machine)
     outputs = [path for path in (output, json_file) if path is not None]
-    check_writable(outputs)
     standing = AxisLayout.load(_layout_file(layout), loaded)
-    inputs = {path.resolve() for path in (_layout_file(layout), calibration) if path is not None}
-    if inputs & {path.resolve() for path in outputs}:
-        raise InputError("the output is an input itself", expected="another file", file=output)
     for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
         if value < 0:
             raise InputError(f"{name} is too small", expected="--seed 0 or more, --rounds 1 or more", value=value)
@@ -142,7 +133,7 @@ def simulate_axis_run(
             "rows": len(table),
             "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
         }
-        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+        write_json(json_file, told)
     print(f"written: {', '.join(str(path) for path in outputs)}, {len(table)} rows")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -13,26 +12,21 @@ from twin.changes import compare as compared
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
-    JsonOption,
     MachineOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
-    examples,
     progress,
 )
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.cli.outputs import JsonOption, command
+from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.options import conditions, positive
 
 
-@app.command(
-    epilog=examples(
-        "twin compare last_year.yaml this_year.yaml --tool-length 120",
-        "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json",
-    )
+@command(
+    "twin compare last_year.yaml this_year.yaml --tool-length 120",
+    "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json",
 )
 def compare(
     first: Annotated[
@@ -64,9 +58,6 @@ def compare(
     """
     loaded = Machine.load(machine)
     outputs = [] if json_file is None else [json_file]
-    check_writable(outputs)
-    if {path.resolve() for path in outputs} & {first.resolve(), second.resolve()}:
-        raise InputError("the output is an input itself", expected="another file", file=json_file)
     if tolerance is not None:
         positive("--tolerance", tolerance)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
@@ -80,7 +71,7 @@ def compare(
             progress=say,
         )
     if json_file is not None:
-        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
     print(found.to_text(), end="")
     if outputs:
         print(f"\nwritten: {json_file}")

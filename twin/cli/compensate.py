@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from contextlib import closing
@@ -19,7 +18,6 @@ from twin.cli.app import (
     INTERRUPTED,
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     Mode,
     ModeOption,
@@ -32,14 +30,13 @@ from twin.cli.app import (
     TimeOption,
     ToolOption,
     WorkersOption,
-    app,
     calibration_of,
-    examples,
     progress,
 )
+from twin.cli.outputs import ANY, JsonOption, Output, command
 from twin.compensation import Compensator, Options
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import Scope
 from twin.machine import DEFAULT, Machine
@@ -58,13 +55,11 @@ class Method(StrEnum):
     thesis = "thesis"
 
 
-@app.command(
-    epilog=examples(
-        "twin compensate cone_frustum.nc -o compensated.nc --tool-length 120 --json report.json",
-        "twin compensate part.nc -o part.compensated.nc --calibration mine.yaml --scope L-VOL R-VOL",
-        "twin compensate warm.h -o warm.compensated.h -c better.yaml --temperature X=23.1 bed=21 --time 7200",
-        "twin compensate a.nc b.nc c.h -o out/ --workers 2",
-    )
+@command(
+    "twin compensate cone_frustum.nc -o compensated.nc --tool-length 120 --json report.json",
+    "twin compensate part.nc -o part.compensated.nc --calibration mine.yaml --scope L-VOL R-VOL",
+    "twin compensate warm.h -o warm.compensated.h -c better.yaml --temperature X=23.1 bed=21 --time 7200",
+    "twin compensate a.nc b.nc c.h -o out/ --workers 2",
 )
 def compensate(
     programs: Annotated[
@@ -76,7 +71,9 @@ def compensate(
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The compensated program; of several, the folder they go to.")
+        Path,
+        typer.Option("--output", "-o", help="The compensated program; of several, the folder they go to."),
+        Output(folder=True),
     ],
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
@@ -86,7 +83,7 @@ def compensate(
         float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block.")
     ] = 1e-3,
     json_file: JsonOption = None,
-    report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too.")] = None,
+    report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too."), ANY] = None,
     tool_length: ToolOption = None,
     work_offset: OffsetOption = None,
     work_origin: OriginOption = None,
@@ -150,15 +147,12 @@ def _one(
             file=output,
         )
     outputs = [path for path in (output, json_file, report_file) if path is not None]
-    check_writable(outputs)
-    if source.resolve() in {path.resolve() for path in outputs}:
-        raise InputError("the output is the program itself", expected="another file", file=output)
     compensator = Compensator(machine, calibration, options)
     with progress() as say:
         report = compensator.compensate_file(source, output, say, into=target)
     account = report.to_text()
     if json_file is not None:
-        write_whole(json_file, json.dumps(report.to_dict(), indent=1) + "\n")
+        write_json(json_file, report.to_dict())
     if report_file is not None:
         write_whole(report_file, account)
     print(account, end="")
@@ -177,7 +171,6 @@ def _several(
     options: Options,
     workers: Workers,
 ) -> None:
-    check_writable([path for path in (json_file, report_file) if path is not None])
     found: dict[Path, Outcome] = {}
     interrupted = False
     try:
@@ -211,7 +204,7 @@ def _several(
     )
     if json_file is not None:
         data = {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in told]}
-        write_whole(json_file, json.dumps(data, indent=1) + "\n")
+        write_json(json_file, data)
     if report_file is not None:
         write_whole(report_file, "\n".join(lines) + "\n")
     print("\n".join(lines))
@@ -220,7 +213,7 @@ def _several(
     for outcome in failed:
         print(f"twin: {outcome.error}", file=sys.stderr)
     if interrupted:
-        print(f"twin: interrupted, {len(told) - len(failed)} of {len(programs)} programs written", file=sys.stderr)
-        sys.exit(status)
+        print(f"twin: {len(told) - len(failed)} of {len(programs)} programs written", file=sys.stderr)
+        raise KeyboardInterrupt
     if status:
         raise typer.Exit(status)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -13,23 +12,21 @@ from twin.budget import known_at
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     ScopeOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
     tell_unused,
 )
+from twin.cli.outputs import JsonOption, Output, command
 from twin.control import FORMATS
 from twin.control_tables import Request, compared, deliver, make, outputs_of, written_by
 from twin.control_tables.account import ILLUSTRATIVE
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import check_folder, check_writable, write_json
 from twin.iso16907 import BASIC, Scope
 from twin.machine import DEFAULT, Machine
 from twin.options import conditions, number, positive
@@ -38,19 +35,19 @@ Kind = StrEnum("Kind", {name: name for name in FORMATS})  # type: ignore[misc]
 GRID_TOLERANCE_MM = 0.005
 
 
-@app.command(
-    epilog=examples(
-        "twin control --to siemens -o tables/ --tool-length 120",
-        "twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json",
-        "twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml",
-    )
+@command(
+    "twin control --to siemens -o tables/ --tool-length 120",
+    "twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json",
+    "twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml",
 )
 def control(
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="FILES", help="With --read: the files of the control.")
     ] = None,
     to: Annotated[Kind | None, typer.Option("--to", help="The format to write.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="The folder they go to.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The folder they go to."), Output(folder=True)
+    ] = None,
     read: Annotated[
         bool, typer.Option("--read", help="Say what existing tables do, and how the model differs.")
     ] = False,
@@ -108,7 +105,6 @@ def control(
     around.check(errors)
     known, missing = known_at(around, errors)
     place = _place(at)
-    extra = [] if json_file is None else [json_file]
     if read:
         if to is not None or output is not None or kind is None or not files:
             raise InputError(
@@ -116,10 +112,9 @@ def control(
                 expected="FILES --format F, and neither --to nor -o",
                 value=" ".join(map(str, files or [])),
             )
-        check_writable(extra)
         found = compared(loaded, known, kind.value, files, place, tool_length, around)
         if json_file is not None:
-            write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+            write_json(json_file, found.to_dict())
         print(found.to_text(), end="")
         tell_unused(around, errors)
         return
@@ -151,18 +146,22 @@ def control(
     room = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
     if not room.is_dir():
         raise InputError("cannot be written", expected="a folder, or a place for one", file=room)
-    check_writable([*outputs_of(room, to.value, loaded), *extra])
+    check_folder(room, output)
+    if output.is_dir():
+        check_writable(outputs_of(output, to.value, loaded))
     with progress() as say:
         say("tables", 0.0)
         made = make(loaded, known, request)
         say("what remains", 0.6)
         account = deliver(made, errors, known, missing, output)
     if json_file is not None:
-        write_whole(json_file, json.dumps(account.to_dict(), indent=1) + "\n")
+        write_json(json_file, account.to_dict())
     print(account.to_text(), end="")
     tell_unused(around, errors)
     print(f"\nwritten: {output}/ {' '.join(written_by(made))}")
-    strange = sorted({path.name for path in output.iterdir()} - {*written_by(made), *(path.name for path in extra)})
+    strange = sorted(
+        {path.name for path in output.iterdir()} - {*written_by(made), "" if json_file is None else json_file.name}
+    )
     if strange:
         print(f"also there, and not of these tables: {' '.join(strange)}")
     if account.unmet:

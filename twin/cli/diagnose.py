@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,27 +11,22 @@ from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
-    app,
     calibration_of,
-    examples,
     progress,
 )
+from twin.cli.outputs import CALIBRATION, HTML, JsonOption, command
 from twin.diagnosis import diagnose as run_diagnosis
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import joined
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named
 
 
-@app.command(
-    epilog=examples(
-        "twin diagnose measured.csv --calibration mine.yaml --html diagnosis.html",
-        "twin diagnose first.csv second.csv -c mine.yaml --json diagnosis.json --extended better.yaml",
-    )
+@command(
+    "twin diagnose measured.csv --calibration mine.yaml --html diagnosis.html",
+    "twin diagnose first.csv second.csv -c mine.yaml --json diagnosis.json --extended better.yaml",
 )
 def diagnose(
     measured: Annotated[
@@ -50,18 +44,16 @@ def diagnose(
         ),
     ] = None,
     json_file: JsonOption = None,
-    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report as one HTML file.")] = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report as one HTML file."), HTML] = None,
     extended: Annotated[
-        Path | None, typer.Option("--extended", help="Write the calibration with what was found of the machine.")
+        Path | None,
+        typer.Option("--extended", help="Write the calibration with what was found of the machine."),
+        CALIBRATION,
     ] = None,
 ) -> None:
     """Show what the model gets wrong about measured data, and name the cause."""
     loaded = Machine.load(machine)
     outputs = [path for path in (json_file, html_file, extended) if path is not None]
-    check_writable(outputs)
-    inputs = {path.resolve() for path in (*measured, calibration) if path is not None}
-    if inputs & {path.resolve() for path in outputs}:
-        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     errors = calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
@@ -71,7 +63,7 @@ def diagnose(
     if extended is not None:
         found.extended.save(extended)
     if json_file is not None:
-        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
     if html_file is not None:
         from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import json
 from typing import Annotated, Final
 
 import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from twin.cli.app import JsonOption, app, examples
+from twin.cli.outputs import JsonOption, command
 from twin.errors import InputError, nearest
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -33,7 +32,7 @@ PAGES: Final = {
 """Longer than a README: what a room says of itself, by the name it is asked for."""
 
 
-@app.command(epilog=examples("twin doc", "twin doc diagnose", "twin doc control"))
+@command("twin doc", "twin doc diagnose", "twin doc control")
 def doc(
     page: Annotated[
         str | None,
@@ -48,14 +47,13 @@ def doc(
 
     The pages are the docstrings of the package: the same in a notebook by `help(twin.diagnosis)`.
     """
-    check_writable([] if json_file is None else [json_file])
     if page is not None and page not in PAGES:
         raise InputError(
             "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=nearest(page, PAGES)
         )
     if json_file is not None:
         shown = {name: page_text(room) for name, room in PAGES.items() if page in (None, name)}
-        write_whole(json_file, json.dumps({"schema": "twin.doc/1", "pages": shown}, indent=1) + "\n")
+        write_json(json_file, {"schema": "twin.doc/1", "pages": shown})
     console = Console()
     if page is None:
         for name, room in PAGES.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import shutil
@@ -20,10 +19,11 @@ import pinocchio as pin
 import typer
 
 from twin.calibration import Calibration
-from twin.cli.app import NOT_ALL_MET, JsonOption, app, examples, progress
+from twin.cli.app import NOT_ALL_MET, progress
+from twin.cli.outputs import JsonOption, command
 from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 from twin.inverse import Inverse, Status
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
@@ -79,7 +79,7 @@ class Finding:
         return {"name": self.name, "status": self.status, "detail": self.detail, "remedy": self.remedy}
 
 
-@app.command(epilog=examples("twin doctor", "twin doctor --json doctor.json"))
+@command("twin doctor", "twin doctor --json doctor.json")
 def doctor(json_file: JsonOption = None) -> None:
     """What is installed, what is missing, and a short check that this machine computes what it should.
 
@@ -87,7 +87,6 @@ def doctor(json_file: JsonOption = None) -> None:
     """
     began = process_time()
     outputs = [] if json_file is None else [json_file]
-    check_writable(outputs)
     looked: tuple[tuple[str, Callable[[], list[Finding]]], ...] = (
         ("Python", lambda: [_python(), *_packages(), *_extras(), _browser(), _cache(), *_size(), _start(began)]),
         ("compiler", lambda: [_compiler()]),
@@ -109,7 +108,7 @@ def doctor(json_file: JsonOption = None) -> None:
             "seconds": taken,
             "findings": [one.to_dict() for one in found],
         }
-        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+        write_json(json_file, told)
     for one in found:
         print(f"{one.status:<8}{one.name:<26}{one.detail}")
         if one.remedy:

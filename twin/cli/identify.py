@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -13,14 +12,12 @@ import typer
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
-    JsonOption,
     MachineOption,
-    app,
-    examples,
     progress,
 )
+from twin.cli.outputs import CALIBRATION, JsonOption, command
 from twin.errors import InputError, nearest
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 from twin.identification import identify as run_identification
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
@@ -38,20 +35,18 @@ class Scatter(StrEnum):
     between_rounds = "between rounds"
 
 
-@app.command(
-    epilog=examples(
-        "twin identify measured.csv -o mine.yaml --json identified.json",
-        "twin identify measured.csv -o x.yaml --only E_*X",
-        "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
-        "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
-    )
+@command(
+    "twin identify measured.csv -o mine.yaml --json identified.json",
+    "twin identify measured.csv -o x.yaml --only E_*X",
+    "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
+    "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
 )
 def identify(
     measured: Annotated[
         list[Path],
         typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration."), CALIBRATION],
     machine: MachineOption = DEFAULT,
     instrument: Annotated[
         str | None,
@@ -87,9 +82,6 @@ def identify(
 ) -> None:
     """Identify error motions, squareness and axis locations from measured points, with their uncertainty."""
     loaded = Machine.load(machine)
-    check_writable([path for path in (output, json_file) if path is not None])
-    if {path.resolve() for path in measured} & {path.resolve() for path in (output, json_file) if path is not None}:
-        raise InputError("the output is the measurement itself", expected="another file", file=output)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
     for pattern in only or []:
         if not fnmatch.filter(names, pattern):
@@ -113,7 +105,7 @@ def identify(
         )
     found.calibration.with_control(tables).save(output)
     if json_file is not None:
-        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
     print(found.to_text(), end="")
     if tables is not None:
         print(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib.metadata import version
 from typing import Any
 
@@ -15,19 +14,16 @@ from twin.calibration import Calibration
 from twin.channels import options_of
 from twin.cli.app import (
     CalibrationOption,
-    JsonOption,
     MachineOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
     tell_unused,
 )
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.cli.outputs import JsonOption, command
+from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
 from twin.native import in_use
@@ -37,12 +33,10 @@ from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
 SCHEMA = "twin.info/1"
 
 
-@app.command(
-    epilog=examples(
-        "twin info",
-        "twin info --machine trunnion_ac",
-        "twin info --calibration mine.yaml --tool-length 120 --json budget.json",
-    )
+@command(
+    "twin info",
+    "twin info --machine trunnion_ac",
+    "twin info --calibration mine.yaml --tool-length 120 --json budget.json",
 )
 def info(
     machine: MachineOption = DEFAULT,
@@ -55,11 +49,6 @@ def info(
     """Axes, ranges, frames and the error budget of a machine."""
     loaded = Machine.load(machine)
     outputs = [] if json_file is None else [json_file]
-    check_writable(outputs)
-    given = (calibration, loaded.path, loaded.urdf, loaded.default_calibration)
-    inputs = {path.resolve() for path in given if path is not None}
-    if inputs & {path.resolve() for path in outputs}:
-        raise InputError("an output is one of the inputs", expected="another file", file=json_file)
     errors = calibration_of(calibration, loaded)
     at = conditions(temperature, time)
     at.check(errors)
@@ -77,7 +66,7 @@ def info(
             "without_uncertainty": without,
         }
         told["left_out"] = {channel: list(by) for channel, by in missing.items()}
-        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+        write_json(json_file, told)
     console = Console()
     console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
     console.print(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,6 @@ from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     Mode,
     ModeOption,
@@ -23,14 +21,12 @@ from twin.cli.app import (
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
 )
+from twin.cli.outputs import ANY, JsonOption, command
 from twin.compensation import Options
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.iso16907 import Scope
 from twin.machine import DEFAULT, Machine
@@ -41,11 +37,9 @@ from twin.paths.points import is_points
 from twin.paths.refit import DEFAULT_TOLERANCE_MM
 
 
-@app.command(
-    epilog=examples(
-        "twin path cone_frustum.nc -o fewer.nc --tolerance 0.02 --tool-length 120 --json fewer.json",
-        "twin path points.csv -o points.nc --no-compensate --feed 2000",
-    )
+@command(
+    "twin path cone_frustum.nc -o fewer.nc --tolerance 0.02 --tool-length 120 --json fewer.json",
+    "twin path points.csv -o points.nc --no-compensate --feed 2000",
 )
 def path(
     source: Annotated[
@@ -57,7 +51,7 @@ def path(
             autocompletion=lambda incomplete: complete.programs(incomplete) + complete.tables(incomplete),
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks."), ANY],
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tolerance: Annotated[
@@ -90,9 +84,6 @@ def path(
         positive("--feed", feed)
     found = source if is_points(source) else find_program(source)
     outputs = [one for one in (output, json_file) if one is not None]
-    check_writable(outputs)
-    if found.resolve() in {one.resolve() for one in outputs}:
-        raise InputError("the output is the input itself", expected="another file", file=found)
     options = Options(
         setup=setup(loaded, work_offset, work_origin),
         tool_length_mm=tool_length,
@@ -109,7 +100,7 @@ def path(
         )
     write_whole(output, result.text.encode("latin-1"))
     if json_file is not None:
-        write_whole(json_file, json.dumps(result.report.to_dict(), indent=1) + "\n")
+        write_json(json_file, result.report.to_dict())
     print(result.report.to_text(), end="")
     print(f"\nwritten: {', '.join(str(one) for one in outputs)}")
     if not result.report.complete:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,16 +11,14 @@ from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
 )
+from twin.cli.outputs import TABLE, JsonOption, command
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
@@ -34,17 +31,15 @@ MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
 
 
-@app.command(
-    epilog=examples(
-        "twin plan -o plan.csv --minutes 120",
-        "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
-        'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
-        "twin plan --judge thesis_plan.csv --json judged.json",
-    )
+@command(
+    "twin plan -o plan.csv --minutes 120",
+    "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
+    'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
+    "twin plan --judge thesis_plan.csv --json judged.json",
 )
 def plan(
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The plan: a table without coordinates.")
+        Path | None, typer.Option("--output", "-o", help="The plan: a table without coordinates."), TABLE
     ] = None,
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
@@ -117,7 +112,6 @@ def plan(
             "neither a plan to make nor one to judge", expected="-o PLAN.csv, or --judge PLAN.csv, not both"
         )
     outputs = [path for path in (output, json_file) if path is not None]
-    check_writable(outputs)
     if after is not None and causes is None:
         raise InputError("--after without --separate", expected="the two causes to tell apart", value=after)
     if causes is not None and reduce:
@@ -168,7 +162,7 @@ def plan(
             made.save(output)
         print(made.to_text(), end="")
     if json_file is not None:
-        write_whole(json_file, json.dumps(report, indent=1) + "\n")
+        write_json(json_file, report)
     if outputs:
         print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if incomplete:

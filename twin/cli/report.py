@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,34 +12,32 @@ import typer
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
     tell_unused,
 )
+from twin.cli.outputs import HTML, JsonOption, command
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import conditions
 from twin.report import MachineReport, machine_report
 
 
-@app.command(
-    epilog=examples(
-        "twin report -o machine.html --calibration mine.yaml --tool-length 120",
-        "twin report -o machine.html -c mine.yaml --identified identified.json --measured measured.csv --json machine.json",
-        "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
-    )
+@command(
+    "twin report -o machine.html --calibration mine.yaml --tool-length 120",
+    "twin report -o machine.html -c mine.yaml --identified identified.json --measured measured.csv --json machine.json",
+    "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
 )
 def report(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The report: one HTML file, for screen and paper.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The report: one HTML file, for screen and paper."), HTML
+    ],
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
@@ -63,11 +60,7 @@ def report(
         )
     loaded = Machine.load(machine)
     outputs = [path for path in (output, json_file) if path is not None]
-    check_writable(outputs)
     tables = measured or []
-    inputs = {path.resolve() for path in (*tables, calibration, identified) if path is not None}
-    if inputs & {path.resolve() for path in outputs}:
-        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     errors = calibration_of(calibration, loaded)
     at = conditions(temperature, time)
     with progress() as say:
@@ -90,7 +83,7 @@ def report(
         say("drawing", 0.5)
         page = machine_html(found)
     if json_file is not None:
-        write_whole(json_file, json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_json(json_file, found.to_dict())
     write_whole(output, page)
     _tell(found)
     tell_unused(at, errors)

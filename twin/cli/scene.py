@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +12,6 @@ from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
     Mode,
     ModeOption,
@@ -22,30 +20,26 @@ from twin.cli.app import (
     TemperatureOption,
     TimeOption,
     ToolOption,
-    app,
     calibration_of,
-    examples,
     progress,
     tell_unused,
 )
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.cli.outputs import HTML, JsonOption, command
+from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 from twin.options import conditions, positive, setup
 
 
-@app.command(
-    epilog=examples(
-        "twin scene cone_frustum.nc -o scene.html --tool-length 120",
-        "twin scene part.nc -o scene.html --calibration mine.yaml --exaggeration 500 --json scene.json",
-    )
+@command(
+    "twin scene cone_frustum.nc -o scene.html --tool-length 120",
+    "twin scene part.nc -o scene.html --calibration mine.yaml --exaggeration 500 --json scene.json",
 )
 def scene(
     program: Annotated[
         Path, typer.Argument(help="NC program, or one that comes with twin.", autocompletion=complete.programs)
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file."), HTML],
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     mode: ModeOption = Mode.axis,
@@ -63,9 +57,6 @@ def scene(
     loaded = Machine.load(machine)
     source = find_program(program)
     outputs = [path for path in (output, json_file) if path is not None]
-    check_writable(outputs)
-    if {path.resolve() for path in (source, calibration) if path is not None} & {path.resolve() for path in outputs}:
-        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     if exaggeration is not None:
         positive("--exaggeration", exaggeration)
     errors = calibration_of(calibration, loaded)
@@ -99,7 +90,7 @@ def scene(
             "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
             "largest_at_line": int(run.lines[int(np.argmax(distance))]),
         }
-        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+        write_json(json_file, told)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
     print(f"written: {', '.join(str(path) for path in outputs)}{left}")
     tell_unused(at, errors)

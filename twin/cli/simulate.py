@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -14,15 +13,13 @@ from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
-    JsonOption,
     MachineOption,
-    app,
     calibration_of,
-    examples,
     progress,
 )
+from twin.cli.outputs import TABLE, JsonOption, command
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import write_json
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
@@ -30,12 +27,10 @@ from twin.options import instrument_named, plan_file, surroundings
 from twin.simulate import simulate as run_simulation
 
 
-@app.command(
-    epilog=examples(
-        "twin simulate thesis_plan.csv -o measured.csv --seed 7",
-        "twin simulate thesis_plan.csv -o lengths.csv --instrument interferometer --json lengths.json",
-        "twin simulate plan.csv -o measured.csv --calibration mine.yaml --air 22,1000,40",
-    )
+@command(
+    "twin simulate thesis_plan.csv -o measured.csv --seed 7",
+    "twin simulate thesis_plan.csv -o lengths.csv --instrument interferometer --json lengths.json",
+    "twin simulate plan.csv -o measured.csv --calibration mine.yaml --air 22,1000,40",
 )
 def simulate(
     plan: Annotated[
@@ -45,7 +40,7 @@ def simulate(
             autocompletion=complete.plans,
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The measured data.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The measured data."), TABLE],
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     instrument: Annotated[
@@ -76,9 +71,6 @@ def simulate(
     around = surroundings(air, drift)
     source = plan_file(plan)
     outputs = [path for path in (output, json_file) if path is not None]
-    check_writable(outputs)
-    if {path.resolve() for path in (source, calibration) if path is not None} & {path.resolve() for path in outputs}:
-        raise InputError("an output is one of the inputs", expected="another file", file=outputs[0])
     truth = calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
@@ -110,7 +102,7 @@ def simulate(
             "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
             "notices": list(planned.notices),
         }
-        write_whole(json_file, json.dumps(told, indent=1) + "\n")
+        write_json(json_file, told)
     print(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
     for note in planned.set_aside:
         print(f"  line {note.line} set aside: {note.text}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from time import monotonic
 from typing import Annotated
 
@@ -10,21 +9,18 @@ import typer
 
 from twin.cli.app import (
     CalibrationOption,
-    JsonOption,
     MachineOption,
     SchedulerOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
     WorkersOption,
-    app,
     calibration_of,
-    examples,
     progress,
     tell_unused,
 )
-from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.cli.outputs import JsonOption, command
+from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
 from twin.options import conditions
@@ -32,11 +28,9 @@ from twin.parallel import Workers
 from twin.population import POSES, TRIALS, Population, Spread, draw_machines
 
 
-@app.command(
-    epilog=examples(
-        "twin volume --calibration mine.yaml --tool-length 120 --trials 1000000 --seed 1",
-        "twin volume -c mine.yaml --workers 2 --json volume.json",
-    )
+@command(
+    "twin volume --calibration mine.yaml --tool-length 120 --trials 1000000 --seed 1",
+    "twin volume -c mine.yaml --workers 2 --json volume.json",
 )
 def volume(
     machine: MachineOption = DEFAULT,
@@ -65,9 +59,6 @@ def volume(
     errors = calibration_of(calibration, loaded)
     at = conditions(temperature, time)
     outputs = [] if json_file is None else [json_file]
-    check_writable(outputs)
-    if {path.resolve() for path in outputs} & {path.resolve() for path in (calibration,) if path is not None}:
-        raise InputError("an output is one of the inputs", expected="another file", file=json_file)
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     own = Workers(workers, scheduler)
     began = monotonic()
@@ -82,7 +73,7 @@ def volume(
         )
     taken = monotonic() - began
     if json_file is not None:
-        write_whole(json_file, json.dumps(found.to_dict(), indent=1) + "\n")
+        write_json(json_file, found.to_dict())
     print(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
     total = found.machines * len(found.positions)
     print(

@@ -5,7 +5,8 @@ What comes out is read back and compared with what was meant, then re-simulated,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
@@ -21,7 +22,7 @@ from twin.compensation.pieces import Pieces, Rows
 from twin.compensation.report import Report
 from twin.compensation.stream import PRINTED_MM, Streamed
 from twin.errors import InputError, OutputError
-from twin.files import whole_file
+from twin.files import command_files, whole_file
 from twin.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
@@ -157,14 +158,18 @@ class Compensator:
             into: as of `compensate`.
 
         Raises:
-            InputError: as `compensate`; a file that cannot be read or written.
+            InputError: as `compensate`; a file that cannot be read or written; the output is the program, or a file of the machine
+                or the calibration.
             OutputError: as `compensate`.
         """
         say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
         target = dialect if into is None else into
         streams = dialect.name == target.name == "iso" and program.is_file() and not self.bench.lost.axes
-        with whole_file(output) as out:
+        with command_files() as files, ExitStack() as stack:
+            for path in self._inputs(program):
+                files.add_input(path)
+            out = stack.enter_context(whole_file(output))
             report = Streamed(self.bench, program, say).run(out) if streams else None
             if report is None:
                 out.seek(0)
@@ -173,6 +178,20 @@ class Compensator:
                 out.write(result.text.encode("latin-1"))
                 report = result.report
         return report
+
+    def _inputs(self, program: Path) -> Iterator[Path]:
+        """The files that this compensation is made from."""
+        calibration = self.bench.calibration
+        tables = () if calibration.control is None else calibration.control.tables
+        for path in (
+            program,
+            self.bench.machine.path,
+            self.bench.machine.urdf,
+            calibration.path,
+            *(one.file for one in tables),
+        ):
+            if path is not None:
+                yield path
 
 
 def compensate(

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, final
 
 from twin.errors import InputError
+from twin.files import read_bytes
 
 ErrorsAre = Literal["uncorrected", "remaining"]
 BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
@@ -123,9 +124,4 @@ def digest(file: Path) -> str:
     Raises:
         InputError: it cannot be read.
     """
-    try:
-        return sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(
-            "a control table cannot be read", expected="a readable file", file=file, value=error.strerror
-        ) from error
+    return sha256(read_bytes(file)).hexdigest()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from twin.control_tables.account import Account
 from twin.control_tables.make import Made, bundle, classes_of
 from twin.control_tables.remains import carried, remains
 from twin.errors import InputError
-from twin.files import check_writable, write_whole
+from twin.files import check_writable, scratch_folder, write_whole
 from twin.machine import Machine
 
 README: Final = "README.txt"
@@ -49,8 +48,8 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
         known: the same without effects whose channel nobody gave.
         missing: these, by channel.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        section = _section(made, _write(made.increment or made.files, Path(folder), made.request.kind))
+    with scratch_folder() as folder:
+        section = _section(made, _write(made.increment or made.files, folder, made.request.kind))
         left = remains(made.wanted, known.with_control(section))
     request = made.request
     return Account(

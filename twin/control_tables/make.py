@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -25,6 +23,7 @@ from twin.control_tables.volumetric import (
 )
 from twin.control_tables.wanted import Wanted
 from twin.errors import InputError
+from twin.files import scratch_folder
 from twin.iso16907 import BASIC
 from twin.machine import DIRECTIONS, Machine
 
@@ -251,10 +250,10 @@ def _old(machine: Machine, calibration: Calibration, request: Request) -> Correc
 
 def read_back(files: Mapping[str, str], kind: str, machine: Machine) -> Correction:
     """What a control that is given these texts does, as `twin.control.read_tables` reads them."""
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         paths = []
         for name, text in files.items():
-            path = Path(folder) / name
+            path = folder / name
             path.write_text(text, encoding="utf-8")
             paths.append(path)
         return read_tables(kind, paths, machine)

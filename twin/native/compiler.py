@@ -7,6 +7,8 @@ import platform
 import shlex
 import shutil
 import subprocess
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,6 +26,17 @@ FLAGS: Final = (
     "-fPIC",
 )
 """No ``-ffast-math``: 6 % faster at most, and a comparison with not-a-number would be folded away."""
+GUARD: Final = """
+import os, signal, subprocess, sys, threading
+
+def end_with_parent():
+    os.read(int(sys.argv[1]), 1)  # returns when no process holds the other end
+    os.killpg(0, signal.SIGKILL)
+
+threading.Thread(target=end_with_parent, daemon=True).start()
+sys.exit(subprocess.call(sys.argv[2:]))
+"""
+"""Runs the compiler in a process group of its own, and ends the group when the process that started it is gone."""
 PATIENCE_S: Final = 120.0
 """Longest wait for the compiler; it takes one or two seconds."""
 
@@ -56,16 +69,42 @@ class Compiler:
         Raises:
             CompilerError: it fails, or takes too long.
         """
-        command = [*self.command, *FLAGS, "-x", "c++", "-", "-o", str(target)]
+        text = target.with_suffix(".cpp")
         try:
-            done = subprocess.run(
-                command, input=source, capture_output=True, text=True, timeout=PATIENCE_S, check=False, errors="replace"
-            )
+            text.write_text(source, encoding="utf-8")
+            status, printed = _run([*self.command, *FLAGS, "-x", "c++", "-", "-o", str(target)], text)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise CompilerError(str(error)) from error
-        if done.returncode != 0 or not target.is_file():
-            said = next((line for line in done.stderr.splitlines() if "error" in line.lower()), done.stderr.strip())
-            raise CompilerError(f"{' '.join(self.command)}: {said or f'status {done.returncode}'}"[:300])
+        if status != 0 or not target.is_file():
+            said = next((line for line in printed.splitlines() if "error" in line.lower()), printed.strip())
+            raise CompilerError(f"{' '.join(self.command)}: {said or f'status {status}'}"[:300])
+
+
+def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
+    """Run the compiler and return its status and what it printed to stderr; it does not outlive this process.
+
+    It reads the source from its standard input; its temporary files go into the source's folder and are removed with it.
+
+    Raises:
+        OSError: it cannot be run.
+        subprocess.TimeoutExpired: it takes too long.
+    """
+    read_end, write_end = os.pipe()
+    with open(read_end, "rb"), open(write_end, "wb") as alive, source.open("rb") as stream:
+        guard = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", GUARD, str(read_end), *command],
+            stdin=stream,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            pass_fds=(read_end,),
+            start_new_session=True,
+            env={**os.environ, "TMPDIR": str(source.parent)},
+            text=True,
+            errors="replace",
+        )
+        with guard, alive:  # closed first: what still runs ends
+            printed = guard.communicate(timeout=PATIENCE_S)[1]
+    return guard.returncode, printed
 
 
 def found() -> Compiler | None:

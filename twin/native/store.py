@@ -12,21 +12,16 @@ import ctypes
 import hashlib
 import os
 import stat
-import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
+from twin.files import scratch_folder
 from twin.native.compiler import Compiler
 
 try:
     import fcntl
 except ImportError:  # no such locks on Windows: two processes then build the same thing, each for itself
     fcntl = None  # type: ignore[assignment]
-
-STALE_S: Final = 3600.0
-"""Age at which what an interrupted build left behind is swept up."""
 
 
 def folder() -> Path:
@@ -77,9 +72,8 @@ def library(source: str, compiler: Compiler) -> ctypes.CDLL:
 
 def _build(source: str, compiler: Compiler, target: Path) -> None:
     """Build beside the target; both files appear by renaming, the note last: until then the library is not loaded."""
-    _sweep(target.parent)
-    with tempfile.TemporaryDirectory(prefix="build-", dir=target.parent) as room:
-        made, noted = Path(room) / "made.so", Path(room) / "noted"
+    with scratch_folder(target.parent) as room:
+        made, noted = room / "made.so", room / "noted"
         compiler.build(source, made)
         os.chmod(made, 0o600)
         noted.write_text(_digest(made), encoding="ascii")
@@ -88,8 +82,8 @@ def _build(source: str, compiler: Compiler, target: Path) -> None:
 
 
 def _for_once(source: str, compiler: Compiler) -> ctypes.CDLL:
-    with tempfile.TemporaryDirectory(prefix="twin-") as room:
-        made = Path(room) / "made.so"
+    with scratch_folder() as room:
+        made = room / "made.so"
         compiler.build(source, made)
         return ctypes.CDLL(str(made))
 
@@ -138,13 +132,3 @@ def _alone(path: Path) -> Iterator[None]:
                 os.chmod(path, 0o600)
                 fcntl.flock(file, fcntl.LOCK_EX)
         yield
-
-
-def _sweep(place: Path) -> None:
-    """What builds that were killed left behind."""
-    for left in place.glob("build-*"):
-        with contextlib.suppress(OSError):
-            if left.lstat().st_mtime < time.time() - STALE_S and _own(left, stat.S_ISDIR):
-                for file in left.iterdir():
-                    file.unlink()
-                left.rmdir()

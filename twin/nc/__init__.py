@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from twin.errors import InputError, nearest
+from twin.files import note_input, read_bytes
 from twin.nc.apt import Apt
 from twin.nc.blocks import Dialect, Program
 from twin.nc.heidenhain import Heidenhain
@@ -71,6 +72,7 @@ def dialect_of(path: Path) -> Dialect:
     Raises:
         InputError: it cannot be read, or an unknown suffix.
     """
+    note_input(path)
     try:
         with path.open("rb") as stream:
             return dialect_for(path, stream.read(200))
@@ -85,9 +87,6 @@ def read_program(path: str | Path) -> tuple[Program, Dialect]:
         InputError: no such file, an unknown suffix, empty, or not text.
     """
     found = find_program(path)
-    try:
-        data = found.read_bytes()
-    except OSError as error:
-        raise InputError("cannot be read", expected="a readable file", file=found, value=error.strerror) from error
+    data = read_bytes(found)
     dialect = dialect_for(found, data)
     return dialect.read(data, str(found)), dialect

@@ -10,6 +10,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -151,8 +152,8 @@ def _on_processes(
             pre_dispatch=AHEAD * max(2, processes),
             return_as="generator_unordered",
             max_nbytes=None,
-            initializer=signal.signal,
-            initargs=(signal.SIGINT, signal.SIG_IGN),
+            initializer=_start_worker,
+            initargs=(os.getpid(),),
         )
         some = list(left) if suspect is None else [suspect]
         try:
@@ -172,6 +173,18 @@ def _on_processes(
                         value=name(suspect),
                     ),
                 )
+
+
+def _start_worker(parent: int) -> None:
+    """Let a worker process leave Ctrl-C to the process that started it, and end when that one is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _on_cluster(

@@ -1,0 +1,29 @@
+"""`twin` as a command: in a process of its own, or in this one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from twin import cli
+
+TWIN = [sys.executable, "-m", "twin.cli"]
+
+
+def twin(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*TWIN, *map(str, arguments)], capture_output=True, text=True, cwd=cwd, timeout=120, check=False
+    )
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run in this process; it must end with exit status 2 and one line on stderr."""
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    assert stopped.value.code == 2, captured
+    assert captured.err.count("\n") == 1
+    return captured.err
