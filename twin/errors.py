@@ -19,6 +19,7 @@ class InputError(ValueError):
         line: 1-based line in that file.
         value: the offending text or value.
         nearest: the right name that was probably meant (`nearest`), or None.
+        setting: the setting that may be missing, in words (``work offset``), or None; the command line adds its option.
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class InputError(ValueError):
         line: int | None = None,
         value: object = None,
         nearest: str | None = None,
+        setting: str | None = None,
     ) -> None:
         self.what = what
         self.expected = expected
@@ -37,12 +39,13 @@ class InputError(ValueError):
         self.line = line
         self.value = value
         self.nearest = nearest
+        self.setting = setting
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For a pickle, in which the value is its text: what a worker process raises is raised here (`twin.parallel`)."""
         value = None if self.value is None else str(self.value)
-        return _again, (self.what, self.expected, self.file, self.line, value, self.nearest)
+        return _again, (self.what, self.expected, self.file, self.line, value, self.nearest, self.setting)
 
     def __str__(self) -> str:
         place = ""
@@ -75,9 +78,15 @@ def _is_it(name: str | None) -> str:
 
 
 def _again(
-    what: str, expected: str, file: str | None, line: int | None, value: str | None, meant: str | None
+    what: str,
+    expected: str,
+    file: str | None,
+    line: int | None,
+    value: str | None,
+    meant: str | None,
+    setting: str | None,
 ) -> InputError:
-    return InputError(what, expected=expected, file=file, line=line, value=value, nearest=meant)
+    return InputError(what, expected=expected, file=file, line=line, value=value, nearest=meant, setting=setting)
 
 
 def _one_line(value: object, limit: int = 80) -> str:

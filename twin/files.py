@@ -38,8 +38,9 @@ that gives them is simulated with them; the measured file names them only in its
 
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of
 the tool axis in µrad and its tilt about x and y of the tool (fused-like angles: independent of order), the worst line),
-`classes`, `rounding_um`, `largest_correction`, `uncertainty`, and lists of lines: `out_of_range`, `not_met`,
-`orientation_left`, `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
+`classes`, `rounding_um`, `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and
+with `--strict`), `not_corrected` (one entry a reason: `kind`, `blocks`, all `lines` of the input, those the exit status counts
+as `missed`, the `worst`) and `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
 twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles),
 `not_identifiable`, `stations`, `targets`, `misfit`, `orders`, `set_aside`, `notices`.
 

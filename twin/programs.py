@@ -39,17 +39,21 @@ class Outcome:
         output: where it was written; None if it was not.
         summary: of its report, as in its JSON; empty if there is none.
         error: why there is none; a `twin.errors.OutputError` is a defect of `twin`.
+        strict: whether ``done`` means that everything was corrected, rapids and the orientation, too.
     """
 
     program: Path
     output: Path | None
     summary: dict[str, Any]
     error: InputError | OutputError | None
+    strict: bool = False
 
     @property
     def verdict(self) -> Verdict:
-        """``not met``: written, and something could not be met, which its report lists."""
-        return "failed" if self.error is not None else "done" if self.summary["complete"] else "not met"
+        """``not met``: written, and something could not be corrected, which its report lists."""
+        if self.error is not None:
+            return "failed"
+        return "done" if self.summary["strictly_complete" if self.strict else "complete"] else "not met"
 
     @property
     def line(self) -> str:
@@ -58,16 +62,11 @@ class Outcome:
             return f"failed: {self.error}"
         before, after = self.summary["before"], self.summary["after"]
         told = f"{before['rms_um']:.2f} → {after['rms_um']:.2f} µm RMS, {before['max_um']:.2f} → {after['max_um']:.2f} µm max"
-        left = [
-            f"{name.replace('_', ' ')}: {len(self.summary[name])} lines"
-            for name in ("out_of_range", "not_met", "orientation_left")
-            if self.summary[name]
-        ]
-        return "; ".join([told, *left])
+        return f"{self.summary['headline']} ({told})"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        shown = ("lines", "moves", "rewritten", "split", "added", "before", "after")
+        shown = ("lines", "moves", "rewritten", "split", "added", "before", "after", "headline")
         return {
             "program": str(self.program),
             "output": None if self.output is None else str(self.output),

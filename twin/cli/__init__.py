@@ -54,7 +54,8 @@ def main(arguments: list[str] | None = None) -> None:
                 print(shown, end="")
             sys.exit(BAD_INPUT)
         except InputError as error:
-            print(f"twin: {error}", file=sys.stderr)
+            option = "" if error.setting is None else f" (--{error.setting.replace(' ', '-')})"
+            print(f"twin: {error}{option}", file=sys.stderr)
             sys.exit(BAD_INPUT)
         except OutputError as error:
             print(f"twin: defect, nothing written: {error}", file=sys.stderr)

@@ -83,6 +83,12 @@ ScopeOption = Annotated[
     list[str] | None,
     typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.", autocompletion=complete.classes),
 ]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict", help="Exit with status 3 for anything that could not be corrected, rapids and orientation included."
+    ),
+]
 RotaryLimitOption = Annotated[
     float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation.")
 ]

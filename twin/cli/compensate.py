@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,7 @@ from twin.cli.app import (
     RotaryLimitOption,
     SchedulerOption,
     ScopeOption,
+    StrictOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
@@ -95,6 +97,7 @@ def compensate(
     time: TimeOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    strict: StrictOption = False,
 ) -> None:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
@@ -121,11 +124,11 @@ def compensate(
     errors = calibration_of(calibration, loaded)
     own = Workers(workers, scheduler)
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
-        _several(programs, output, json_file, report_file, loaded, errors, options, own)
+        _several(programs, output, json_file, report_file, loaded, errors, options, own, strict)
     elif scheduler is not None:
         raise InputError("one program for a cluster", expected="several, and -o with a folder", value=scheduler)
     else:
-        _one(programs[0], output, json_file, report_file, loaded, errors, options)
+        _one(programs[0], output, json_file, report_file, loaded, errors, options, strict)
 
 
 def _one(
@@ -136,6 +139,7 @@ def _one(
     machine: Machine,
     calibration: Calibration,
     options: Options,
+    strict: bool,
 ) -> None:
     source = find_program(program)
     dialect = dialect_of(source)
@@ -157,7 +161,7 @@ def _one(
         write_whole(report_file, account)
     print(account, end="")
     print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
-    if not report.complete:
+    if not (report.strictly_complete if strict else report.complete):
         raise typer.Exit(NOT_ALL_MET)
 
 
@@ -170,6 +174,7 @@ def _several(
     calibration: Calibration,
     options: Options,
     workers: Workers,
+    strict: bool,
 ) -> None:
     found: dict[Path, Outcome] = {}
     interrupted = False
@@ -181,7 +186,7 @@ def _several(
             ) as outcomes,
         ):
             for outcome in outcomes:
-                found[outcome.program] = outcome
+                found[outcome.program] = replace(outcome, strict=strict)
     except KeyboardInterrupt:
         interrupted = True
     told = [found[program] for program in programs if program in found]

@@ -18,6 +18,7 @@ from twin.cli.app import (
     OriginOption,
     RotaryLimitOption,
     ScopeOption,
+    StrictOption,
     TemperatureOption,
     TimeOption,
     ToolOption,
@@ -70,6 +71,7 @@ def path(
     rotary_limit: RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    strict: StrictOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
@@ -103,5 +105,5 @@ def path(
         write_json(json_file, result.report.to_dict())
     print(result.report.to_text(), end="")
     print(f"\nwritten: {', '.join(str(one) for one in outputs)}")
-    if not result.report.complete:
+    if not (result.report.strictly_complete if strict else result.report.complete):
         raise typer.Exit(NOT_ALL_MET)

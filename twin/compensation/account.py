@@ -13,8 +13,10 @@ from twin.compensation.bench import Aim, Bench
 from twin.compensation.comparison import Commands
 from twin.compensation.correction import Corrections, CorrectionTally
 from twin.compensation.interpolation import interpolated
-from twin.compensation.pieces import Pieces, Rows, Ways
+from twin.compensation.pieces import Pieces
 from twin.compensation.report import ClassShare, ControlNote, DeviationTally, LineNote, Report, ReversalNote
+from twin.compensation.rows import Rows, Ways
+from twin.compensation.uncorrected import Uncorrected
 from twin.kinematics import angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty import ToolUncertainty
@@ -64,9 +66,8 @@ class Account:
         self._split = self._added = self._rewritten = 0
         self.idle = False
         self._all_tcp, self._any_tcp = True, False
-        self._out_of_range: dict[int, LineNote] = {}
-        self._orientation_left: dict[int, tuple[float, str]] = {}
-        self._not_met: list[LineNote] = []
+        self._cutting = 0
+        self._uncorrected = Uncorrected(bench, aim)
         self._reversals = np.zeros(len(bench.machine.axes), dtype=int)
         self._of_sides: list[LineNote] = []
 
@@ -89,12 +90,14 @@ class Account:
             self._compare(seen, lines, place)
         good = ~rows.untouched & ~rows.clamped
         meant = Commands(rows.nominal)
+        left_um = {}
         for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
-            left_um = self.aim.compared.distance_mm(meant, Commands(given), rows.approach)[good] * 1e3
-            self._left_um[name] = max(self._left_um[name], float(left_um.max(initial=0.0)))
+            left_um[name] = self.aim.compared.distance_mm(meant, Commands(given), rows.approach) * 1e3
+            self._left_um[name] = max(self._left_um[name], float(left_um[name][good].max(initial=0.0)))
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
         count = pieces.count(whole)[context:]
+        self._cutting += int(np.count_nonzero(~pieces.path.columns.rapid[context:]))
         self._split += int(np.count_nonzero(count > 1))
         self._added += int(np.sum(count - 1))
         self._rewritten += rewritten
@@ -102,9 +105,8 @@ class Account:
         self._all_tcp &= bool(pieces.tcp[context:].all())
         self._any_tcp |= bool(pieces.tcp[context:].any())
         self._correct(rows, lines)
-        self._note_range(rows, lines)
-        self._note_orientation(rows, lines)
-        self._note_not_met(pieces, whole, context, lines)
+        if not self.idle:
+            self._uncorrected.add(pieces, whole, context, lines, left_um)
         for axis in self.bench.lost.axes:
             self._reversals[axis] += int(np.count_nonzero(rows.turned[:, axis] & rows.taken))
         self._of_sides += self._note_sides(rows, lines)
@@ -121,8 +123,6 @@ class Account:
         bench = self.bench
         notes = [LineNote(notice.line + 1, notice.text) for notice in notices]
         notes = [*self._unused_setup(), *self._of_channels(), *self._of_sides, *notes]
-        if self.idle:
-            notes.insert(0, LineNote(1, "the calibration has no error motion in scope: written unchanged"))
         unused = bench.options.conditions.unused(bench.calibration)
         return Report(
             program=self.source,
@@ -147,15 +147,11 @@ class Account:
             rounding_um=self._left_um["rounding"],
             solver_um=self._left_um["solver"],
             classes=self._classes(),
-            out_of_range=tuple(self._out_of_range.values()),
-            orientation_left=tuple(
-                LineNote(number, f"{left * 1e6:.1f} µrad of orientation left: {why}")
-                for number, (left, why) in self._orientation_left.items()
-            ),
-            not_met=tuple(self._not_met),
+            not_corrected=self._uncorrected.shortfalls(),
+            cutting=self._cutting,
+            idle=self.idle,
             notes=tuple(notes),
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
-            orientation_asked=self.aim.scope.asked and self.aim.scope.orientation,
             conditions={name: value for name, value in bench.options.conditions.channels.items() if name not in unused},
             reversals=self._of_reversals(),
             control=self._of_control(),
@@ -241,52 +237,6 @@ class Account:
             at_axis = (_known(aim.at_axis, rows) if same is None else same)[turned]
             size = moved.angle_rad[turned] * 1e6
             self._axis.add(of[turned], rows.motion[turned], size, at_axis[:, 1, 0], at_axis[:, 1, 1:], aim.at_axis)
-
-    def _note_range(self, rows: Rows, lines: np.ndarray) -> None:
-        for row in np.flatnonzero(rows.untouched | rows.clamped):
-            number = int(lines[rows.motion[row]])
-            if number in self._out_of_range:
-                continue
-            asked = rows.nominal[row] if rows.untouched[row] else rows.exact[row]
-            wrong = [
-                f"{axis.name} {value:.4f} outside {axis.lower:g} … {axis.upper:g} {axis.unit}"
-                for axis, value in zip(self.bench.machine.axes, asked, strict=True)
-                if axis.lower is not None
-                and axis.upper is not None
-                and not axis.lower - 1e-9 <= value <= axis.upper + 1e-9
-            ] or ["an axis would leave the domain of its error motions"]
-            done = "left as written" if rows.untouched[row] else "stopped at the limit"
-            self._out_of_range[number] = LineNote(number, f"{'; '.join(wrong)}: {done}")
-
-    def _note_orientation(self, rows: Rows, lines: np.ndarray) -> None:
-        worst = self._orientation_left
-        for row in np.flatnonzero(rows.singular):
-            number = int(lines[rows.motion[row]])
-            left = float(rows.orientation_left[row])
-            if left >= worst.get(number, (0.0, ""))[0]:
-                worst[number] = left, self._why_not(rows.commands[row])
-
-    def _why_not(self, commands: np.ndarray) -> str:
-        """Why the rotary axes cannot repair an orientation at these commands."""
-        for i in self.bench.machine.rotary:
-            axis = self.bench.machine.axes[i]
-            for limit in (axis.lower, axis.upper):
-                if limit is not None and abs(commands[i] - limit) < axis.increment:
-                    return f"{axis.name} stands at its limit of {limit:g}°"
-        return (
-            f"near a singular pose, it would take more than {self.bench.options.rotary_limit_deg:g}° of a rotary axis"
-        )
-
-    def _note_not_met(self, pieces: Pieces, rows: Rows, context: int, lines: np.ndarray) -> None:
-        if self.bench.options.method == "thesis":
-            return
-        left, count = pieces.left(rows), pieces.count(rows)
-        left[rows.motion[rows.clamped | rows.untouched]] = 0.0
-        left[:context] = 0.0
-        self._not_met += [
-            LineNote(int(lines[m]), f"{left[m] * 1e3:.2f} µm between ends, after splitting in {count[m]}")
-            for m in np.flatnonzero(left > self.bench.options.tolerance_mm)
-        ]
 
     def _note_sides(self, rows: Rows, lines: np.ndarray) -> list[LineNote]:
         """Where the side an axis comes from is not known, and what taking up a reversal looks like."""

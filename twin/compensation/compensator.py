@@ -18,9 +18,10 @@ from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.compensation.account import Account
 from twin.compensation.bench import Bench, Options, Progress
-from twin.compensation.pieces import Pieces, Rows
+from twin.compensation.pieces import Pieces
 from twin.compensation.report import Report
-from twin.compensation.stream import PRINTED_MM, Streamed
+from twin.compensation.rows import Rows
+from twin.compensation.stream import PRINTED_MM, Streamed, unreadable
 from twin.errors import InputError, OutputError
 from twin.files import command_files, whole_file
 from twin.machine import Machine
@@ -110,7 +111,7 @@ class Compensator:
         rotary = set(axes.rotary)
         turns = any(move.vector is not None or move.named & rotary for move in reading.moves)
         aim = self.bench.aim(turns=turns)
-        pieces = Pieces(self.bench, path, aim, dialect, posted=posted)
+        pieces = Pieces(self.bench, path, aim, dialect, source=program.source, posted=posted)
         numbers = path.columns.line + 1
         check_domains(self.bench.full, program.source, numbers, self.bench.space.commands(pieces.end, pieces.tcp))
         say("solving", 0.1)
@@ -122,7 +123,10 @@ class Compensator:
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         tcp = self.bench.options.tcp and not posted
-        again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
+        try:
+            again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
+        except InputError as error:
+            raise unreadable(program.source, error) from error
         _verify(program, reading, rewrites, again)
         say("checking", 0.9)
         account = Account(self.bench, aim, program.source)

@@ -10,10 +10,10 @@ move of its own takes up the reversal before the way back begins: that start nee
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
@@ -21,93 +21,27 @@ from twin.arrays import every
 from twin.compensation.bench import Aim, Bench, Progress
 from twin.compensation.comparison import Commands
 from twin.compensation.legs import Legs, turning_points
-from twin.inverse import Status
-from twin.kinematics import Poses
+from twin.compensation.ranges import ARC_POINTS, refuse_arc
+from twin.compensation.rows import SAME, Rows, Samples, Ways, counted, distinct, even_cuts, not_back, replaced, spacings
+from twin.inverse import SLACK
+from twin.kinematics import Poses, angle_between_rad
 from twin.nc.blocks import Dialect
 from twin.toolpath import Path, along, chords
 
 SAMPLES_A_PIECE: Final = 5
 """Interior points at which every piece is re-simulated; more where it is long."""
-SAMPLE_SPACING: Final = (10.0, 3.0)
-"""No two samples further apart than this: mm of linear and degrees of rotary motion."""
 POSES: Final = 100_000
 """Points checked at once, which bounds the memory it takes."""
 LARGEST_SPLIT: Final = 4096
 """Pieces a block may be split into; an error that needs more is not one that splitting cures."""
 VECTOR_DECIMALS: Final = {"apt": 9}
 """Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
-SAME: Final = 1e-9
-"""Words closer than this are printed alike."""
 RETURN: Final = 3.0
 """Least increments by which an axis is taken beyond a place and back so that it has turned: rounding may take one of them."""
+ORIENTED_RAD: Final = 1e-9
+"""Less is the solver's own noise."""
 CUTTER_LOCATION_INCREMENT: Final = 1e-5
 """mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
-
-
-@final
-@dataclass(frozen=True)
-class Rows:
-    """Ends of pieces: which leg and motion each belongs to, at which fraction of it, and everything solved for it.
-
-    ``approach`` are the sides it is solved for, ``turned`` the axes that turn round in front of it; ``taken`` says that the row only
-    takes up what that costs, standing at its fraction, ``beyond`` by how much it goes too far on purpose (mm and degrees).
-    """
-
-    leg: np.ndarray
-    motion: np.ndarray
-    taken: np.ndarray
-    approach: np.ndarray
-    turned: np.ndarray
-    beyond: np.ndarray
-    fraction: np.ndarray
-    words: np.ndarray
-    nominal: np.ndarray
-    target: Poses
-    exact: np.ndarray
-    commands: np.ndarray
-    printed: np.ndarray
-    vectors: np.ndarray
-    orientation_left: np.ndarray
-    singular: np.ndarray
-    clamped: np.ndarray
-    untouched: np.ndarray
-
-    def where(self, keep: np.ndarray | slice) -> Rows:
-        """Some of the rows, (n,) booleans or a stretch of them."""
-        fields = {name: getattr(self, name)[keep] for name in Rows.__dataclass_fields__ if name != "target"}
-        return Rows(target=Poses(self.target.point_mm[keep], self.target.rotation[keep]), **fields)
-
-
-class Ways(NamedTuple):
-    """Where pieces go.
-
-    Attributes:
-        begin: (rows, axes) words that each piece starts from.
-        way: (rows, axes) how far it goes.
-        rows: (pieces,) the rows that are ends of pieces.
-        first: (legs,) which of these each leg begins with.
-    """
-
-    begin: np.ndarray
-    way: np.ndarray
-    rows: np.ndarray
-    first: np.ndarray
-
-
-class Samples(NamedTuple):
-    """Dense points inside the pieces of legs.
-
-    Attributes:
-        leg: (pieces,) which leg each piece is of.
-        number: (pieces,) which piece of it.
-        piece: (n,) which of the pieces each point is in.
-        within: (n,) at which fraction of it.
-    """
-
-    leg: np.ndarray
-    number: np.ndarray
-    piece: np.ndarray
-    within: np.ndarray
 
 
 @final
@@ -119,6 +53,7 @@ class Pieces:
         path: the program as motions.
         aim: what is corrected.
         dialect: its language.
+        source: its name, for messages.
         posted: whether axis words come out whatever went in (cutter locations written for a control).
 
     Attributes:
@@ -133,12 +68,13 @@ class Pieces:
         tcp_out: (motions,) whether those that come out are.
     """
 
-    def __init__(self, bench: Bench, path: Path, aim: Aim, dialect: Dialect, *, posted: bool) -> None:
+    def __init__(self, bench: Bench, path: Path, aim: Aim, dialect: Dialect, *, source: str, posted: bool) -> None:
         self.bench = bench
         self.space = bench.space
         self.path = path
         self.aim = aim
         self.dialect = dialect
+        self.source = source
         self.turns, self.scope, self.lost = aim.turns, aim.scope, aim.lost
         self.point, self.orientation = aim.point, aim.orientation
         columns = path.columns
@@ -175,7 +111,10 @@ class Pieces:
         legs = self.legs
         everything = np.arange(len(legs.motion))
         rows = self._solve(*legs.ends(everything))
-        if self.bench.options.method == "thesis" or self.idle:
+        if self.idle:
+            return rows
+        if self.bench.options.method == "thesis":
+            self._check_arcs(rows)
             return rows
         candidates = everything[self.interpolated[legs.motion]]
         step = 0
@@ -196,19 +135,33 @@ class Pieces:
             grown = np.ceil(legs.count[candidates] * np.clip(1.1 * factor, 1.3, 16.0)).astype(int)
             legs.count[candidates] = np.minimum(grown, LARGEST_SPLIT)
             self._known_mm[candidates] = np.nan
-            rows = _replaced(rows, candidates, self._solve(*legs.ends(candidates)))
+            rows = replaced(rows, candidates, self._solve(*legs.ends(candidates)))
         kept = np.unique(rows.motion[rows.untouched])
         if np.any(self.count(rows)[kept] > 1):
             # A block that leaves the range on its way is left as written, whole.
             legs.whole(kept)
             self._known_mm[np.isin(legs.motion, kept)] = np.nan
             again = np.flatnonzero(np.isin(legs.motion, kept))
-            rows = _replaced(rows, again, self._solve(*legs.ends(again)))
+            rows = replaced(rows, again, self._solve(*legs.ends(again)))
             rows = replace(rows, untouched=rows.untouched | np.isin(rows.motion, kept))
+        self._check_arcs(rows)
         if not self.lost.axes:
             return rows
         self._known_mm[:] = np.nan
         return self._taken_up(rows)
+
+    def _check_arcs(self, rows: Rows) -> None:
+        """Raise `InputError` if an arc is left as written: it would not begin where the compensated block before it ends."""
+        arcs = rows.motion[rows.untouched & ~self.straight[rows.motion]]
+        if arcs.size:
+            of = np.full(ARC_POINTS, arcs[0])
+            words = self.words_at(of, np.arange(1, ARC_POINTS + 1) / ARC_POINTS)
+            refuse_arc(
+                self.bench.machine,
+                self.space.commands(words, self.tcp[of]),
+                self.source,
+                self.path.columns.line[arcs[0]] + 1,
+            )
 
     def left(self, rows: Rows) -> np.ndarray:
         """(motions,) largest distance (mm) as of `between` that is left inside each motion, 0 where there is no path to keep to."""
@@ -219,6 +172,13 @@ class Pieces:
         found = np.zeros(len(self.start))
         np.maximum.at(found, self.legs.motion[legs], self._known_mm[legs])
         return found
+
+    def left_as_run(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
+        """(motions,) the same of some of them, from where the axes really stand when each begins."""
+        legs = np.flatnonzero(np.isin(self.legs.motion, motions))
+        found = np.zeros(len(self.start))
+        np.maximum.at(found, self.legs.motion[legs], self.between(legs, rows, as_run=True))
+        return found[motions]
 
     def count(self, rows: Rows) -> np.ndarray:
         """(motions,) how many blocks each motion becomes."""
@@ -261,8 +221,8 @@ class Pieces:
             beyond=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
             untouched=found.untouched | np.isin(found.motion, kept),
         )
-        found = self._ratcheted(_distinct(self._printed(found)), found.approach, self.bench.machine.rotary)
-        return _distinct(self._ratcheted(self._followed(found), found.approach, self.bench.machine.linear))
+        found = self._ratcheted(distinct(self._printed(found)), found.approach, self.bench.machine.rotary)
+        return distinct(self._ratcheted(self._followed(found), found.approach, self.bench.machine.linear))
 
     def _followed(self, rows: Rows) -> Rows:
         """What is printed may take a rotary axis to its new side in part only: the linear axes follow what it does."""
@@ -290,7 +250,7 @@ class Pieces:
             for first, last in pairwise(starts.tolist()):
                 if sides[first, axis] != 0.0:
                     way = commands[first:last, axis] * sides[first, axis]
-                    commands[first:last, axis] = _not_back(way, abs(self.lost.size[axis])) * sides[first, axis]
+                    commands[first:last, axis] = not_back(way, abs(self.lost.size[axis])) * sides[first, axis]
         which = np.flatnonzero((commands != rows.commands).any(axis=1) & ~fixed)
         tcp_out = self.tcp_out[rows.motion[which]]
         printed, final = rows.printed.copy(), rows.commands.copy()
@@ -303,12 +263,7 @@ class Pieces:
 
     def _wanted(self, rows: Rows) -> np.ndarray:
         """(rows, axes) where the axes are really to be: compensated for everything but reversals, and not rounded."""
-        commands = np.clip(rows.nominal, *self.bench.limits.T)
-        if self.aim.orientation_inverse is not None:
-            solution = self.aim.orientation_inverse.solve(rows.target, commands)
-            good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
-            for axis in self.bench.machine.rotary:
-                commands[good, axis] = solution.positions[good, axis]
+        commands, _ = self._oriented(rows.target, np.clip(rows.nominal, *self.bench.limits.T), None)
         solved = self.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
         return np.where(rows.untouched[:, None], rows.nominal, solved)
 
@@ -343,18 +298,12 @@ class Pieces:
         vectors = np.full((len(of), 3), np.nan)
         orientation_left = np.zeros(len(of))
         singular = np.zeros(len(of), dtype=bool)
-        commands = np.array(safe)
-        rotary = list(self.bench.machine.rotary)
         if self.bench.thesis is not None:
             commands = self.bench.thesis.commands(safe)
             exact = np.array(commands)
         else:
-            if self.aim.orientation_inverse is not None:
-                solution = self.aim.orientation_inverse.solve(target, safe, approach=sides)
-                good = solution.where(Status.CONVERGED) | solution.where(Status.SINGULAR)
-                commands[np.ix_(good, rotary)] = solution.positions[np.ix_(good, rotary)]
-                singular = solution.where(Status.SINGULAR)
-                orientation_left = np.where(singular, solution.orientation_residual_rad, 0.0)
+            commands, orientation_left = self._oriented(target, safe, sides)
+            singular = orientation_left > 0.0
             commands, vectors = self._rotary_as_printed(commands, of)
             exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
         none = np.zeros(len(of), dtype=bool)
@@ -380,6 +329,28 @@ class Pieces:
             untouched=untouched,
         )
         return self._printed(rows)
+
+    def _oriented(self, target: Poses, start: np.ndarray, sides: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """(n, axes) start with the rotary axes where they repair the orientation, and (n,) radians that are left of it.
+
+        The rotary axes do so wherever they can, even if a linear axis has not the travel that the point would need.
+        """
+        commands = np.array(start)
+        inverse, real = self.aim.orientation_inverse, self.aim.orientation
+        if inverse is None or real is None:
+            return commands, np.zeros(len(start))
+        solution = inverse.solve(target, start, approach=sides)
+        rotary = list(self.bench.machine.rotary)
+        low, high = self.bench.limits[rotary].T
+        turned = solution.positions[:, rotary]
+        able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
+        commands[np.ix_(able, rotary)] = turned[able]
+        left = np.where(solution.orientation_residual_rad > ORIENTED_RAD, solution.orientation_residual_rad, 0.0)
+        unable = np.flatnonzero(~able)
+        if unable.size:
+            reached = real.forward(commands[unable], None if sides is None else sides[unable])
+            left[unable] = angle_between_rad(reached.axis, target.axis[unable])
+        return commands, left
 
     def _printed(self, rows: Rows) -> Rows:
         """Rows with what ``exact`` comes to in words at their increments."""
@@ -424,9 +395,9 @@ class Pieces:
     def samples(self, legs: np.ndarray) -> Samples:
         """Dense points inside the pieces of legs of interpolated motions."""
         pieces = self.legs.count[legs]
-        leg, number = _counted(legs, pieces)
+        leg, number = counted(legs, pieces)
         points = np.repeat(self._each(legs), pieces)
-        piece, point = _counted(np.arange(len(leg)), points)
+        piece, point = counted(np.arange(len(leg)), points)
         return Samples(leg, number, piece, (point + 0.5) / points[piece])
 
     def _each(self, legs: np.ndarray) -> np.ndarray:
@@ -501,21 +472,50 @@ class Pieces:
         ends = np.searchsorted(rows.motion, np.arange(len(self.path.motions)), side="right") - 1
         begin = np.full_like(self.start, np.nan)
         begin[1:] = given[ends[:-1]]
-        follows = np.zeros(len(begin), dtype=bool)
-        follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & every(self.start[1:] == self.end[:-1])
-        apart = np.flatnonzero(~follows & every(np.isfinite(self.start)))
+        apart = np.flatnonzero(~self._follows & every(np.isfinite(self.start)))
         if apart.size:
             sides = rows.approach[np.searchsorted(rows.motion, apart)]
             rows = self._solve(np.searchsorted(self.legs.motion, apart), np.zeros(len(apart)), sides)
-            begin[apart] = self.space.words(rows.nominal if as_run else rows.exact, self.tcp_out[apart])
+            commands = self._standing(apart, rows.nominal, begin) if as_run else rows.exact
+            begin[apart] = self.space.words(commands, self.tcp_out[apart])
         return begin
 
-    def between(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
+    def _standing(self, apart: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
+        """(n, axes) commands where some motions begin: axes that a line between left as written moved stand where that says.
+
+        Args:
+            apart: (n,) the motions.
+            nominal: (n, axes) where they were meant to begin.
+            begin: (motions, axes) words that the motion before each ends in.
+        """
+        standing = np.array(nominal)
+        after = apart > 0
+        before = apart[after] - 1
+        meant = self.space.commands(self.end[before], self.tcp[before])
+        reached = self.space.commands(begin[apart[after]], self.tcp_out[before])
+        standing[after] = np.where(np.abs(meant - nominal[after]) < SAME, reached, nominal[after])
+        return standing
+
+    def begins_off(self, rows: Rows) -> np.ndarray:
+        """(motions,) whether each begins where the axes were left uncorrected: by the motion before, or by a line between them."""
+        off = np.zeros(len(self.start), dtype=bool)
+        ends = np.searchsorted(rows.motion, np.arange(len(off)), side="right") - 1
+        off[1:] = (rows.untouched | rows.clamped)[ends[:-1]] | ~self._follows[1:]
+        return off & self.interpolated
+
+    @cached_property
+    def _follows(self) -> np.ndarray:
+        """(motions,) whether each begins where the one before ends, in words of the same mode."""
+        follows = np.zeros(len(self.start), dtype=bool)
+        follows[1:] = (self.tcp[1:] == self.tcp[:-1]) & every(self.start[1:] == self.end[:-1])
+        return follows
+
+    def between(self, legs: np.ndarray, rows: Rows, *, as_run: bool = False) -> np.ndarray:
         """(legs,) largest distance (mm) of the reached point from the meant one between the ends of each leg's pieces.
 
-        Linear words are taken before rounding, so that splitting is not asked to cure rounding.
+        Linear words are taken before rounding, so that splitting is not asked to cure rounding. ``as_run`` is that of `ways`.
         """
-        ways = self.ways(rows, self.space.words(rows.exact, self.tcp_out[rows.motion]))
+        ways = self.ways(rows, self.space.words(rows.exact, self.tcp_out[rows.motion]), as_run=as_run)
         parts = [self._between(part, rows, ways) for part in self.portions(legs)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -543,55 +543,3 @@ class Pieces:
             before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
             sides[:, axis] = before + samples.within * (sides[:, axis] - before)
         return np.asarray(sides)
-
-
-def _counted(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each of (n,) things as often as it counts, and 0, 1, 2 … within each."""
-    return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-
-
-def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(n,) how many times `SAMPLE_SPACING` it is from (n, axes) words to others."""
-    limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
-    return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
-
-
-def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
-    """Where to cut things of (n,) sizes in as few portions as can be that make no more than about ``most`` each, and alike."""
-    total = np.cumsum(sizes)
-    count = int(np.ceil(total[-1] / most)) if len(total) else 0
-    return np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist() if count > 1 else []
-
-
-def _not_back(way: np.ndarray, most: float) -> np.ndarray:
-    """A way up with its steps back left out, if they are smaller than ``most``: larger ones are no rounding."""
-    out = []
-    top = way[0]
-    for place in way.tolist():
-        top = place if place >= top or top - place >= most else top
-        out.append(top)
-    return np.array(out)
-
-
-def _distinct(rows: Rows) -> Rows:
-    """Rows without moves that take up what words cannot tell from the place before, or from the one behind."""
-    for behind in (False, True):
-        vectors = np.nan_to_num(rows.vectors)
-        alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
-        rows = rows.where(~(rows.taken & (np.append(alike, False) if behind else np.append(False, alike))))
-    return rows
-
-
-def _replaced(rows: Rows, legs: np.ndarray, new: Rows) -> Rows:
-    """Rows with those of some legs exchanged, still in order."""
-    keep = ~np.isin(rows.leg, legs)
-    order = np.argsort(np.concatenate([rows.leg[keep], new.leg]), kind="stable")
-
-    def merged(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.asarray(np.concatenate([a[keep], b])[order])
-
-    target = Poses(merged(rows.target.point_mm, new.target.point_mm), merged(rows.target.rotation, new.target.rotation))
-    fields = {
-        name: merged(getattr(rows, name), getattr(new, name)) for name in Rows.__dataclass_fields__ if name != "target"
-    }
-    return Rows(target=target, **fields)

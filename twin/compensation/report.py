@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, final
@@ -12,14 +12,14 @@ import numpy as np
 from twin.channels import TIME
 from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
+from twin.compensation.shortfalls import SHOWN, Shortfall, blocks, line_numbers
 from twin.show import bar, card, note, pairs, several, table
 from twin.spatial import tilt
 from twin.uncertainty import DEFINITION
 from twin.units import URAD
 
 SCHEMA = "twin.compensation/1"
-SHOWN = 8
-"""Lines of a list that the text shows before it counts the rest; JSON has them all."""
+NO_ERRORS = "NOTHING CORRECTED: the calibration has no error motion in scope, so no position is changed"
 
 
 @final
@@ -91,7 +91,7 @@ class ClassShare:
 
     Attributes:
         name: the class.
-        corrected: whether the scope has it; None where the method does not work by class.
+        corrected: whether the scope has it; None where the method does not work by class. Blocks that are not are in the account.
         before_rms_um, before_max_um: what its error motions alone do at the functional point.
         before_max_urad: what they do to the tool axis.
         left_rms_um: what of it stays at the functional point; None as above.
@@ -108,10 +108,18 @@ class ClassShare:
 @final
 @dataclass(frozen=True)
 class LineNote:
-    """Something to know about one program line."""
+    """A remark on one program line."""
 
     line: int
     text: str
+
+
+def grouped(notes: Sequence[LineNote]) -> list[str]:
+    """One line for all notes of the same text."""
+    found: dict[str, list[int]] = {}
+    for one in notes:
+        found.setdefault(one.text, []).append(one.line)
+    return [f"{line_numbers(lines)}: {text}" for text, lines in found.items()]
 
 
 @final
@@ -178,9 +186,9 @@ class Report:
     Attributes:
         rounding_um: largest distance that rounding to the least increment leaves at a block's end.
         solver_um: largest distance the solver leaves there.
-        out_of_range: blocks a command of which leaves its axis's range.
-        orientation_left: blocks whose orientation the rotary axes cannot repair.
-        not_met: blocks whose error between ends stays above the tolerance.
+        not_corrected: blocks that could not be corrected, or not within the tolerance, by reason.
+        cutting: how many moves cut: all but rapids.
+        idle: whether there is nothing to correct: no error motion of the calibration is in scope.
         notes: lines passed through as written, and assumptions.
         uncertainty: of the correction, from the calibration's covariance.
         conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
@@ -208,21 +216,47 @@ class Report:
     rounding_um: float
     solver_um: float
     classes: tuple[ClassShare, ...]
-    out_of_range: tuple[LineNote, ...]
-    orientation_left: tuple[LineNote, ...]
-    not_met: tuple[LineNote, ...]
+    not_corrected: tuple[Shortfall, ...]
     notes: tuple[LineNote, ...]
     uncertainty: Corrections
-    orientation_asked: bool = False
+    cutting: int = 0
+    idle: bool = False
     conditions: Mapping[str, float] = field(default_factory=dict)
     reversals: tuple[ReversalNote, ...] = ()
     control: ControlNote | None = None
 
     @property
     def complete(self) -> bool:
-        """Whether everything asked for was met (the exit status says so)."""
-        asked_and_left = self.orientation_left if self.orientation_asked else ()
-        return not (self.out_of_range or self.not_met or asked_and_left)
+        """Whether something was corrected, and nothing that cuts is off by more than the tolerance (exit status 0, else 3)."""
+        return not (self.nothing_corrected or any(one.missed for one in self.not_corrected))
+
+    @property
+    def strictly_complete(self) -> bool:
+        """Whether everything was corrected: rapids and the orientation, too."""
+        return not (self.nothing_corrected or self.not_corrected)
+
+    @property
+    def nothing_corrected(self) -> bool:
+        """Whether the program is written as it came."""
+        return self.rewritten == 0
+
+    @property
+    def headline(self) -> str:
+        """What came of it, in one line."""
+        if self.idle:
+            return NO_ERRORS
+        outside = self._lines_of(lambda one: one.lines if one.kind == "range" else ())
+        hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
+        if self.nothing_corrected:
+            return f"NOTHING CORRECTED: {outside:,} of {blocks(self.moves)} would leave the range of an axis{hint}"
+        missed = self._lines_of(lambda one: one.missed)
+        if missed:
+            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks stay off by more than the tolerance{hint}"
+        left = self._lines_of(lambda one: one.lines)
+        return f"corrected, but for {left:,} of {blocks(self.moves)} (listed below)" if left else "corrected"
+
+    def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
+        return len({line for one in self.not_corrected for line in lines(one)})
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
@@ -231,7 +265,14 @@ class Report:
             name: {"value": value, "unit": unit} for name, (value, unit) in self.largest_correction.items()
         }
         data["uncertainty"] = self.uncertainty.to_dict()
-        return {"schema": SCHEMA, "complete": self.complete, **data}
+        data["not_corrected"] = [one.to_dict() for one in self.not_corrected]
+        return {
+            "schema": SCHEMA,
+            "complete": self.complete,
+            "strictly_complete": self.strictly_complete,
+            "headline": self.headline,
+            **data,
+        }
 
     def _repr_html_(self) -> str:
         worst = max(self.before.max_um, self.after.max_um, 1e-9)
@@ -274,20 +315,8 @@ class Report:
             ("largest move of an axis", largest),
             ("rounding leaves", f"up to {self.rounding_um:.2f} µm at a block's end"),
         ]
-        lists = (
-            ("out of range", self.out_of_range, True),
-            ("not met", self.not_met, True),
-            ("orientation left", self.orientation_left, self.orientation_asked),
-            ("to know", self.notes, False),
-        )
-        notes = [
-            note(f"{of}, line {one.line}: {one.text}", loud=loud) for of, those, loud in lists for one in those[:SHOWN]
-        ]
-        more = [
-            note(f"{of}: {len(those) - SHOWN:,} more lines", loud=loud)
-            for of, those, loud in lists
-            if len(those) > SHOWN
-        ]
+        notes = [note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected]
+        notes += [note(text) for text in grouped(self.notes)]
         headers = (
             f"error at the tool over {self.before.points:,} poses",
             "RMS, µm",
@@ -298,11 +327,11 @@ class Report:
         )
         by_class = ("ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", "")
         parts = (
+            note(self.headline, loud=not self.complete),
             table(headers, errors, right=range(1, 5)),
             pairs(rows),
             table(by_class, classes, right=(1, 2)),
             *notes,
-            *more,
         )
         title = f"{Path(self.program).name} on {self.machine}, compensated"
         return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
@@ -310,7 +339,7 @@ class Report:
     def to_text(self) -> str:
         """The report as a machinist reads it."""
         out = [
-            f"{self.program} on {self.machine}",
+            f"{self.program} on {self.machine}: {self.headline}",
             f"  calibration   {self.calibration}",
         ]
         if self.illustrative:
@@ -342,26 +371,20 @@ class Report:
             "",
             "  by class (ISO/TR 16907)   before RMS     max        left",
         ]
+        corrected = "corrected" if not self.not_corrected else "corrected, but for the blocks below"
         for share in self.classes:
             left = (
                 ""
-                if share.left_rms_um is None
-                else "corrected"
+                if share.left_rms_um is None and not share.corrected
+                else corrected
                 if share.corrected
-                else f"{_um(share.left_rms_um)} (not in scope)"
+                else f"{_um(share.left_rms_um or 0.0)} (not in scope)"
             )
             out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
-        for title, notes in (
-            ("out of range", self.out_of_range),
-            ("not met", self.not_met),
-            ("orientation that cannot be corrected", self.orientation_left),
-            ("to know", self.notes),
-        ):
-            if notes:
-                out += ["", f"  {title}: {len(notes)} {'line' if len(notes) == 1 else 'lines'}"]
-                out += [f"    line {note.line}: {note.text}" for note in notes[:SHOWN]]
-                if len(notes) > SHOWN:
-                    out.append(f"    … and {len(notes) - SHOWN} more (all in the JSON report)")
+        lists = (("not corrected", [one.text for one in self.not_corrected]), ("notes", grouped(self.notes)))
+        for title, lines in lists:
+            if lines:
+                out += ["", f"  {title}", *(f"    {line}" for line in lines)]
         return "\n".join(out) + "\n"
 
     def _channels_text(self) -> list[str]:

@@ -20,8 +20,9 @@ import numpy as np
 
 from twin.compensation.account import Account
 from twin.compensation.bench import Aim, Bench, Progress
-from twin.compensation.pieces import SAMPLES_A_PIECE, Pieces, Rows, even_cuts, spacings
+from twin.compensation.pieces import SAMPLES_A_PIECE, Pieces
 from twin.compensation.report import Report
+from twin.compensation.rows import Rows, even_cuts, spacings
 from twin.errors import InputError, OutputError
 from twin.nc.blocks import Notice
 from twin.nc.bulk import NewPositions
@@ -343,7 +344,7 @@ class _Attempt:
         for end in _ends(part, bench.options.tolerance_mm):
             context = min(begin, 1)
             motions = part.motions.part(begin - context, end)
-            pieces = Pieces(bench, ToolPath(motions, ()), self._aim, _ISO, posted=False)
+            pieces = Pieces(bench, ToolPath(motions, ()), self._aim, _ISO, source=self._source, posted=False)
             commands = bench.space.commands(pieces.end[context:], pieces.tcp[context:])
             check_domains(bench.full, self._source, motions.line[context:] + 1, commands)
             rows = pieces.solve(_silent)
@@ -393,7 +394,10 @@ class _Attempt:
         idle = self._aim is not None and self._aim.idle
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
         written = Stretch(data, self._written_lines, self._axes.names)
-        again = self._checker.read(written)
+        try:
+            again = self._checker.read(written)
+        except InputError as error:
+            raise unreadable(self._source, error) from error
         self._written_lines += len(written)
         _verify(self._source, moves, new, again)
         self._out.write(data)
@@ -412,6 +416,11 @@ class _Attempt:
             )
         notices = [*self._notices, *self._follower.passed]
         return self._account.report(lines=self._lines, moves=self.moves, notices=notices)
+
+
+def unreadable(source: str, error: InputError) -> OutputError:
+    """Return the error for a text made of a program that cannot be read back; its line is the output's, not the program's."""
+    return OutputError(f"{source}: line {error.line} of what would be written cannot be read back: {error.what}")
 
 
 _ISO: Final = Iso()

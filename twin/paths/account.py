@@ -68,7 +68,7 @@ class Job:
     short: Shortened
 
 
-def account(bench: Bench, job: Job, written: Written, *, compensated: bool) -> PathReport:
+def account(bench: Bench, job: Job, written: Written, *, compensated: bool, asked: bool) -> PathReport:
     """Execute what is about to be written on the machine with its errors, and tell.
 
     Args:
@@ -76,6 +76,7 @@ def account(bench: Bench, job: Job, written: Written, *, compensated: bool) -> P
         job: the input and what was made of it.
         written: what is about to be written.
         compensated: whether the machine's errors were compensated.
+        asked: whether they were to be.
     """
     tolerance = bench.options.tolerance_mm
     members = {line for one in job.fitted for line in one.places.run.lines}
@@ -151,6 +152,7 @@ def account(bench: Bench, job: Job, written: Written, *, compensated: bool) -> P
         notes=tuple(notes),
         contributions=_contributions(runs, written.compensation),
         compensation=written.compensation,
+        compensation_asked=asked,
     )
 
 

@@ -67,6 +67,7 @@ class Refitter:
     ) -> None:
         chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
         self.bench = Bench(machine, calibration if compensated else Calibration.zero(machine), chosen)
+        self.asked = compensated
         self.compensated = compensated and not self.bench.calibration.empty
 
     def refit(
@@ -129,7 +130,7 @@ class Refitter:
         job = Job(program, dialect, reading, path, tuple(fitted), shares, fewer.lever, short)
         written = self._written(job, written_in, say, posted=posted)
         say("checking", 0.9)
-        report = account(self.bench, job, written, compensated=self.compensated)
+        report = account(self.bench, job, written, compensated=self.compensated, asked=self.asked)
         say("done", 1.0)
         return Refit(written.text, report)
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
-from twin.compensation.report import LineNote, Report
+from twin.compensation.report import NO_ERRORS, LineNote, Report, grouped
 from twin.paths.budget import COVERAGE_FACTOR, Contribution, combined
 from twin.show import UNKNOWN, bar, card, finite, note, pairs, several, table
 
@@ -82,6 +82,7 @@ class PathReport:
         not_met: runs whose executed path leaves the tolerance.
         contributions: what the uncertainty of the path is made of.
         compensation: the compensation's own account, None without one.
+        compensation_asked: whether the machine's errors were to be compensated.
     """
 
     program: str
@@ -96,6 +97,7 @@ class PathReport:
     notes: tuple[LineNote, ...]
     contributions: tuple[Contribution, ...]
     compensation: Report | None
+    compensation_asked: bool = False
 
     @property
     def blocks(self) -> int:
@@ -115,13 +117,33 @@ class PathReport:
     @property
     def complete(self) -> bool:
         """Whether everything asked for was met (the exit status says so)."""
-        return not self.not_met and (self.compensation is None or self.compensation.complete)
+        return not self.not_met and (self._not_asked if self.compensation is None else self.compensation.complete)
+
+    @property
+    def strictly_complete(self) -> bool:
+        """Whether everything was met and corrected: rapids and the orientation, too."""
+        return not self.not_met and (
+            self._not_asked if self.compensation is None else self.compensation.strictly_complete
+        )
+
+    @property
+    def _not_asked(self) -> bool:
+        return not self.compensation_asked
+
+    @property
+    def headline(self) -> str | None:
+        """What came of the compensation, in one line; None if it was not asked for."""
+        if self.compensation is not None:
+            return self.compensation.headline
+        return NO_ERRORS if self.compensation_asked else None
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
         return {
             "schema": SCHEMA,
             "complete": self.complete,
+            "strictly_complete": self.strictly_complete,
+            "headline": self.headline,
             "program": self.program,
             "machine": self.machine,
             "calibration": self.calibration,
@@ -181,7 +203,7 @@ class PathReport:
         """The report as a machinist reads it."""
         used, shares = self.used(), self.shares
         fitted = [run for run in self.runs if not run.why]
-        out = [f"{self.program} on {self.machine}"]
+        out = [f"{self.program} on {self.machine}" + ("" if self.headline is None else f": {self.headline}")]
         if self.compensation is not None:
             out.append(f"  calibration   {self.calibration}")
             if self.illustrative:
@@ -215,18 +237,17 @@ class PathReport:
             if run.why
         )
         compensation = self.compensation
-        for title, notes in (
-            ("not met", self.not_met),
-            ("out of range", () if compensation is None else compensation.out_of_range),
-            ("compensation not met", () if compensation is None else compensation.not_met),
-            ("left as they were", kept),
-            ("to know", self.notes),
-        ):
-            if notes:
-                out += ["", f"  {title}: {len(notes)}"]
-                out += [f"    line {note.line}: {note.text}" for note in notes[:SHOWN]]
-                if len(notes) > SHOWN:
-                    out.append(f"    … and {len(notes) - SHOWN} more (all in the JSON report)")
+        lists = (
+            ("not met", grouped(self.not_met)),
+            ("not corrected", [] if compensation is None else [one.text for one in compensation.not_corrected]),
+            ("left as they were", grouped(kept)),
+            ("notes", grouped(self.notes)),
+        )
+        for title, lines in lists:
+            if lines:
+                out += ["", f"  {title}: {len(lines)}", *(f"    {line}" for line in lines[:SHOWN])]
+                if len(lines) > SHOWN:
+                    out.append(f"    … and {len(lines) - SHOWN} more (all in the JSON report)")
         return "\n".join(out) + "\n"
 
     def _uncertainty(self) -> str:
