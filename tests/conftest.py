@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import datetime
 import os
-from collections.abc import Iterator
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -21,11 +24,57 @@ from twin.samples import thesis_plan
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpool_limits(limits=1, user_api="blas")
 
-# Seeded and without a deadline: two shared cores make time no measure of right or wrong.
+# No deadline: two shared cores make time no measure of right or wrong. By default the same examples every time; a run of the slow tests
+# draws new ones from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
 settings.register_profile("twin", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("new examples", settings.get_profile("twin"), derandomize=False, database=None)
 settings.load_profile("twin")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+NEEDED = "needs shared/{}, which is not beside this checkout"
+"""Reason of a skip, with the path that is missing."""
+
+
+def beside(*parts: str) -> Path:
+    """Return the file or folder of that name under `SHARED`; skip the test if it is not there."""
+    found = SHARED.joinpath(*parts)
+    if not found.exists():
+        pytest.skip(NEEDED.format("/".join(parts)))
+    return found
+
+
+def skipped_for_want(reasons: Iterable[str]) -> str:
+    """Return one line on the tests that were skipped because files are missing; empty if none was.
+
+    Args:
+        reasons: of all skips.
+    """
+    pattern = re.compile(re.escape(NEEDED).replace(r"\{\}", "(.+)"))
+    missing = Counter(found[1] for reason in reasons if (found := pattern.search(reason)))
+    count = sum(missing.values())
+    names = ", ".join(f"{name} ({number})" for name, number in sorted(missing.items()))
+    return f"{count} tests skipped: they need files of others that are not in {SHARED}: {names}" if count else ""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw new examples where slow tests are selected; the seed is the day's date unless one is given."""
+    words = re.sub(r"\bnot slow\b", "", str(config.getoption("markexpr", "")))
+    if not re.search(r"\bslow\b", words) or config.getoption("hypothesis_profile", None):
+        return
+    settings.load_profile("new examples")
+    if config.getoption("hypothesis_seed", None) is None:
+        config.option.hypothesis_seed = f"{datetime.datetime.now(datetime.UTC):%Y%m%d}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say how many tests were skipped for want of files, and how the run's examples can be drawn again."""
+    skips = terminalreporter.stats.get("skipped", [])
+    line = skipped_for_want(one.longrepr[2] for one in skips if isinstance(one.longrepr, tuple))
+    if line:
+        terminalreporter.write_line(line)
+    seed = config.getoption("hypothesis_seed", None)
+    if seed is not None:
+        terminalreporter.write_line(f"new examples of hypothesis, drawn with --hypothesis-seed={seed}")
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +107,4 @@ def half(dmu50: Machine) -> Plan:
 
 @pytest.fixture(scope="session")
 def programs() -> Path:
-    folder = SHARED / "data" / "programs"
-    if not folder.is_dir():
-        pytest.skip("the real programs of others are not beside this checkout")
-    return folder
+    return beside("data", "programs")

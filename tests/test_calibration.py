@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import SHARED
+from tests.conftest import beside
 from tests.errors import random_calibration
 from twin.calibration import Calibration
 from twin.covariance import Covariance
@@ -22,9 +22,7 @@ HEAD = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: a test\n"
 
 
 def test_default_calibration_gives_the_published_figure(calibration: Calibration) -> None:
-    figure = SHARED / "data" / "figure-3-11.csv"
-    if not figure.is_file():
-        pytest.skip("the published figure is not beside this checkout")
+    figure = beside("data", "figure-3-11.csv")
     rows = np.genfromtxt(
         [line for line in figure.read_text().splitlines() if not line.startswith("#")][1:], delimiter=","
     )

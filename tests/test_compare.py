@@ -140,7 +140,7 @@ def test_alignment_takes_out_a_shift_and_a_turn_and_nothing_else() -> None:
     assert np.abs(np.cross(points, left).sum(axis=0)).max() < 1e-9
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(
     coefficients=st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=7),
     low=st.floats(0.0, 200.0),
@@ -164,7 +164,7 @@ def test_the_same_curve_written_otherwise_has_not_changed(coefficients: list[flo
         )
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**31))
 def test_change_and_its_uncertainty_are_the_functions_own(seed: int) -> None:
     """Against the two curves evaluated one by one, other degrees included, and u by propagating each by itself."""

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import SHARED
+from tests.conftest import SHARED, beside
 from twin.errors import InputError
 from twin.evaluation import Positioning, linear_axis, linear_deviations_um, rotary_axis, rotary_deviations_urad
 
@@ -93,8 +93,7 @@ def unrounded(printed: np.ndarray, ratio: float, offset: float) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=list(REPORTS))
 def stage(request: pytest.FixtureRequest) -> Stage:
-    if not STAGE.is_dir():
-        pytest.skip("the stage's data and reports of others are not beside this checkout")
+    beside(*STAGE.relative_to(SHARED).parts)
     report = read_report(STAGE / REPORTS[request.param])
     ratio, offset = (float(report.settings[f"Reference {name}"]) for name in ("gear ratio", "offset"))
     printed = {

@@ -333,7 +333,7 @@ def test_a_measured_number_by_hand() -> None:
     assert rounded(0.5, 0.0) == ("0.500", "0.000")
 
 
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 @given(st.floats(-1e4, 1e4), st.floats(1e-2, 1e3))
 def test_rounding_keeps_two_digits_of_the_uncertainty(value: float, expanded: float) -> None:
     size, half = rounded(value, expanded)
@@ -344,7 +344,7 @@ def test_rounding_keeps_two_digits_of_the_uncertainty(value: float, expanded: fl
     assert step >= 0.001
 
 
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 @given(st.floats(-1e4, 1e4), st.floats(1e-3, 1e5))
 def test_ticks_are_inside_even_and_few(low: float, width: float) -> None:
     found = np.array(ticks(low, low + width))

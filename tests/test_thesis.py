@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.conftest import SHARED
+from tests.conftest import beside
 from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.compensation.thesis import ThesisMethod
@@ -39,9 +39,7 @@ def test_figure_3_11(dmu50: Machine, calibration: Calibration) -> None:
 
 
 def test_the_embedded_figure_is_the_published_one() -> None:
-    figure = SHARED / "data" / "figure-3-11.csv"
-    if not figure.is_file():
-        pytest.skip("the published figure is not beside this checkout")
+    figure = beside("data", "figure-3-11.csv")
     rows = [line for line in figure.read_text().splitlines() if not line.startswith("#")][1:]
     assert np.array_equal(np.genfromtxt(rows, delimiter=","), FIGURE_3_11)
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import beside
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
 from twin.errors import InputError
 from twin.nc import dialect_for
@@ -217,10 +218,7 @@ def test_a_megabyte_is_read_in_a_second(name):
 
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
 def test_mutated_real_programs(suffix):
-    folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"
-    if not folder.is_dir():
-        pytest.skip("the real programs of others (shared/data/programs) are not beside this checkout")
-    (path,) = folder.glob(f"*{suffix}")
+    (path,) = beside("data", "programs").glob(f"*{suffix}")
     lines = path.read_bytes().decode("latin-1").splitlines(keepends=True)
     random_ = random.Random(20)
     outcomes = set()

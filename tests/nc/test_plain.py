@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.conftest import beside
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
 from twin.errors import InputError
 from twin.nc import dialect_for
@@ -17,7 +18,6 @@ from twin.nc.blocks import AxisWords, Rewrite
 from twin.nc.plain import iso_plain, plain_language
 
 ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
-FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
 LONG = AxisWords(("X", "Y", "Z"), ("B1", "C"), dict.fromkeys(("X", "Y", "Z", "B1", "C"), 0.001))
 ODD = AxisWords(("X", "Y", "Z"), ("N",), dict.fromkeys("XYZN", 0.001))
@@ -327,9 +327,7 @@ def test_what_one_way_leaves_to_the_other(name):
 
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
 def test_programs_of_others(suffix):
-    if not FOLDER.is_dir():
-        pytest.skip("the real programs of others (shared/data/programs) are not beside this checkout")
-    (path,) = FOLDER.glob(f"*{suffix}")
+    (path,) = beside("data", "programs").glob(f"*{suffix}")
     for seed in range(3):
         check(ISO, path.read_bytes().decode("latin-1"), seed)
 

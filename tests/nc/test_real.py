@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_positions
 from twin.nc import dialect_for
 from twin.nc.blocks import Kind, Rewrite
 from twin.nc.text import printed
 
-FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "programs"
 PROGRAMS = {
     "linuxcnc_boat-xyzbc.ngc": (1821, 1819),
     "spinnerU5_Bottle_opener_Flaschenoeffner.txt": (2692, 2678),
@@ -21,9 +21,7 @@ PROGRAMS = {
 
 
 def load(name):
-    if not FOLDER.is_dir():
-        pytest.skip("the real programs of others (shared/data/programs) are not beside this checkout")
-    data = (FOLDER / name).read_bytes()
+    data = (beside("data", "programs") / name).read_bytes()
     dialect = dialect_for(Path(name), data)
     program = dialect.read(data, name)
     return data, dialect, program, dialect.moves(program, AXES, tcp=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.conftest import SHARED
+from tests.conftest import beside
 from tests.real import plates, ur10
 from twin.calibration import Calibration
 from twin.curves import BASES
@@ -32,10 +32,7 @@ SPREADS = (between_rounds, between_poses)
 
 
 def folder(name: str) -> Path:
-    found = SHARED / "data" / "real" / name
-    if not found.is_dir():
-        pytest.skip(f"the real measurements of others ({found}) are not beside this checkout")
-    return found
+    return beside("data", "real", name)
 
 
 def rms_mm(left: np.ndarray) -> float:
