@@ -237,6 +237,46 @@ def _read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
     return seen
 
 
+def set_up(of: Plan) -> np.ndarray:
+    """(3n, columns) what a shift or turn of each station and a shift of each target do to the readings: what any fit absorbs."""
+    n = len(of.q)
+    none = {name: np.zeros((n, 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
+    base = _carried(of, none, np.array([TARGETS[name][1] for name in of.target]))
+    origin = np.array([STATIONS[name][0] for name in of.station])
+    into = _exp(np.array([STATIONS[name][1] for name in of.station])).transpose(0, 2, 1)
+    columns = []
+    for direction in np.eye(3):
+        along = np.broadcast_to(direction, (n, 3))
+        carried = _carried(of, none, along) - _carried(of, none, np.zeros((n, 3)))
+        for names, moved in ((of.target, carried), (of.station, along), (of.station, np.cross(along, base - origin))):
+            seen = np.einsum("nij,nj->ni", into, moved)
+            columns += [seen * (names == name)[:, None] for name in np.unique(names)]
+    return np.stack(columns, axis=2).reshape(3 * n, -1)
+
+
+def left_over(of: Plan, moved: np.ndarray, kind: str = "isotropic", sigma_mm: float = 3e-3) -> np.ndarray:
+    """(3n, k) changes of the readings in standard deviations of their noise, less what the set-up absorbs of them.
+
+    Args:
+        of: the plan.
+        moved: (n, 3, k) changes of the readings, mm.
+        kind: of noise, as in `noisy`.
+        sigma_mm: of isotropic noise.
+    """
+    n = len(of.q)
+    weight = np.broadcast_to(np.eye(3) / sigma_mm, (n, 3, 3))
+    if kind == "tracker":
+        read = points(of)
+        metres = np.linalg.norm(read, axis=1)[:, None, None] * 1e-3
+        beam = read / np.linalg.norm(read, axis=1, keepdims=True)
+        along = beam[:, :, None] * beam[:, None, :]
+        weight = 1e3 * (along / (0.2 + 0.15 * metres) + (np.eye(3) - along) / (7.5 + 3.0 * metres))
+    absorbed = (weight @ set_up(of).reshape(n, 3, -1)).reshape(3 * n, -1)
+    absorbed = absorbed / np.linalg.norm(absorbed, axis=0)
+    change = (weight @ moved).reshape(3 * n, -1)
+    return change - absorbed @ (np.linalg.pinv(absorbed.T @ absorbed, rcond=1e-10) @ (absorbed.T @ change))
+
+
 def noisy(read: np.ndarray, rng: np.random.Generator, kind: str, sigma_mm: float = 3e-3) -> np.ndarray:
     """Readings: scattering alike in all directions, or as a tracker's: 0.4 + 0.3/m µm along, 15 + 6/m µm across, two sigma."""
     white = rng.standard_normal(read.shape)

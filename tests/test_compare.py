@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import twin
 from twin.budget import volume
 from twin.changes.pairs import joint_spread, paired
-from twin.changes.significance import FALSE_ALARMS, SHARE, fewest, holm, whiten
+from twin.changes.significance import FALSE_ALARMS, SHARE, fewest, holm, simultaneous_factor, whiten
 from twin.cli import app
 from twin.control import ControlSection, TableEntry
 from twin.covariance import Covariance
@@ -186,6 +186,21 @@ def test_change_and_its_uncertainty_are_the_functions_own(seed: int) -> None:
     )
     assert np.einsum("gi,ij,gj->g", pair.shape, pair.spread, pair.shape) == pytest.approx(expected, rel=1e-9)
     assert float(pair.change @ pair.change) == pytest.approx(float(np.mean(pair.values**2)), rel=1e-9)
+
+
+def test_a_band_holds_the_whole_curve_in_nineteen_of_twenty_cases() -> None:
+    """a cos θ + b sin θ, both of variance v: the largest is √(a² + b²), by Rayleigh beyond √(−2 ln 0.05) √v in 5 %; a constant 1.96."""
+    one = twin.Curve("E_ZC", "um", (0.0, 360.0), "fourier", (0.0, 3.0, 1.0), np.diag([0.0, 0.5, 0.5]))
+    base = replace(made(u=None), squareness=MappingProxyType({}), location=MappingProxyType({}))
+    sides = [
+        replace(base, curves=MappingProxyType({"E_ZC": replace(one, coefficients=c)}))
+        for c in ((0.0, 3.0, 1.0), (0.0, 3.5, 1.0))
+    ]
+    (error,) = twin.compare(*sides, poses=20).errors
+    rayleigh = np.sqrt(-2.0 * np.log(0.05))
+    # 4,000 draws: a standard error of 1 % of the quantile.
+    assert error.u == pytest.approx(1.0) and error.band == pytest.approx(rayleigh, rel=0.04)
+    assert simultaneous_factor(np.ones((7, 1)), np.eye(1)) == pytest.approx(1.96, rel=0.04)
 
 
 def test_an_unlimited_axis_is_compared_round_the_turn_wherever_the_domains_begin() -> None:

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tests import battery, hidden
 from tests.hidden import Hidden, Plan
 from twin.calibration import Calibration
 from twin.diagnosis import Cause, Diagnosis, diagnose
+from twin.effects import Harmonic
 from twin.instruments import LaserTracker
 from twin.machine import Machine
 from twin.measurement import load
@@ -56,8 +59,18 @@ EVERY = [
     one("harmonic", "E_BB", order=2, cos=30.0, sin=10.0),
 ]
 INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
+CURVES = {"positioning": 9, "straightness": 9, "angular_error_motion": 9}
+"""Coefficients of the longest curve that is tried: how many a curve has is chosen from the data."""
+ONE_IN_370 = 0.0027
+"""Chance beyond three standard deviations of a normal."""
 # One of each kind by default; the others are slow.
 SAMPLE = list({hidden_one.effect: hidden_one for hidden_one in reversed(EVERY)}.values())
+
+
+def planned(seed: int) -> tuple[Plan, np.random.Generator]:
+    """The plan of that seed, and what its noise is drawn from."""
+    rng = np.random.default_rng(seed)
+    return hidden.rounded(hidden.plan(rng, poses=POSES)), rng
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +90,8 @@ def look(
         plan: Plan | None = None,
         sigma_mm: float = SIGMA_MM,
     ) -> Diagnosis:
-        rng = np.random.default_rng(seed)
-        of = plan or hidden.rounded(hidden.plan(rng, poses=POSES))
+        of, rng = planned(seed)
+        of = plan or of
         read = hidden.noisy(
             hidden.points(of, effects, outside=outside), rng, "tracker" if "tracker" in noise else "isotropic", sigma_mm
         )
@@ -91,16 +104,37 @@ def look(
 
 
 def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
-    """(value − truth)/u of each parameter that both have; an angle the short way round."""
+    """(value − truth)/u of every parameter, an angle the short way round; a parameter without uncertainty is the truth itself."""
     found = {}
     for q in cause.parameters:
-        if q.name in ("order", "c0") or q.u == 0.0:
-            continue
         off = q.value - truth.numbers.get(q.name, 0.0)
         if q.name == "phase":
             off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        if q.u == 0.0:
+            assert abs(off) < 1e-9, (q, truth)
+            continue
         found[q.name] = off / q.u
+    assert {name for name, value in truth.numbers.items() if value} <= {q.name for q in cause.parameters}
     return found
+
+
+def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = "isotropic") -> float:
+    """χ² of what all causes do to the readings less what was hidden, the set-up free: whatever the causes are called."""
+    rows = result.data.lines - 2
+    found = np.zeros((len(of.q), 3))
+    found[rows] = np.nansum([cause.pattern_um for cause in result.causes], axis=0) * 1e-3
+    off = np.zeros_like(found)
+    off[rows] = (found - hidden.points(of, truth) + hidden.points(of))[rows]
+    left = hidden.left_over(of, off[:, :, None], "tracker" if "tracker" in noise else "isotropic", SIGMA_MM)
+    return float(np.sum(left**2))
+
+
+def numbers(causes: Sequence[Cause]) -> int:
+    """How many numbers were fitted for some causes, or could have been.
+
+    Of nested curves that hold the truth, the longest is the furthest from it: the others are its projections.
+    """
+    return sum(CURVES.get(c.effect, sum(q.u > 0.0 for q in c.parameters)) for c in causes)
 
 
 def the(result: Diagnosis, truth: Hidden) -> Cause:
@@ -111,47 +145,132 @@ def the(result: Diagnosis, truth: Hidden) -> Cause:
     raise AssertionError(f"{truth.key} not among {[(c.effect, c.where, c.equivalent) for c in result.causes]}")
 
 
-def check(result: Diagnosis, truth: Hidden, bound: float = 3.0) -> None:
+def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", chance: float = ONE_IN_370) -> None:
     cause = the(result, truth)
     assert len(result.causes) == 1 and result.unexplained is None
     assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
     assert cause.origin == ("instrument" if truth.effect in INSTRUMENT else "machine")
     if (cause.effect, cause.where) == truth.key:
-        # Three standard uncertainties, the issue's number: 1 in 370 a parameter, on seeded draws.
-        for name, pull in pulls(cause, truth).items():
-            assert abs(pull) < bound, (name, pull, cause.parameters)
+        pulls(cause, truth)
+        # The calibration that goes with it has the same order.
+        orders = [effect.order for effect in cause.effects if isinstance(effect, Harmonic)]
+        assert orders == [value for name, value in truth.numbers.items() if name == "order"]
+    assert distance(result, of, [truth], noise) < stats.chi2.isf(chance, numbers(result.causes))
     assert cause.p_value < 0.01
     assert result.gain is not None and result.gain.rms_after_um < result.gain.rms_before_um
     if cause.origin == "machine":
-        if truth.effect == "thermal_growth":
-            # A round left out may be the one whose bed is warm, and the others then tell little of it: the interval says so.
-            assert result.gain.held_ci95_um[1] > 0.0
-        elif truth.effect != "thermal_drift":
-            # On rounds the selection did not see. A warm-up is over after the first round: the others do not foretell it.
-            assert result.gain.held_after_um < result.gain.held_before_um
         # No less where a rotation turns about the tool's own point.
         assert result.gain.tool_after_um <= result.gain.tool_before_um
     else:
         assert result.extended is result.calibration
 
 
+def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | None) -> None:
+    """On rounds the selection did not see it is better, unless the others cannot tell the cause from another one.
+
+    The bed is warmest in the first round and cools through the other two: from these alone a drift in time is as likely, and it
+    foretells something else of the first. What a warm-up does to the first round the others do not foretell at all.
+    """
+    assert result.gain is not None
+    if result.gain.held_after_um < result.gain.held_before_um or truth.effect == "thermal_drift":
+        return
+    data = result.data
+    parts = [
+        diagnose(data.select(data.round != one), result.calibration.machine, result.calibration, instrument=instrument)
+        for one in np.unique(data.round)
+    ]
+    assert any(part.verdict == "ambiguous" and the(part, truth).equivalent for part in parts)
+
+
+@pytest.fixture(scope="module")
+def found(look: Callable[..., Diagnosis]) -> Callable[[Hidden], Diagnosis]:
+    """What is said of one effect of `EVERY`."""
+    of = cache(lambda index: look([EVERY[index]], seed=100 + index))
+    return lambda truth: of(EVERY.index(truth))
+
+
 @pytest.mark.parametrize("truth", SAMPLE, ids=lambda h: f"{h.effect} {h.where}")
-def test_an_effect_of_every_kind(look: Callable[..., Diagnosis], truth: Hidden) -> None:
-    check(look([truth], seed=100 + EVERY.index(truth)), truth)
+def test_an_effect_of_every_kind(found: Callable[[Hidden], Diagnosis], truth: Hidden) -> None:
+    result = found(truth)
+    check(result, planned(100 + EVERY.index(truth))[0], truth)
+    cause = the(result, truth)
+    if (cause.effect, cause.where) == truth.key:
+        # Three standard uncertainties, the issue's number: 1 in 370 a parameter, on seeded draws.
+        assert max(map(abs, pulls(cause, truth).values())) < 3.0
+    if cause.origin == "machine":
+        check_held_out(result, truth, None)
+
+
+def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidden], Diagnosis]) -> None:
+    """RMS of all (value − truth)/u: of some 40 it is one to within 0.11, were they independent; a factor of two is far off."""
+    rms = np.sqrt(np.mean(np.square(pulls_of([(found(truth), truth) for truth in SAMPLE]))))
+    assert 0.7 < rms < 1.3
+
+
+def pulls_of(pairs: Sequence[tuple[Diagnosis, Hidden]]) -> list[float]:
+    """Of all parameters that have the truth's name; of curves, those as long as what was hidden.
+
+    A longer curve is chosen where the noise along its further terms is large: their pulls are large because of that.
+    """
+    found: list[float] = []
+    for result, truth in pairs:
+        cause = the(result, truth)
+        longer = truth.effect in CURVES and len(cause.parameters) > 1 + max(int(name[1:]) for name in truth.numbers)
+        if (cause.effect, cause.where) == truth.key and not longer:
+            found += pulls(cause, truth).values()
+    return found
+
+
+NOISES = ("isotropic", "repeats", "tracker", "tracker-repeats")
+
+
+@pytest.fixture(scope="module")
+def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
+    """What is said of one effect of `EVERY`, `louder` where a tracker reads."""
+    of = cache(lambda index, noise: look([louder(EVERY[index], noise)], seed=200 + index, noise=noise))
+    return lambda truth, noise: of(EVERY.index(truth), noise)
+
+
+def louder(truth: Hidden, noise: str) -> Hidden:
+    """Four times as large for a tracker: at 2 m it scatters 13 µm across its beam."""
+    size = 4.0 if noise.startswith("tracker") else 1.0
+    same = ("order", "period", "phase", "time_constant")
+    return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker", "tracker-repeats"])
+@pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("truth", EVERY, ids=lambda h: f"{h.effect} {h.where}")
 def test_an_effect_of_every_kind_whatever_the_scatter(
-    look: Callable[..., Diagnosis], truth: Hidden, noise: str
+    loud: Callable[[Hidden, str], Diagnosis], truth: Hidden, noise: str
 ) -> None:
-    # A tracker at 2 m scatters 13 µm across its beam: four times as much.
-    size = 4.0 if noise.startswith("tracker") else 1.0
-    same = ("order", "period", "phase", "time_constant")
-    louder = replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
-    # Of some 250 parameters of 96 cases the largest is beyond 4.1 u one time in a hundred (Šidák).
-    check(look([louder], seed=200 + EVERY.index(truth), noise=noise), louder, bound=4.1)
+    result, hides = loud(truth, noise), louder(truth, noise)
+    # One time in a hundred one of all cases is beyond (Šidák).
+    check(result, planned(200 + EVERY.index(truth))[0], hides, noise, 1.0 - 0.99 ** (1.0 / (len(EVERY) * len(NOISES))))
+    if truth.effect not in INSTRUMENT:
+        check_held_out(result, hides, LaserTracker() if noise == "tracker" else None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", NOISES)
+def test_uncertainties_whatever_the_scatter(loud: Callable[[Hidden, str], Diagnosis], noise: str) -> None:
+    """RMS of all (value − truth)/u, and the largest: beyond the limit one time in a hundred (Šidák)."""
+    found = np.array(pulls_of([(loud(truth, noise), louder(truth, noise)) for truth in EVERY]))
+    assert len(found) > 30
+    assert 0.7 < np.sqrt(np.mean(found**2)) < 1.3
+    assert np.abs(found).max() < stats.norm.isf((1.0 - 0.99 ** (1.0 / len(found))) / 2.0)
+
+
+def test_a_round_unlike_the_others_is_not_foretold(look: Callable[..., Diagnosis]) -> None:
+    """A warm-up that is over within the first round: the others show nothing of it, and foretell nothing of that round.
+
+    Of three rounds drawn anew, all are the first in 1 of 27 draws: more than one end of the interval has, so that it begins at the
+    gain of that round, which is none.
+    """
+    result = look([one("thermal_drift", "Z", amplitude=20.0, time_constant=600.0)], seed=12)
+    assert result.causes[0].effect == "thermal_drift" and result.gain is not None
+    assert result.gain.rms_after_um < result.gain.rms_before_um
+    assert result.gain.held_ci95_um[0] <= 1e-9
 
 
 @pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker"])
@@ -176,12 +295,23 @@ def test_nothing_hidden_is_consistent(look: Callable[..., Diagnosis], noise: str
     ids=lambda p: " and ".join(f"{h.effect} {h.where}" for h in p),
 )
 def test_two_effects_are_both_found(look: Callable[..., Diagnosis], pair: tuple[Hidden, Hidden]) -> None:
-    result = look(pair, seed=4)
+    result, of = look(pair, seed=4), planned(4)[0]
     assert len(result.causes) == 2 and result.unexplained is None
-    for truth in pair:
+    # Each effect has a cause of its own.
+    assert battery.matched([truth.key for truth in pair], [{(c.effect, c.where), *c.equivalent} for c in result.causes])
+    assert distance(result, of, pair) < stats.chi2.isf(ONE_IN_370, numbers(result.causes))
+    moved = np.stack([hidden.points(of, [truth]) - hidden.points(of) for truth in pair], axis=2)
+    seen = hidden.left_over(of, moved)
+    for i, truth in enumerate(pair):
         cause = the(result, truth)
         if (cause.effect, cause.where) == truth.key:
             assert max(map(abs, pulls(cause, truth).values())) < 3.0
+        own, other = seen[:, i], seen[:, 1 - i]
+        beside = own @ own - (own @ other) ** 2 / (other @ other)
+        whole = np.sum(np.sum(seen, axis=1) ** 2)
+        # Three standard deviations of noncentral χ² (Johnson, Kotz, Balakrishnan: 2 (dof + 2 λ)) of both.
+        scatter = np.sqrt(4.0 * beside / beside**2 + 2.0 * (result.dof + 2.0 * whole) / whole**2)
+        assert abs(cause.share - beside / whole) < 3.0 * scatter * beside / whole
 
 
 def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Diagnosis]) -> None:

@@ -15,6 +15,7 @@ from twin.errors import InputError
 from twin.inverse import Inverse, Status
 from twin.kinematics import Kinematics, Poses
 from twin.machine import Machine
+from twin.steps import Steps
 
 POSES = 10_000
 
@@ -46,6 +47,40 @@ def test_reaches_ten_thousand_poses(dmu50: Machine) -> None:
     again = real.forward(solution.positions[converged])
     assert np.abs(again.point_mm - target.point_mm[converged]).max() <= 1e-9
     assert np.abs(solution.positions - q)[:, 3:].max() <= 0.5 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
+def test_a_step_has_the_derivatives_of_what_is_left(name: str) -> None:
+    """Matrices of Newton's step, made of twists, against central differences of what `check` says is left, which has none.
+
+    At the solution, where what is left is zero and its derivatives are those of the step. `twin.steps` leaves out the second term of
+    Exp's derivative, an angular error (to 1 mrad here) times a slope (to 20 mrad a radian): 1e-5 of what an axis turns or moves.
+    """
+    machine = Machine.load(name)
+    rng = np.random.default_rng(17)
+    real = Kinematics(machine, random_calibration(machine, rng), tool_length_mm=150.0)
+    steps = Steps(real, 0.01)
+    linear, rotary = list(machine.linear), list(machine.rotary)
+    for q in inner_commands(machine, 20, rng) * machine.scale:
+        pose = real.forward(q / machine.scale)
+        point, axis = pose.point_mm[0] * 1e-3, pose.axis[0]
+
+        def left(at: np.ndarray, point: np.ndarray = point, axis: np.ndarray = axis) -> np.ndarray:
+            """Tip less goal and tool axis across the target, at one position."""
+            found = steps.check(at, point, axis)
+            return np.concatenate([np.array(found[4]).ravel(), np.array(found[5]).ravel()])
+
+        by = np.stack([(left(q + h) - left(q - h)) / 2e-6 for h in 1e-6 * np.eye(len(q))], axis=1)
+        flat, matrices = np.array(steps.turn(q, point, axis)[2]).ravel(), []
+        for shape in ((3, 3), (3, len(rotary)), (2, 3), (len(rotary), 2)):
+            matrices.append(flat[: np.prod(shape)].reshape(shape, order="F"))
+            flat = flat[np.prod(shape) :]
+        inverse, slope, coupling, turns = matrices
+        np.testing.assert_allclose(inverse @ by[:3, linear], np.eye(3), atol=3e-5)
+        np.testing.assert_allclose(inverse @ by[:3, rotary], slope, atol=3e-5)
+        np.testing.assert_allclose(by[3:, linear], coupling, atol=3e-5)
+        system = by[3:, rotary] - coupling @ slope
+        np.testing.assert_allclose(turns @ system @ turns, turns, atol=3e-4 * np.abs(turns).max() ** 2)
 
 
 def test_linear_axes_only_keeps_the_rotary_ones(dmu50: Machine) -> None:

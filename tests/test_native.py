@@ -360,6 +360,21 @@ def test_compiled_once(cache: Path, tmp_path: Path) -> None:
     assert store.key(TINY, tool) != store.key(TINY, Compiler(tool.command, "counting 1.1"))
 
 
+def test_a_library_is_of_its_compiler_its_flags_and_its_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A home on several computers: code for a processor that another one lacks the instructions of is never loaded there."""
+    tool = Compiler(("c++",), "c++ 1.0")
+    own = store.key(TINY, tool)
+    assert own == store.key(TINY, Compiler(("c++",), "c++ 1.0"))
+    assert own != store.key(TINY, Compiler(("c++", "-m32"), "c++ 1.0"))
+    with monkeypatch.context() as patch:
+        patch.setattr(compiler, "processor", lambda: "another one")
+        assert store.key(TINY, tool) != own
+    for flags in (compiler.FLAGS[:-1], (*compiler.FLAGS, "-ffast-math")):
+        with monkeypatch.context() as patch:
+            patch.setattr(compiler, "FLAGS", flags)
+            assert store.key(TINY, tool) != own
+
+
 @compiled
 @pytest.mark.parametrize("harm", ["truncated", "changed", "no note", "writeable by others", "a link", "empty note"])
 def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) -> None:

@@ -14,7 +14,7 @@ from tests.conftest import beside
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
 from twin.errors import InputError
 from twin.nc import dialect_for
-from twin.nc.blocks import AxisWords, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.plain import iso_plain, plain_language
 
 ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
@@ -285,6 +285,29 @@ def test_plain_language(text, seed, tcp):
 def test_apt(text, seed):
     if text.strip():
         check(APT, text, seed)
+
+
+@pytest.mark.parametrize("short_way", [True, False])
+def test_fmax_is_a_rapid_of_its_own_block(short_way):
+    """Heidenhain: FMAX works block by block, every other feed until the next; either reader has to know one from the other."""
+    lines = {
+        "L X+0 Y+0 Z+0 B+0 C+0 R0 FMAX": Kind.RAPID,
+        "L X+1 R0 F500": Kind.LINEAR,
+        "L X+2 R0 F MAX": Kind.RAPID,
+        "L X+3": Kind.LINEAR,
+        "L Y+1 FMAX M3": Kind.RAPID,
+        "L Y+2 F1.5": Kind.LINEAR,
+        "l y+3 fmax": Kind.RAPID,
+        "L X+4 F AUTO": Kind.LINEAR,
+        "L Z-5 FMAX": Kind.RAPID,
+    }
+    text = "BEGIN PGM A MM\n" + "\n".join(lines) + "\nEND PGM A MM\n"
+    program = PLAIN.read(text.encode(), "a.h")
+    reading = PLAIN._moves(program, AXES, tcp=False, short_way=short_way)
+    assert [move.kind for move in reading.moves] == list(lines.values())
+    # Most of these blocks are of the short way, where it may be taken.
+    pattern = plain_language(AXES.names).pattern
+    assert sum(pattern.fullmatch(f"{line}\n") is not None for line in lines) >= 5
 
 
 HANDED_ON = {
