@@ -7,20 +7,23 @@ By default a few seeds, with the allowance that so few need; `pytest -m slow` as
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from tests import hidden
 from twin.calibration import Calibration
 from twin.identification import Identification, identify
 from twin.identification.result import COVERAGE
 from twin.instruments import LaserTracker
 from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.measurement import Measurements, load
 from twin.samples import thesis_plan
 from twin.simulate import simulate
 from twin.thesis_identification import identify_as_thesis
@@ -165,6 +168,41 @@ def no_alarm_and_no_misfit(found: list[Run]) -> None:
     assert sum(run.alarms > 0 for run in found) <= stats.binom.isf(1e-3, len(found), 0.01)
     chi2, dof = sum(run.chi2 for run in found), sum(run.dof for run in found)
     assert abs(chi2 / dof - 1.0) <= 0.02 + 3.3 * np.sqrt(2.0 / dof), chi2 / dof
+
+
+def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> None:
+    """(JᵀWJ)⁻¹ in numpy, J from the truth machine by differences of its readings, which shares no code: stations, targets and all.
+
+    Numbers alone are sought, so that no order is chosen and nothing has a prior.
+    """
+    wanted = {"E_C0Y": 40.0, "E_B0Z": -25.0, "E_A0Z": 30.0, "E_A0C": 15.0}
+    nothing = tmp_path / "nothing.yaml"
+    nothing.write_text("curves: {}")
+    sigma_mm, rng = 2e-3, np.random.default_rng(8)
+    plan = hidden.plan(rng, rounds=1, poses=40)
+
+    def read(errors: Mapping[str, float]) -> np.ndarray:
+        effects = [
+            hidden.Hidden("axis_location", name, {"offset": value})
+            if name == "E_A0C"
+            else hidden.Hidden("squareness", name, {"angle": value})
+            for name, value in errors.items()
+        ]
+        return hidden.points(plan, effects, calibration=nothing)
+
+    by_error = np.stack([(read({name: 1.0}) - read({name: -1.0})) / 2.0 for name in wanted], axis=2)
+    jacobian = np.concatenate([by_error.reshape(-1, len(wanted)), hidden.set_up(plan)], axis=1) / sigma_mm
+    size = np.linalg.norm(jacobian, axis=0)  # µrad beside mm: numbers of one size
+    inverse = np.linalg.inv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
+    expected = inverse[: len(wanted), : len(wanted)]
+    noisy = hidden.noisy(read(wanted), rng, "isotropic", sigma_mm)
+    data = load(hidden.write(tmp_path / "m.csv", plan, noisy, u_mm=sigma_mm), machine())
+    found = identify(data, machine(), wanted=lambda name: name in wanted)
+    assert found.complete and found.used.all()
+    covariance = found.calibration.covariance.of(list(wanted)).matrix
+    scale = np.sqrt(np.diag(expected))
+    # Derivatives at other places of stations and targets, and at errors of some 40 µrad: parts in 10,000.
+    np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-3)
 
 
 def test_the_estimate_is_the_same_whoever_asks() -> None:

@@ -249,6 +249,14 @@ def test_the_page_says_the_numbers_of_the_json(page: str, told: dict[str, Any]) 
         assert one["sha256"] in text
 
 
+def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
+    """Those that have one: what the cells below are in, as `test_the_page_says_the_numbers_of_the_json` finds them in the JSON."""
+    heads = [html.unescape(re.sub("<[^>]+>", "|", head)) for head in re.findall(r"<thead>.*?</thead>", page, re.S)]
+    with_units = [[cell for cell in head.split("|") if "[" in cell] for head in heads if "[" in head]
+    at_tool = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
+    assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"]]
+
+
 def test_what_the_identification_says_is_weighed(told: dict[str, Any]) -> None:
     """It knows one number of this calibration, and its fit leaves something out."""
     others = told["identification"]["other_numbers_than_the_calibration"]

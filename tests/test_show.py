@@ -202,6 +202,26 @@ def test_units_are_named(name: str, everything: Mapping[str, Any]) -> None:
     assert [unit for unit in UNITS[name] if unit not in text] == []
 
 
+HEADERS = {
+    "poses": [["x (mm)", "y (mm)", "z (mm)", "i", "j", "k"]],
+    "compensation": [
+        ["error at the tool over 2,175 poses", "RMS, µm", "largest, µm", "line", "axis RMS, µrad", ""],
+        ["ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", ""],
+    ],
+    "refit": [["of 10 µm", "share, µm", "used, µm", ""]],
+    "population": [["machines", "error at the tool, µm", "mean", "95 % of the machines", "largest of all"]],
+}
+"""Of every table whose columns have units."""
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_units_of_columns_are_those_of_their_numbers(name: str, everything: Mapping[str, Any]) -> None:
+    rows = re.findall(r"<tr[^>]*>((?:(?!</tr>).)*<th.*?)</tr>", everything[name]._repr_html_(), re.S)
+    cells = [[re.sub("<[^>]+>", "", cell) for cell in re.findall(r"<th[^>]*>(.*?)</th>", row, re.S)] for row in rows]
+    with_units = [row for row in cells if any(re.search(r"[\s(](µm|µrad|mm|m|°)\)?$", cell) for cell in row)]
+    assert with_units == HEADERS.get(name, [])
+
+
 DRAWN = ["calibration", "extended", "curve", "kinematics", "compensation", "refit", "diagnosis"]
 
 
