@@ -442,6 +442,7 @@ def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
         "unexplained": share([a.unexplained for a in found]),
         "coverage": share(covered),
         "intervals": float(len(covered)),
+        "rms of pulls": float(np.sqrt(np.mean([pull**2 for a in found for _, pull in a.pulls] or [np.nan]))),
     }
 
 

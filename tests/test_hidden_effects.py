@@ -346,6 +346,10 @@ def test_what_the_data_cannot_tell_apart_is_said(look: Callable[..., Diagnosis])
     assert result.verdict == "ambiguous"
     assert truth.key in {(cause.effect, cause.where), *cause.equivalent}
     assert ("cross_axis", "E_ZX by Y") in {(cause.effect, cause.where), *cause.equivalent}
+    # Under either name it is the same number, and does the same to the readings.
+    (number,) = cause.parameters
+    assert abs(number.value - 60.0) < 3.0 * number.u
+    assert distance(result, planned(1)[0], [truth]) < stats.chi2.isf(ONE_IN_370, 1)
 
 
 GROUPS = [
@@ -476,6 +480,8 @@ def test_the_battery_in_small() -> None:
     """Twenty-five draws a row, so the bounds are loose: at the issue's rate two misses are unlikely (p < 0.03)."""
     alone = battery.summary("one60", battery.answers("one60", 25, 21, poses=60))
     assert alone["right or in group"] >= 0.92 and alone["right"] >= 0.7
+    # Of some 60, one to within 0.09: a factor of two in u is far off.
+    assert alone["intervals"] >= 40.0 and 0.7 < alone["rms of pulls"] < 1.3
     silent = battery.summary("nothing", battery.answers("nothing", 25, 22, poses=60))
     assert silent["any alarm"] <= 0.12
     strange = battery.summary("outside300", battery.answers("outside300", 25, 23, poses=60))
@@ -506,6 +512,7 @@ def test_the_battery(row: str, noise: str) -> None:
         assert told["any alarm"] <= 0.05 + 0.031, told
     elif not row.startswith("outside"):
         assert told["an effect too many"] <= 0.05 + 0.031, told
+        assert 0.7 < told["rms of pulls"] < 1.3, told
         # Some 400 intervals: ±2 %.
         assert 0.93 - 0.02 <= told["coverage"] <= 0.97 + 0.02, told
 
