@@ -117,8 +117,8 @@ class Uncorrected:
         """Why the rotary axes cannot repair an orientation at these commands."""
         for i in self.bench.machine.rotary:
             axis = self.bench.machine.axes[i]
-            for limit in (axis.lower, axis.upper):
-                if limit is not None and abs(commands[i] - limit) < axis.increment:
+            for limit in self.bench.limits[i]:
+                if abs(commands[i] - limit) < axis.increment:
                     return f"{axis.name} stands at its limit of {limit:g}°"
         return (
             f"near a singular pose, it would take more than {self.bench.options.rotary_limit_deg:g}° of a rotary axis"
