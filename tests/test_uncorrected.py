@@ -134,7 +134,7 @@ def test_the_orientation_is_corrected_where_only_a_linear_axis_has_no_travel(
         meant, done = (np.array([q for _, q in run_iso(one)]) for one in (text, result.text))
         before_urad, after_urad = machine.deviations(meant, meant)[1], machine.deviations(done, meant)[1]
         assert before_urad.min() > 100.0 and after_urad.max() <= 15.0
-        assert {one.kind for one in result.report.not_corrected} == {"range"}
+        assert {one.kind for one in result.report.not_corrected} == ({"range"} if z > -0.1 else set())
 
 
 def test_an_orientation_that_the_curves_do_not_reach_is_listed(dmu50: Machine, calibration: Calibration) -> None:
