@@ -115,8 +115,11 @@ def calibration_of(path: Path | None, machine: Machine) -> Calibration:
 
 @contextmanager
 def progress() -> Iterator[Any]:
-    """One line on stderr while it lasts; nothing where nobody watches."""
+    """One line on stderr while it lasts; nothing where stderr is not a terminal."""
     console = Console(stderr=True)
+    if not console.is_terminal:  # a disabled `Progress` of rich before 14.1 writes an empty line
+        yield lambda stage, fraction: None
+        return
     with Progress(
         TextColumn("{task.description:>10}"),
         BarColumn(),
@@ -125,7 +128,6 @@ def progress() -> Iterator[Any]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     ) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
