@@ -211,7 +211,7 @@ class Calibration:
                 )
             )
         for name, angle in self.squareness.items():
-            found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]].direction))
+            found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]]))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
         return (*found, *self.extra, *self.corrections)
 

@@ -11,28 +11,38 @@ to the six error motions. Nothing here knows one machine from another: axes, ran
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Final, Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
 from twin.errors import InputError, nearest
-from twin.files import Place, line_of, load_yaml, read_text
+from twin.files import Place, line_of, load_yaml
+from twin.machine_file import (
+    SCHEMA,
+    AxisEntry,
+    MachineFile,
+    check_entries,
+    error_frame,
+    load_urdf,
+    turns_in_machine_frame,
+)
 from twin.show import Cell, card, chain, pairs, span, table
 from twin.units import DEG, MM
 
-SCHEMA = "twin.machine/1"
 DIRECTIONS = "XYZABC"
 """Components of an error frame in order: translations along, rotations about x, y, z (ISO 230-1, 3.4)."""
+Vector = tuple[float, float, float]
 AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in the URDF")
+
+PARALLEL: Final = 0.1
+"""Sine of the angle below which two linear axes span no datum plane."""
 
 
 @final
@@ -47,6 +57,7 @@ class Axis:
         lower, upper: range in mm or degrees; None, None for an unlimited rotary axis.
         increment: least increment in mm or degrees.
         direction: unit vector of the motion, in the axis's error frame.
+        machine_axes: unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero.
         side: where it acts: ``tool`` or ``work``; ``both`` for a joint under both, which moves nothing between them.
     """
 
@@ -56,7 +67,8 @@ class Axis:
     lower: float | None
     upper: float | None
     increment: float
-    direction: tuple[float, float, float]
+    direction: Vector
+    machine_axes: tuple[Vector, Vector, Vector]
     side: Literal["tool", "work", "both"]
 
     @property
@@ -73,6 +85,11 @@ class Axis:
     def scale(self) -> float:
         """Metres a millimetre, or radians a degree."""
         return MM if self.linear else DEG
+
+    @property
+    def machine_direction(self) -> np.ndarray:
+        """(3,) unit vector of the motion in the machine frame, all joints at zero."""
+        return np.array(self.machine_axes) @ self.direction
 
     def cells(self) -> tuple[Cell, ...]:
         """What a display has of it, under `AXIS_HEADERS`."""
@@ -100,41 +117,6 @@ class ErrorFrame:
     joint: int
 
 
-class _AxisEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
-    joint: str
-    kind: Literal["linear", "rotary"]
-    range: tuple[float, float] | Literal["unlimited"]
-    increment: Annotated[float, Field(gt=0)]
-    error_frame_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-class _Frames(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    tool: str
-    work: str
-    origin: dict[str, float] = {}
-
-
-class _Programs(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    tool_length: float = 0.0
-    tcp_on: tuple[str, ...] = ()
-    tcp_off: tuple[str, ...] = ()
-
-
-class _MachineFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    schema_: Literal["twin.machine/1"] = Field(alias="schema")
-    name: str
-    urdf: str
-    calibration: str | None = None
-    axes: Annotated[tuple[_AxisEntry, ...], Field(min_length=1)]
-    frames: _Frames
-    programs: _Programs = _Programs()
-
-
 DEFAULT: Final = "dmu50"
 """The machine file where none is named: of those that come with twin."""
 
@@ -157,17 +139,15 @@ class Machine:
     """
 
     def __init__(self, path: Path) -> None:
-        entries, lines = load_yaml(path, _MachineFile, SCHEMA)
+        entries, lines = load_yaml(path, MachineFile, SCHEMA)
         self.name = entries.name
         self.path = path
-        self.urdf = (path.parent / entries.urdf).resolve()
+        self.urdf = _beside(path, entries.urdf)
         self.tool_length_mm = entries.programs.tool_length
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
-        self.default_calibration = (
-            None if entries.calibration is None else (path.parent / entries.calibration).resolve()
-        )
-        if not self.urdf.is_file():
+        self.default_calibration = None if entries.calibration is None else _beside(path, entries.calibration)
+        if not _is_file(self.urdf):
             raise InputError(
                 "no such URDF",
                 expected="a file beside the machine file",
@@ -175,13 +155,16 @@ class Machine:
                 line=lines[("urdf",)],
                 value=entries.urdf,
             )
-        source = _load_urdf(self.urdf)
-        _check(entries, source, path, lines)
+        source = load_urdf(self.urdf)
+        check_entries(entries, source, path, lines)
         self.model, joint_of, self.frames = _with_error_frames(source, entries)
-        self.tool_frame = int(self.model.getFrameId(entries.frames.tool))
-        self.work_frame = int(self.model.getFrameId(entries.frames.work))
+        # A fixed joint may have the name of a link.
+        self.tool_frame = int(self.model.getFrameId(entries.frames.tool, pin.FrameType.BODY))
+        self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
         self._axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
-        self.axes = tuple(self._axis(entry, source) for entry in entries.axes)
+        turns = turns_in_machine_frame(entries, source, path, lines)
+        self.axes = tuple(self._axis(entry, source, turns[entry.name]) for entry in entries.axes)
+        self._check_paths(path, lines)
         self.by_name: Mapping[str, Axis] = MappingProxyType({axis.name: axis for axis in self.axes})
 
     @classmethod
@@ -277,22 +260,27 @@ class Machine:
 
     @cached_property
     def squareness_names(self) -> tuple[str, ...]:
-        """Names of the squareness errors the datum leaves: none for the first linear axis, one for the second, then two.
+        """Names of the squareness errors that the choice of the machine frame leaves, by that frame's directions.
 
-        The first linear axis is the datum axis; the second lies in the datum plane with it (contract §1).
+        The first linear axis is the datum axis and has none. The first one that is not parallel to it lies in the datum plane with it
+        and has one, about the plane's normal (contract §1). Every other one has two, across its direction.
         """
         names: list[str] = []
-        seen: list[np.ndarray] = []
+        datum: np.ndarray | None = None
+        plane = False
         for index in self.linear:
             axis = self.axes[index]
-            direction = np.array(axis.direction)
-            if len(seen) == 1:
-                normal = int(np.argmax(np.abs(np.cross(seen[0], direction))))
-                names.append(f"E_{'ABC'[normal]}0{axis.name}")
-            elif len(seen) >= 2:
+            direction = axis.machine_direction
+            if datum is None:
+                datum = direction
+                continue
+            normal = np.cross(datum, direction)
+            if not plane and np.linalg.norm(normal) > PARALLEL:
+                plane = True
+                names.append(f"E_{'ABC'[int(np.argmax(np.abs(normal)))]}0{axis.name}")
+            else:
                 along = int(np.argmax(np.abs(direction)))
                 names += [f"E_{'ABC'[i]}0{axis.name}" for i in range(3) if i != along]
-            seen.append(direction)
         return tuple(names)
 
     def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
@@ -329,11 +317,12 @@ class Machine:
         axes = table(AXIS_HEADERS, [axis.cells() for axis in self.axes])
         return card(self.name, links, axes, pairs(rows), small=f"{len(self.axes)} axes, in command order").text
 
-    def _axis(self, entry: _AxisEntry, source: pin.Model) -> Axis:
+    def _axis(self, entry: AxisEntry, source: pin.Model, orientation: np.ndarray) -> Axis:
         joint = source.joints[source.getJointId(entry.joint)]
-        turn = _error_frame(entry)
+        turn = error_frame(entry)
         motion = np.array(_direction(joint))
         lower, upper = (None, None) if entry.range == "unlimited" else entry.range
+        x, y, z = (_unit(row) for row in orientation)
         return Axis(
             name=entry.name,
             joint=entry.joint,
@@ -342,14 +331,32 @@ class Machine:
             upper=upper,
             increment=entry.increment,
             direction=_unit(turn.rotation.T @ motion),
+            machine_axes=(x, y, z),
             side=self._side(entry.name),
         )
 
     def _side(self, name: str) -> Literal["tool", "work", "both"]:
-        joint = next(frame.joint for frame in self.frames if frame.axis == name)
-        tool = joint in self.model.supports[self.model.frames[self.tool_frame].parentJoint].tolist()
-        work = joint in self.model.supports[self.model.frames[self.work_frame].parentJoint].tolist()
+        tool, work = (self._carries(name, frame) for frame in (self.tool_frame, self.work_frame))
         return "both" if tool and work else "tool" if tool else "work"
+
+    def _carries(self, name: str, frame: int) -> bool:
+        joint = next(one.joint for one in self.frames if one.axis == name)
+        return joint in self.model.supports[self.model.frames[frame].parentJoint].tolist()
+
+    def _check_paths(self, path: Path, lines: Mapping[Place, int]) -> None:
+        for index, axis in enumerate(self.axes):
+            if not any(self._carries(axis.name, frame) for frame in (self.tool_frame, self.work_frame)):
+                raise InputError(
+                    f"axis {axis.name} carries neither the tool nor the work",
+                    expected=f"a joint between the base and {self._link(self.tool_frame)} or {self._link(self.work_frame)}, "
+                    "or no such axis",
+                    file=path,
+                    line=line_of(("axes", index, "joint"), lines),
+                    value=axis.joint,
+                )
+
+    def _link(self, frame: int) -> str:
+        return str(self.model.frames[frame].name)
 
 
 def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
@@ -359,11 +366,11 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
         InputError: neither; the message lists what comes with `twin`.
     """
     path = Path(name)
-    if path.is_file():
+    if _is_file(path):
         return path
     bundled = bundled_folder()
     for candidate in (bundled / path.name, bundled / f"{path.name}{suffix}"):
-        if path.parent == Path(".") and candidate.is_file():
+        if path.parent == Path(".") and _is_file(candidate):
             return candidate
     known = sorted(file.name for file in bundled.glob(f"*{suffix}") if file.name.count(".") == suffix.count("."))
     meant = [*known, *(name.removesuffix(suffix) for name in known)]
@@ -375,6 +382,21 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
     )
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a character that no name may have
+        return False
+
+
+def _beside(path: Path, name: str) -> Path:
+    """Return the path of a file that another one names; where it cannot be resolved, as it was given."""
+    try:
+        return (path.parent / name).resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path.parent / name
+
+
 def bundled_folder() -> Path:
     """Where the machines that come with `twin` are: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).parent
@@ -382,71 +404,8 @@ def bundled_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "urdf"
 
 
-def _load_urdf(path: Path) -> pin.Model:
-    text = read_text(path)
-    try:
-        ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError("not XML", expected="a URDF file", file=path, line=error.position[0], value=error) from error
-    try:
-        return pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(
-            "not a URDF that Pinocchio can load", expected="a URDF robot", file=path, value=error
-        ) from error
-
-
-def _check(entries: _MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
-    joints = [name for name in source.names if name != "universe"]
-    bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
-    seen: set[str] = set()
-    for index, entry in enumerate(entries.axes):
-        place: Place = ("axes", index)
-
-        def fail(key: str, what: str, expected: str, value: object, place: Place = place) -> InputError:
-            return InputError(what, expected=expected, file=path, line=line_of((*place, key), lines), value=value)
-
-        if entry.name in seen:
-            raise fail("name", "an axis given twice", "each axis once", entry.name)
-        seen.add(entry.name)
-        if entry.joint not in joints:
-            raise fail("joint", f"{entries.urdf} has no such moving joint", f"one of {', '.join(joints)}", entry.joint)
-        joint = source.joints[source.getJointId(entry.joint)]
-        if joint.nq != 1 or joint.nv != 1:
-            raise fail(
-                "joint", f"joint is {joint.shortname()}", "a prismatic or a (limited) revolute joint", entry.joint
-            )
-        if ("P" in joint.shortname().removeprefix("JointModel")[:1]) != (entry.kind == "linear"):
-            kind = "linear" if entry.kind == "rotary" else "rotary"
-            does = "slides" if kind == "linear" else "turns"
-            raise fail("kind", f"joint {entry.joint} of the URDF {does}", f"kind: {kind}", entry.kind)
-        if entry.range == "unlimited":
-            if entry.kind == "linear":
-                raise fail("range", "a linear axis without limits", "range: [lower, upper] in mm", entry.range)
-        elif not entry.range[0] < entry.range[1]:
-            raise fail("range", "an empty range", "[lower, upper] with lower < upper", list(entry.range))
-    for key in ("tool", "work"):
-        if getattr(entries.frames, key) not in bodies:
-            raise InputError(
-                f"{entries.urdf} has no such link",
-                expected=f"one of {', '.join(bodies)}",
-                file=path,
-                line=line_of(("frames", key), lines),
-                value=getattr(entries.frames, key),
-            )
-    for name in entries.frames.origin:
-        if not any(entry.name == name and entry.kind == "linear" for entry in entries.axes):
-            raise InputError(
-                "origin of something that is no linear axis",
-                expected="names of linear axes",
-                file=path,
-                line=line_of(("frames", "origin", name), lines),
-                value=name,
-            )
-
-
 def _with_error_frames(
-    source: pin.Model, entries: _MachineFile
+    source: pin.Model, entries: MachineFile
 ) -> tuple[pin.Model, dict[str, int], tuple[ErrorFrame, ...]]:
     """A new model, walked from the old one: Pinocchio's cannot be edited in place."""
     by_joint = {entry.joint: entry for entry in entries.axes}
@@ -470,13 +429,13 @@ def _with_error_frames(
             new = model.addJoint(parent, joint, placement, name)
             end_of[old] = (new, pin.SE3.Identity())
         elif entry.kind == "linear":
-            turn = _error_frame(entry)
+            turn = error_frame(entry)
             new = model.addJoint(parent, joint, placement, name)
             end = model.addJoint(new, pin.JointModelFreeFlyer(), turn, f"{name}:error")
             free_flyers[entry.name, "motion"] = end
             end_of[old] = (end, turn.inverse())
         else:
-            turn = _error_frame(entry)
+            turn = error_frame(entry)
             located = model.addJoint(parent, pin.JointModelFreeFlyer(), placement * turn, f"{name}:location")
             erring = model.addJoint(located, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{name}:error")
             new = model.addJoint(erring, joint, turn.inverse(), name)
@@ -499,7 +458,7 @@ def _with_error_frames(
     return model, joint_of, frames
 
 
-def _start(first: int, source: pin.Model, entries: _MachineFile) -> np.ndarray:
+def _start(first: int, source: pin.Model, entries: MachineFile) -> np.ndarray:
     """Where a branch that starts at joint ``first`` begins, so that its linear axes count from ``frames.origin``."""
     data = source.createData()
     pin.forwardKinematics(source, data, pin.neutral(source))
@@ -525,11 +484,7 @@ def _direction(joint: pin.JointModel) -> np.ndarray:
     return motion[:3] if np.any(motion[:3]) else motion[3:]
 
 
-def _error_frame(entry: _AxisEntry) -> pin.SE3:
-    return pin.SE3(pin.rpy.rpyToMatrix(*(angle * DEG for angle in entry.error_frame_rpy_deg)), np.zeros(3))
-
-
-def _unit(vector: np.ndarray) -> tuple[float, float, float]:
+def _unit(vector: np.ndarray) -> Vector:
     unit = vector / np.linalg.norm(vector)
     clean = np.where(np.abs(unit - np.round(unit)) < 1e-12, np.round(unit), unit) + 0.0
     return float(clean[0]), float(clean[1]), float(clean[2])

@@ -190,10 +190,8 @@ def _re(kind: Callable[..., Effect], *first: Any) -> Callable[[np.ndarray, Mappi
     return lambda values, fixed: (kind(*first, float(values[0])),)
 
 
-def _turned(
-    name: str, direction: tuple[float, float, float]
-) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
-    return lambda values, fixed: (Squareness(name, float(values[0]), direction),)
+def _turned(name: str, axis: Axis) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
+    return lambda values, fixed: (Squareness(name, float(values[0]), axis),)
 
 
 def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
@@ -262,8 +260,8 @@ def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
 def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
     found = []
     for name in machine.squareness_names:
-        direction = machine.by_name[split_name(name)[2]].direction
-        one = Squareness(name, 1.0, direction)
+        axis = machine.by_name[split_name(name)[2]]
+        one = Squareness(name, 1.0, axis)
         found.append(
             _single(
                 "squareness",
@@ -272,7 +270,7 @@ def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
                 machine,
                 state,
                 ("angle", "urad"),
-                _turned(name, direction),
+                _turned(name, axis),
             )
         )
     for name in machine.location_names:

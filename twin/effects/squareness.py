@@ -8,27 +8,27 @@ from typing import Any, final
 import numpy as np
 
 from twin.effects.base import Effect, Frame, Parameter, split_name
+from twin.machine import Axis
 
 
 @final
 class Squareness(Effect):
     """``E_C0Y``, ``E_A0Z``, ``E_B0Z``: the axis's direction n turns right-handed by the angle, e = q · (ω × n).
 
-    With n = y: E_XY −= y·E_C0Y; with n = z: E_XZ += z·E_B0Z and E_YZ −= z·E_A0Z.
+    With n = y: E_XY −= y·E_C0Y; with n = z: E_XZ += z·E_B0Z and E_YZ −= z·E_A0Z. The angle turns about x, y or z of the machine frame,
+    also where the axis's error frame leans against it.
 
     Args:
         name: ISO 230-1 name.
         angle_urad: the angle.
-        direction: unit vector of the axis's motion in its error frame.
+        axis: the axis that turns.
     """
 
-    def __init__(self, name: str, angle_urad: float, direction: tuple[float, float, float]) -> None:
+    def __init__(self, name: str, angle_urad: float, axis: Axis) -> None:
         self.name = name
         self.angle_urad = angle_urad
         component, _, self._axis = split_name(name)
-        turn = np.zeros(3)
-        turn[component - 3] = 1.0
-        self._lever = np.cross(turn, direction)
+        self._lever = np.cross(axis.machine_axes[component - 3], axis.direction)
 
     @property
     def frame(self) -> Frame:

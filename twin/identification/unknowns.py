@@ -272,7 +272,7 @@ class Unknowns:
 
     def _constant(self, name: str, value: float) -> Effect:
         if name in self.machine.squareness_names:
-            return Squareness(name, value, self.machine.by_name[split_name(name)[2]].direction)
+            return Squareness(name, value, self.machine.by_name[split_name(name)[2]])
         return AxisLocation(name, value)
 
 

@@ -299,13 +299,13 @@ def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
 
 def _square_to(machine: Machine, axis: Axis, about: int) -> tuple[str, float]:
     """The linear axis that a turn about x, y or z leans this one towards or away from, and which."""
-    towards = np.cross(np.eye(3)[about], axis.direction)
+    towards = np.cross(np.eye(3)[about], axis.machine_direction)
     others = [one for one in machine.axes if one.linear and one.name != axis.name]
-    best = max(others, key=lambda one: abs(float(towards @ np.array(one.direction))), default=None)
-    if best is None or abs(float(towards @ np.array(best.direction))) < 0.5:
+    best = max(others, key=lambda one: abs(float(towards @ one.machine_direction)), default=None)
+    if best is None or abs(float(towards @ best.machine_direction)) < 0.5:
         along = int(np.argmax(np.abs(towards)))
         return "xyz"[along], float(np.sign(towards[along]))
-    return best.name, float(np.sign(towards @ np.array(best.direction)))
+    return best.name, float(np.sign(towards @ best.machine_direction))
 
 
 def _absent(calibration: Calibration) -> tuple[str, ...]:
