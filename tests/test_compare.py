@@ -18,7 +18,7 @@ import twin
 from twin.budget import volume
 from twin.changes.pairs import joint_spread, paired
 from twin.changes.significance import FALSE_ALARMS, SHARE, fewest, holm, simultaneous_factor, whiten
-from twin.cli import app
+from twin.cli.commands import app
 from twin.control import ControlSection, TableEntry
 from twin.covariance import Covariance
 from twin.extension import effect_named

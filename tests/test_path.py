@@ -19,7 +19,7 @@ import twin
 from tests.nc.nc_support import plain_positions
 from tests.truth import TruthMachine, run_iso
 from twin.calibration import Calibration
-from twin.cli import app
+from twin.cli.commands import app
 from twin.compensation import Options
 from twin.errors import InputError
 from twin.machine import Machine

@@ -15,7 +15,7 @@ import pytest
 import typer
 
 from twin.calibration import Calibration
-from twin.cli import app
+from twin.cli.commands import app
 from twin.cli.doc import PAGES, page_text
 from twin.machine import Machine
 from twin.options import gathered

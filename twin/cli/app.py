@@ -15,11 +15,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.cli import complete
+from twin.cli.installation import BAD_INPUT as BAD_INPUT
+from twin.cli.installation import NOT_ALL_MET as NOT_ALL_MET
 from twin.iso16907 import NAMES
 from twin.machine import Machine
 
-BAD_INPUT = 2
-NOT_ALL_MET = 3
 INTERRUPTED = 130
 
 

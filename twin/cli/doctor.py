@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import shutil
-import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Final, Literal, final
+from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +14,7 @@ import typer
 
 from twin.calibration import Calibration
 from twin.cli.app import NOT_ALL_MET, progress
+from twin.cli.installation import Finding, browser, extras, packages, python, show, size
 from twin.cli.outputs import JsonOption, command
 from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
@@ -32,19 +27,6 @@ from twin.native.loading import SWITCH, enabled
 from twin.nc import dialect_for
 
 SCHEMA: Final = "twin.doctor/1"
-NEEDED: Final = (
-    "casadi", "cloudpickle", "coal", "joblib", "meshcat", "numpy", "pin", "pydantic", "pyyaml", "rich", "scipy", "threadpoolctl",
-    "typer", "u-msgpack-python",
-)  # fmt: skip
-OPTIONAL: Final = (
-    ("matplotlib", "pictures: pip install 'twin[plots]'"),
-    ("dask", "a cluster: pip install 'twin[cluster]'"),
-    ("distributed", "a cluster: pip install 'twin[cluster]'"),
-)
-BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
-EARLIEST: Final = (3, 11)
-LITTLE_MEMORY_GB: Final = 2.0
-"""`identify` and `diagnose` take 1.2 GB for 100,000 points."""
 SLOW_START_S: Final = 5.0
 """Of processor time before a command begins: two are usual."""
 SAME_MM: Final = 1e-9
@@ -57,28 +39,6 @@ POSES: Final = 50
 PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35 C50\nX150\nM30\n"
 
 
-@final
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at.
-
-    Attributes:
-        name: what.
-        status: ``ok``; ``missing``: something optional is not there; ``FAILED``.
-        detail: what was found.
-        remedy: what to do; empty if nothing.
-    """
-
-    name: str
-    status: Literal["ok", "missing", "FAILED"]
-    detail: str
-    remedy: str = ""
-
-    def to_dict(self) -> dict[str, str]:
-        """For JSON."""
-        return {"name": self.name, "status": self.status, "detail": self.detail, "remedy": self.remedy}
-
-
 @command("twin doctor", "twin doctor --json doctor.json")
 def doctor(json_file: JsonOption = None) -> None:
     """What is installed, what is missing, and a short check that this machine computes what it should.
@@ -88,7 +48,7 @@ def doctor(json_file: JsonOption = None) -> None:
     began = process_time()
     outputs = [] if json_file is None else [json_file]
     looked: tuple[tuple[str, Callable[[], list[Finding]]], ...] = (
-        ("Python", lambda: [_python(), *_packages(), *_extras(), _browser(), _cache(), *_size(), _start(began)]),
+        ("Python", lambda: [python(), *packages(), *extras(), browser(), _cache(), *size(), _start(began)]),
         ("compiler", lambda: [_compiler()]),
         ("machine", _checks),
     )
@@ -109,64 +69,11 @@ def doctor(json_file: JsonOption = None) -> None:
             "findings": [one.to_dict() for one in found],
         }
         write_json(json_file, told)
-    for one in found:
-        print(f"{one.status:<8}{one.name:<26}{one.detail}")
-        if one.remedy:
-            print(f"{'':<10}{one.remedy}")
-    missing = [one.name for one in found if one.status == "missing"]
-    print(f"\n{len(found)} things looked at in {taken:.1f} s: ", end="")
-    print(f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right", end="")
-    print(f"; optional and missing: {', '.join(missing)}" if missing else "")
+    show(found, taken)
     if outputs:
         print(f"written: {json_file}")
     if failed:
         raise typer.Exit(NOT_ALL_MET)
-
-
-def _python() -> Finding:
-    detail = f"{platform.python_version()} ({sys.executable}), twin {_version('twin') or 'not installed'}"
-    if sys.version_info < EARLIEST:
-        return Finding("Python", "FAILED", detail, f"install Python {'.'.join(map(str, EARLIEST))} or newer")
-    return Finding("Python", "ok", detail)
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
-
-
-def _packages() -> list[Finding]:
-    have = {name: _version(name) for name in NEEDED}
-    gone = [name for name, one in have.items() if one is None]
-    detail = ", ".join(f"{name} {one}" for name, one in have.items() if one is not None)
-    if gone:
-        return [Finding("packages", "FAILED", f"not installed: {', '.join(gone)}", "install twin again: pip install .")]
-    return [Finding("packages", "ok", detail)]
-
-
-def _extras() -> list[Finding]:
-    found = []
-    for name, use in OPTIONAL:
-        one = _version(name)
-        found.append(
-            Finding(name, "ok", one) if one is not None else Finding(name, "missing", "not installed", f"for {use}")
-        )
-    return found
-
-
-def _browser() -> Finding:
-    for name in BROWSERS:
-        path = shutil.which(name)
-        if path is not None:
-            return Finding("Chromium", "ok", path)
-    return Finding(
-        "Chromium",
-        "missing",
-        "not found",
-        "only the test of the scene in a browser needs it; any browser shows the pages",
-    )
 
 
 def _cache() -> Finding:
@@ -179,19 +86,6 @@ def _cache() -> Finding:
     except OSError as error:
         remedy = "compiled code is built anew every time; set XDG_CACHE_HOME to a folder that can be written"
         return Finding("cache folder", "missing", f"{place}: {error.strerror}", remedy)
-
-
-def _size() -> list[Finding]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    found = [Finding("processor cores", "ok", f"{cores}")]
-    try:
-        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    except (AttributeError, ValueError, OSError):
-        return [*found, Finding("memory", "missing", "this system does not say")]
-    if total < LITTLE_MEMORY_GB:
-        remedy = "tables of 100,000 readings take 1.2 GB; take fewer at once"
-        return [*found, Finding("memory", "missing", f"{total:.1f} GB", remedy)]
-    return [*found, Finding("memory", "ok", f"{total:.1f} GB")]
 
 
 def _start(seconds: float) -> Finding:

@@ -1,0 +1,255 @@
+"""What is installed and whether it imports. It uses the standard library only, so that it works where a package is broken."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from time import perf_counter
+from types import MappingProxyType
+from typing import Final, Literal, NoReturn, final
+
+BAD_INPUT: Final = 2
+NOT_ALL_MET: Final = 3
+
+NEEDED: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "casadi": "casadi",
+        "cloudpickle": "cloudpickle",
+        "coal": "coal",
+        "joblib": "joblib",
+        "meshcat": "meshcat.geometry",
+        "numpy": "numpy",
+        "pin": "pinocchio",
+        "pydantic": "pydantic",
+        "pyyaml": "yaml",
+        "rich": "rich.console",
+        "scipy": "scipy.linalg, scipy.optimize, scipy.special",
+        "threadpoolctl": "threadpoolctl",
+        "typer": "typer",
+        "u-msgpack-python": "umsgpack",
+    }
+)
+"""Packages that twin needs, each with the modules to import."""
+NEEDED_LATER: Final = frozenset({"meshcat", "u-msgpack-python"})
+"""Those of them that only the scene imports."""
+OPTIONAL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "matplotlib": ("matplotlib.figure", "pictures: pip install 'twin[plots]'"),
+        "dask": ("dask", "a cluster: pip install 'twin[cluster]'"),
+        "distributed": ("distributed", "a cluster: pip install 'twin[cluster]'"),
+    }
+)
+"""Packages that may be missing, each with a module to import and its use."""
+IMPORT_FAILURES: Final = (
+    ImportError, AttributeError, LookupError, OSError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError
+)  # fmt: skip
+"""What a broken package raises when it is imported."""
+IMPORT_S: Final = 120.0
+"""Longest time for the import of a package."""
+BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
+EARLIEST: Final = (3, 11)
+LITTLE_MEMORY_GB: Final = 2.0
+"""`identify` and `diagnose` take 1.2 GB for 100,000 points."""
+
+
+@final
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at.
+
+    Attributes:
+        name: what.
+        status: ``ok``; ``missing``: something optional is not there; ``FAILED``.
+        detail: what was found.
+        remedy: what to do; empty if nothing.
+    """
+
+    name: str
+    status: Literal["ok", "missing", "FAILED"]
+    detail: str
+    remedy: str = ""
+
+    def to_dict(self) -> dict[str, str]:
+        """For JSON."""
+        return {"name": self.name, "status": self.status, "detail": self.detail, "remedy": self.remedy}
+
+
+@cache
+def imports_all() -> bool:
+    """Return whether all packages that are installed import, in one process of their own."""
+    return _failure(", ".join(_modules().values())) is None
+
+
+@cache
+def broken() -> Mapping[str, str]:
+    """Return the installed packages that do not import, each with the reason in one line.
+
+    Each is imported in a process of its own: an import may also end the process.
+    """
+    if imports_all():
+        return {}
+    modules = _modules()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        reasons = dict(zip(modules, pool.map(_failure, modules.values()), strict=True))
+    return {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def can_start() -> bool:
+    """Return whether every package that a command needs before it begins imports."""
+    return not _not_installed() and not (broken().keys() & NEEDED.keys()) - NEEDED_LATER
+
+
+def end(error: BaseException) -> NoReturn:
+    """End a command that could not be imported: one line that names the packages, exit status 2.
+
+    Raises:
+        BaseException: the error itself, where all packages import: it is one of twin's own.
+        SystemExit: otherwise.
+    """
+    names: dict[str, list[str]] = {}
+    for name, reason in broken().items():
+        names.setdefault(reason, []).append(name)
+    found = [f"{name} is not installed" for name in _not_installed()]
+    found += [
+        f"{', '.join(some)} {'does' if len(some) == 1 else 'do'} not import ({reason})"
+        for reason, some in names.items()
+    ]
+    if not found:
+        raise error
+    print(f"twin: {'; '.join(found)}; expected packages that import: run twin doctor", file=sys.stderr)
+    sys.exit(BAD_INPUT)
+
+
+def end_with_findings() -> NoReturn:
+    """Print what can be said without the packages, as `twin doctor` does, and end with its exit status of a failed check.
+
+    Raises:
+        SystemExit: always.
+    """
+    clock = perf_counter()
+    found = [python(), *packages(), *extras(), browser(), *size()]
+    show(found, perf_counter() - clock)
+    print("machine, compiler and JSON: left out, because they need the packages that failed")
+    sys.exit(NOT_ALL_MET)
+
+
+def show(findings: Sequence[Finding], seconds: float) -> None:
+    """Print findings, one a line, and a summary."""
+    for one in findings:
+        print(f"{one.status:<8}{one.name:<26}{one.detail}")
+        if one.remedy:
+            print(f"{'':<10}{one.remedy}")
+    failed = [one.name for one in findings if one.status == "FAILED"]
+    missing = [one.name for one in findings if one.status == "missing"]
+    print(f"\n{len(findings)} things looked at in {seconds:.1f} s: ", end="")
+    print(f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right", end="")
+    print(f"; optional and missing: {', '.join(missing)}" if missing else "")
+
+
+def python() -> Finding:
+    """Return the version of Python."""
+    detail = f"{platform.python_version()} ({sys.executable}), twin {_version('twin') or 'not installed'}"
+    if sys.version_info < EARLIEST:
+        return Finding("Python", "FAILED", detail, f"install Python {'.'.join(map(str, EARLIEST))} or newer")
+    return Finding("Python", "ok", detail)
+
+
+def packages() -> list[Finding]:
+    """Return the packages that twin needs; those that fail one by one."""
+    reasons = broken()
+    found = [
+        Finding(name, "FAILED", f"{_version(name)} does not import: {reasons[name]}", _again(name))
+        for name in NEEDED
+        if name in reasons
+    ]
+    gone = _not_installed()
+    if gone:
+        found.append(
+            Finding("packages", "FAILED", f"not installed: {', '.join(gone)}", "install twin again: pip install .")
+        )
+    good = ", ".join(f"{name} {_version(name)}" for name in NEEDED if name not in gone and name not in reasons)
+    return found if gone else [*found, Finding("packages", "ok", good)]
+
+
+def extras() -> list[Finding]:
+    """Return the optional packages."""
+    found = []
+    for name, (_, use) in OPTIONAL.items():
+        installed, reason = _version(name), broken().get(name)
+        if installed is None:
+            found.append(Finding(name, "missing", "not installed", f"for {use}"))
+        elif reason is not None:
+            found.append(Finding(name, "FAILED", f"{installed} does not import: {reason}", _again(name)))
+        else:
+            found.append(Finding(name, "ok", installed))
+    return found
+
+
+def browser() -> Finding:
+    """Return the browser that tests of the scene use."""
+    for name in BROWSERS:
+        path = shutil.which(name)
+        if path is not None:
+            return Finding("Chromium", "ok", path)
+    return Finding(
+        "Chromium",
+        "missing",
+        "not found",
+        "only the test of the scene in a browser needs it; any browser shows the pages",
+    )
+
+
+def size() -> list[Finding]:
+    """Return the computer's cores and memory."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    found = [Finding("processor cores", "ok", f"{cores}")]
+    try:
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    except (AttributeError, ValueError, OSError):
+        return [*found, Finding("memory", "missing", "this system does not say")]
+    if total < LITTLE_MEMORY_GB:
+        remedy = "tables of 100,000 readings take 1.2 GB; take fewer at once"
+        return [*found, Finding("memory", "missing", f"{total:.1f} GB", remedy)]
+    return [*found, Finding("memory", "ok", f"{total:.1f} GB")]
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _not_installed() -> list[str]:
+    return [name for name in NEEDED if _version(name) is None]
+
+
+def _again(name: str) -> str:
+    return f"install it again: pip install --force-reinstall {name}"
+
+
+def _modules() -> dict[str, str]:
+    """Return the modules of every package that is installed."""
+    every = {**NEEDED, **{name: modules for name, (modules, _) in OPTIONAL.items()}}
+    return {name: modules for name, modules in every.items() if _version(name) is not None}
+
+
+def _failure(modules: str) -> str | None:
+    """Return why modules do not import in a process of their own, in one line; None if they do."""
+    words = [sys.executable, "-P", "-c", f"import {modules}"]
+    try:
+        ended = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=IMPORT_S)
+    except subprocess.TimeoutExpired:
+        return f"not done after {IMPORT_S:g} s"
+    if ended.returncode == 0:
+        return None
+    said = ended.stderr.strip().splitlines()
+    return said[-1] if said else f"the process ended with status {ended.returncode}"
