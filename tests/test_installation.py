@@ -109,3 +109,38 @@ def test_importing_twin_imports_no_package() -> None:
     code = "import sys, twin.cli; print(sorted({'numpy', 'pinocchio', 'casadi', 'scipy', 'typer', 'yaml'} & set(sys.modules)))"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
     assert ended.stdout == "[]\n"
+
+
+# ---- lower bounds
+
+
+def lower_bounds() -> dict[str, str]:
+    """Lower bound of every package that an installation of twin takes, by name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    found = {}
+    for entry in (*project["dependencies"], *extras["plots"], *extras["cluster"]):
+        name, bound = re.fullmatch(r"([a-z0-9-]+)>=([0-9.]+)", entry).groups()  # type: ignore[union-attr]
+        found[name] = bound
+    return found
+
+
+def test_the_oldest_packages_are_those_of_the_lower_bounds() -> None:
+    """`.ci/run` installs these: a bound that nobody tried is a promise."""
+    lines = [line for line in (ROOT / ".ci" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
+    pins = dict(line.split("==") for line in lines)
+    assert len(pins) == len(lines)
+    assert pins == lower_bounds()
+
+
+def test_the_bounds_of_the_test_environment_agree() -> None:
+    extras: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    bounds = dict(entry.split(">=") for entry in extras["test"] if ">=" in entry)
+    known = lower_bounds()
+    assert {name: bound for name, bound in bounds.items() if name in known} == {
+        name: known[name] for name in ("dask", "distributed", "matplotlib")
+    }
+
+
+def test_doctor_looks_at_every_package() -> None:
+    assert {*installation.NEEDED, *installation.OPTIONAL} == set(lower_bounds())
