@@ -15,10 +15,11 @@ import typer
 import twin
 from twin import cli
 from twin.cli import doctor as doctor_command
+from twin.cli.commands import app
 from twin.errors import InputError, is_it, nearest
 from twin.options import gathered
 
-COMMANDS: dict[str, Any] = dict(typer.main.get_command(cli.app).commands)  # type: ignore[attr-defined]
+COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 EXAMPLES = [
     (name, line.strip())
     for name, command in COMMANDS.items()

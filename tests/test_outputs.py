@@ -20,6 +20,7 @@ import pytest
 
 from tests.commands import TWIN, refused
 from twin import cli
+from twin.cli.commands import app
 from twin.cli.outputs import path_parameters
 from twin.errors import InputError
 from twin.files import TEMPORARY, command_files, read_bytes, whole_file, write_whole
@@ -119,7 +120,7 @@ def test_an_input_is_never_an_output(
 def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other one is an input, and is compared with what is written."""
     written = {"json_file", "output", "report_file", "html_file", "extended"}
-    for command in cli.app.registered_commands:
+    for command in app.registered_commands:
         function: Callable[..., Any] = command.callback  # type: ignore[assignment]
         marked = {name for name, mark in path_parameters(function).items() if mark is not None}
         named = set(get_type_hints(function)) & written

@@ -14,6 +14,7 @@ from twin.instruments import INSTRUMENTS, Air, Instrument
 from twin.iso16907 import NAMES
 from twin.machine import Machine
 from twin.nc import find_program
+from twin.parallel import Tls, Workers
 from twin.samples import PLANS
 from twin.simulate import Surroundings
 from twin.toolpath import Setup
@@ -183,6 +184,24 @@ def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditio
             raise InputError("--temperature given twice", expected="each axis or sensor once", value=entry)
         found[name] = number("--temperature", text, entry)
     return Conditions(found, time_s)
+
+
+def workers(
+    processes: int | None, scheduler: str | None, ca: Path | None, cert: Path | None, key: Path | None
+) -> Workers:
+    """Return who does the work.
+
+    Raises:
+        InputError: TLS files that are not complete, or without a scheduler that uses TLS.
+    """
+    if ca is None and cert is None and key is None:
+        return Workers(processes, scheduler)
+    if ca is None or cert is None:
+        raise InputError(
+            "TLS files that are not complete",
+            expected="--tls-ca and --tls-cert, and --tls-key where the certificate's file holds no key",
+        )
+    return Workers(processes, scheduler, Tls(ca, cert, key))
 
 
 def number(option: str, text: str, shown: str) -> float:

@@ -98,7 +98,20 @@ WorkersOption = Annotated[
 ]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", help="Address of a Dask scheduler (tcp://host:8786): its workers do it instead."),
+    typer.Option(
+        "--scheduler",
+        help="Address of a Dask scheduler (tcp://host:8786): its workers do it instead. It is trusted like your own code.",
+    ),
+]
+TlsCaOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--tls-ca", help="Certificate authority (PEM) of a scheduler at tls://host:8786; Dask's setting if not given."
+    ),
+]
+TlsCertOption = Annotated[Path | None, typer.Option("--tls-cert", help="This computer's certificate (PEM) for it.")]
+TlsKeyOption = Annotated[
+    Path | None, typer.Option("--tls-key", help="The certificate's key (PEM), where it is not in the same file.")
 ]
 
 

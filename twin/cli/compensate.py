@@ -30,6 +30,9 @@ from twin.cli.app import (
     StrictOption,
     TemperatureOption,
     TimeOption,
+    TlsCaOption,
+    TlsCertOption,
+    TlsKeyOption,
     ToolOption,
     WorkersOption,
     calibration_of,
@@ -44,6 +47,7 @@ from twin.iso16907 import Scope
 from twin.machine import DEFAULT, Machine
 from twin.nc import dialect_for, dialect_of, find_program
 from twin.options import conditions, positive, setup
+from twin.options import workers as workers_of
 from twin.parallel import Workers
 from twin.programs import JSON, TEXT, Outcome, compensate_files
 
@@ -98,6 +102,9 @@ def compensate(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     strict: StrictOption = False,
+    tls_ca: TlsCaOption = None,
+    tls_cert: TlsCertOption = None,
+    tls_key: TlsKeyOption = None,
 ) -> None:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
@@ -122,7 +129,7 @@ def compensate(
         conditions=conditions(temperature, time),
     )
     errors = calibration_of(calibration, loaded)
-    own = Workers(workers, scheduler)
+    own = workers_of(workers, scheduler, tls_ca, tls_cert, tls_key)
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
         _several(programs, output, json_file, report_file, loaded, errors, options, own, strict)
     elif scheduler is not None:

@@ -13,6 +13,9 @@ from twin.cli.app import (
     SchedulerOption,
     TemperatureOption,
     TimeOption,
+    TlsCaOption,
+    TlsCertOption,
+    TlsKeyOption,
     ToolOption,
     WorkersOption,
     calibration_of,
@@ -24,7 +27,7 @@ from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
 from twin.options import conditions
-from twin.parallel import Workers
+from twin.options import workers as workers_of
 from twin.population import POSES, TRIALS, Population, Spread, draw_machines
 
 
@@ -49,6 +52,9 @@ def volume(
     time: TimeOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    tls_ca: TlsCaOption = None,
+    tls_cert: TlsCertOption = None,
+    tls_key: TlsKeyOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
@@ -60,7 +66,7 @@ def volume(
     at = conditions(temperature, time)
     outputs = [] if json_file is None else [json_file]
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
-    own = Workers(workers, scheduler)
+    own = workers_of(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()
     with progress() as say:
 

@@ -22,9 +22,18 @@ workers four times over is named: of several programs the others are done all th
 `distributed.scheduler.allowed-failures`). Before the work every worker is asked for its versions of `twin` (digest of its
 text), Python, numpy, scipy, casadi and pin: with others it is refused. Workers of another processor or compiler are used with a
 warning: last digits may differ. To a cluster programs travel as data and come back as data; it needs no file system of ours.
+
+**Trust.** A scheduler is trusted like your own code. Tasks and results travel as pickles (cloudpickle), and whoever reads a pickle runs
+the code in it: the scheduler and its workers can run any code on this computer, and whoever reaches the scheduler's port can run any
+code on its computer and on the workers. Name only schedulers of your own, in a network of your own, or with TLS: start scheduler and
+workers with `--tls-ca-file`, `--tls-cert` and `--tls-key`, and give `--scheduler tls://host:8786 --tls-ca ca.pem --tls-cert me.pem
+--tls-key me.key` here (`twin.Workers(scheduler=…, tls=twin.parallel.Tls(…))`). Without these options Dask's own configuration counts
+(`distributed.comm.tls.*`, `distributed.comm.require-encryption`). Only a certificate of that authority is then accepted, on both sides.
+
 From a script: `twin.draw_machines(kinematics, trials=…, workers=twin.Workers(8))`, `twin.compensate_files(…)`.
 """
 
 from twin.parallel.run import Workers, finished, in_order
+from twin.parallel.tls import Tls
 
-__all__ = ["Workers", "finished", "in_order"]
+__all__ = ["Tls", "Workers", "finished", "in_order"]

@@ -21,6 +21,8 @@ from distributed.security import Security
 from joblib._dask import DaskDistributedBackend
 
 from twin.errors import InputError
+from twin.files import read_bytes
+from twin.parallel.tls import Tls
 from twin.parallel.versions import apart, arithmetic, versions
 
 CONNECT_S: Final = 5.0
@@ -105,17 +107,18 @@ class GuardedBackend(DaskDistributedBackend):  # type: ignore[misc]
 
 
 @contextmanager
-def connected(address: str, name: Callable[[int], str]) -> Iterator[tuple[GuardedBackend, int]]:
+def connected(address: str, tls: Tls | None, name: Callable[[int], str]) -> Iterator[tuple[GuardedBackend, int]]:
     """The cluster of a scheduler, fit to work, and how many threads its workers have.
 
     Args:
         address: of the scheduler.
+        tls: files for an encrypted connection; None for Dask's configuration.
         name: of a task by its index, for messages.
 
     Raises:
         InputError: none there, no workers, workers without `twin` or with other versions.
     """
-    with _quiet(), _client(address) as client:
+    with _quiet(), _client(address, _security(tls)) as client:
         _check(client, address)
         backend = GuardedBackend(client, name)
         over = threading.Event()
@@ -143,16 +146,27 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def _client(address: str) -> Iterator[Client]:
+def _client(address: str, security: Security) -> Iterator[Client]:
+    secure = address.startswith("tls://")
     try:
         # A client that finds nobody takes ten seconds to go away. In a thread of its own: a notebook has an event loop in this one.
         with ThreadPoolExecutor(1) as pool:
-            pool.submit(asyncio.run, _greet(address)).result()
-        client = Client(address, timeout=CONNECT_S, set_as_default=False, name="twin")
+            pool.submit(asyncio.run, _greet(address, security)).result()
+        client = Client(address, timeout=CONNECT_S, set_as_default=False, name="twin", security=security)
     except (OSError, ValueError, MemoryError) as error:  # who speaks something else may seem to announce exabytes
         raise InputError(
             "no Dask scheduler answers there",
-            expected="its address, as `dask scheduler` prints it (tcp://host:8786)",
+            expected="its address, as `dask scheduler` prints it (tcp://host:8786)"
+            + (", and certificates of one authority on both sides" if secure else ""),
+            value=address,
+        ) from error
+    except (
+        RuntimeError,
+        TypeError,
+    ) as error:  # encryption is required and the address has none; TLS without certificates
+        raise InputError(
+            "the scheduler's address and the TLS settings do not belong together",
+            expected="certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786",
             value=address,
         ) from error
     try:
@@ -161,9 +175,33 @@ def _client(address: str) -> Iterator[Client]:
         client.close(CONNECT_S)
 
 
-async def _greet(address: str) -> None:
+def _security(tls: Tls | None) -> Security:
+    """Return Dask's settings, read from files that fit.
+
+    Raises:
+        InputError: a file is missing or is no certificate or key.
+    """
+    files = {} if tls is None else {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.certificate}
+    if tls is not None and tls.key is not None:
+        files["tls_client_key"] = tls.key
+    for file in files.values():
+        read_bytes(file)
+    try:
+        security = Security(require_encryption=True if files else None, **{k: str(v) for k, v in files.items()})
+        security.get_connection_args("client")
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(
+            "TLS settings that cannot be used",
+            expected="PEM files of an authority, of a certificate and of its key",
+            file=None if tls is None else tls.certificate,
+            value=error,
+        ) from error
+    return security
+
+
+async def _greet(address: str, security: Security) -> None:
     # Its own time limit does not hold against who takes the call and says nothing.
-    greeting = connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    greeting = connect(address, timeout=CONNECT_S, **security.get_connection_args("client"))
     comm = await asyncio.wait_for(greeting, CONNECT_S + 1.0)
     comm.abort()
 

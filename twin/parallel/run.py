@@ -25,6 +25,7 @@ from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from twin.errors import InputError, OutputError
+from twin.parallel.tls import Tls
 from twin.parallel.versions import apart, versions
 
 Shared = TypeVar("Shared")
@@ -50,17 +51,24 @@ class Workers:
     Attributes:
         processes: of this computer; 1: this process itself; None: one a core. Not looked at where there is a scheduler.
         scheduler: address of a Dask scheduler, ``tcp://host:8786``; None for none. Its workers should have one thread each.
+            Scheduler and workers run code of each other and of this computer: name only those you trust like your own code.
+        tls: for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
 
     Raises:
-        InputError: fewer than one process.
+        InputError: fewer than one process; TLS without a scheduler that uses it.
     """
 
     processes: int | None = None
     scheduler: str | None = None
+    tls: Tls | None = None
 
     def __post_init__(self) -> None:
         if self.processes is not None and self.processes < 1:
             raise InputError("too few workers", expected="at least 1", value=self.processes)
+        if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
+            raise InputError(
+                "TLS files and a scheduler that does not use TLS", expected="tls://host:8786", value=self.scheduler
+            )
 
 
 def finished(
@@ -99,7 +107,7 @@ def finished(
         found = (
             _on_processes(common, tasks, processes, told)
             if own.scheduler is None
-            else _on_cluster(common, tasks, own.scheduler, told)
+            else _on_cluster(common, tasks, own.scheduler, own.tls, told)
         )
     with closing(found):
         for index, result in found:
@@ -188,7 +196,7 @@ def _end_with(parent: int) -> None:
 
 
 def _on_cluster(
-    common: bytes, tasks: Sequence[Any], address: str, name: Callable[[int], str]
+    common: bytes, tasks: Sequence[Any], address: str, tls: Tls | None, name: Callable[[int], str]
 ) -> Generator[tuple[int, Any], None, None]:
     try:
         from twin.parallel.cluster import connected
@@ -196,7 +204,7 @@ def _on_cluster(
         raise InputError(
             "a scheduler was named and Dask is not installed", expected="pip install 'twin[cluster]'", value=error.name
         ) from error
-    with connected(address, name) as (backend, threads):
+    with connected(address, tls, name) as (backend, threads):
         pool = Parallel(
             n_jobs=threads,
             backend=backend,
