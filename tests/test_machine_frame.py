@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from tests.real import write_both
+from twin import cli
 from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.kinematics import Kinematics
@@ -167,3 +168,44 @@ def test_numbers_beyond_any_machine(tmp_path: Path, old: str, new: str) -> None:
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match="does not fit"):
         Machine.load(path)
+
+
+@pytest.mark.parametrize("length", [-0.001, -120.0, 5000.001, 1e300, math.inf, math.nan])
+def test_a_length_that_no_tool_has(tmp_path: Path, length: float) -> None:
+    machine = Machine.load(write_mill(tmp_path))
+    with pytest.raises(InputError, match="no length of a tool"):
+        Kinematics(machine, Calibration.zero(machine), tool_length_mm=length)
+
+
+@pytest.mark.parametrize("length", ["-5", "6000", ".inf"])
+def test_a_length_that_no_tool_has_in_the_machine_file(tmp_path: Path, length: str) -> None:
+    path = write_mill(tmp_path)
+    path.write_text(path.read_text() + f"programs: {{tool_length: {length}}}\n")
+    with pytest.raises(InputError, match=r"programs\.tool_length") as caught:
+        Machine.load(path)
+    assert caught.value.line == 9
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compensate", "cone_frustum.nc", "-o", "out.nc"),
+        ("path", "cone_frustum.nc", "-o", "out.nc"),
+        ("scene", "cone_frustum.nc", "-o", "out.html"),
+        ("report", "-o", "out.html"),
+        ("control", "--to", "grid", "-o", "out"),
+        ("plan", "-o", "out.csv"),
+        ("volume", "--trials", "10"),
+        ("info",),
+    ],
+    ids=lambda words: words[0],
+)
+def test_no_command_takes_a_negative_tool_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*words, "--tool-length", "-120"])
+    assert ended.value.code == 2
+    assert "no length of a tool: '-120.0'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

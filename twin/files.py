@@ -47,8 +47,9 @@ twin.identification/1`): `errors`, `table` (how the rotary axes' average lines t
 **Another machine.** A URDF and a machine file, nothing else: `twin compensate part.nc -o out.nc --machine mine.yaml`.
 `urdf/trunnion_ac.*` (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) are there to
 copy. The z axis of the tool link points from the tip into the spindle. The rotary joint's frame has its axis along z, or the
-file says how the error frame is turned. Programs need three linear axes along x, y, z of the work frame and at most two rotary
-ones, on either side; kinematics needs only a chain.
+file says how the error frame is turned. The error frames of linear axes are turned alike (that of the first is the machine
+frame, in which squareness is named), or lean by less than 45° against the base link. Programs need three linear axes along x, y, z of
+the work frame and at most two rotary ones, on either side; kinematics needs only a chain.
 """
 
 from __future__ import annotations

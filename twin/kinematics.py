@@ -19,6 +19,7 @@ from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
 from twin.errors import InputError
 from twin.machine import Machine
+from twin.machine_file import LONGEST_TOOL_MM
 from twin.show import card, first_rows, fixed, note, pairs, table
 from twin.spatial import fused_angles, tilt
 from twin.symbolic import chain_function, error_vector, frame_pose
@@ -108,7 +109,7 @@ class Kinematics:
         errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
 
     Raises:
-        InputError: a tool length that is no finite number; an effect that needs a channel nobody gave.
+        InputError: a tool length that is negative, longer than any tool, or no number; an effect that needs a channel nobody gave.
     """
 
     def __init__(
@@ -122,8 +123,12 @@ class Kinematics:
         self.machine = machine
         self.conditions = Conditions() if conditions is None else conditions
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
-        if not np.isfinite(self.tool_length_mm):
-            raise InputError("tool length is no number", expected="a finite number of mm", value=tool_length_mm)
+        if not 0.0 <= self.tool_length_mm <= LONGEST_TOOL_MM:
+            raise InputError(
+                "no length of a tool",
+                expected=f"a finite number of mm from the spindle nose to the tool tip, 0 to {LONGEST_TOOL_MM:g}",
+                value=tool_length_mm,
+            )
         given_errors = Calibration.default(machine) if calibration is None else calibration
         self.calibration = given_errors.with_tool(self.tool_length_mm)
         self.chain = chain_function(machine)

@@ -20,8 +20,8 @@ MOST_AXES: Final = 16
 """Largest number of axes. Every axis has up to twelve error components, and Pinocchio's data grow with the third power of their sum."""
 FARTHEST: Final = 1e6
 """Largest position of an axis, mm or degrees: a kilometre."""
-LONGEST_TOOL_MM: Final = 10_000.0
-"""Largest tool length."""
+LONGEST_TOOL_MM: Final = 5_000.0
+"""Largest tool length: twice that of long boring bars. More is a slip of the unit or of the decimal point."""
 UPRIGHT: Final = 0.7071
 """Cosine of the largest angle between an axis of a linear axis's error frame and the base frame's of the same name: 45°, rounded."""
 
