@@ -22,7 +22,8 @@ from twin.extension import effect_named, entry_of
 from twin.files import Place, line_of, load_yaml, write_whole
 from twin.machine import Machine
 from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
-from twin.show import card
+from twin.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, texts
+from twin.show import card, note
 from twin.strips import about_html, errors_html
 
 SCHEMA = "twin.calibration/1"
@@ -74,6 +75,7 @@ class _CalibrationFile(BaseModel):
     machine: str
     source: str
     settled: bool = True
+    simulated: bool = False
     curves: dict[str, _CurveEntry] = {}
     squareness: dict[str, float] = {}
     location: dict[str, float] = {}
@@ -99,6 +101,7 @@ class Calibration:
         control: what it says of the machine's control; None: nothing, as of a control that corrects nothing.
         corrections: what the control takes out of these errors by itself; nothing where they are what it leaves.
         settled: whether the estimate it comes from did; if not, no program and no table is made of it.
+        simulated: whether readings it comes from were simulated, not measured on a machine.
     """
 
     machine: Machine
@@ -112,6 +115,7 @@ class Calibration:
     control: ControlSection | None = None
     corrections: tuple[ControlCorrection, ...] = ()
     settled: bool = True
+    simulated: bool = False
 
     @classmethod
     def zero(cls, machine: Machine) -> Calibration:
@@ -155,6 +159,7 @@ class Calibration:
             extra=extra,
             path=path,
             settled=entries.settled,
+            simulated=entries.simulated,
         )
         if entries.covariance is not None:
             loaded = replace(loaded, joint=check.joint(entries.covariance, loaded))
@@ -182,6 +187,7 @@ class Calibration:
             "machine": self.machine.name,
             "source": self.source,
             **({} if self.settled else {"settled": False}),
+            **({"simulated": True} if self.simulated else {}),
             "curves": {name: _entry(curve) for name, curve in self.curves.items()},
             "squareness": {name: float(value) for name, value in self.squareness.items()},
             "location": {name: float(value) for name, value in self.location.items()},
@@ -282,13 +288,16 @@ class Calibration:
         known = {name.partition("[")[0] for name in self.covariance.names}
         return tuple(name for name in (*self.curves, *self.squareness, *self.location) if name not in known)
 
-    def extended(self, effects: Sequence[Effect], covariance: Covariance, source: str) -> Calibration:
+    def extended(
+        self, effects: Sequence[Effect], covariance: Covariance, source: str, *, simulated: bool = False
+    ) -> Calibration:
         """This calibration with effects added: to the curves, squareness and locations they belong to, or beside them.
 
         Args:
             effects: what a diagnosis found.
             covariance: of their parameters.
             source: said after this calibration's own.
+            simulated: whether the readings they were found in were simulated.
         """
         curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
         extra = list(self.extra)
@@ -318,6 +327,7 @@ class Calibration:
             extra=tuple(extra),
             joint=None,
             path=None,
+            simulated=self.simulated or simulated,
         )
         return replace(whole, joint=own.plus(found))
 
@@ -331,6 +341,18 @@ class Calibration:
         """Whether any of its error motions is drawn, not measured."""
         return any(curve.illustrative for curve in self.curves.values())
 
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings of where the numbers come from; every file made from them carries these."""
+        found = [ILLUSTRATIVE] if self.illustrative else []
+        found += [SIMULATED] if self.simulated else []
+        found += [] if self.settled else [UNSETTLED]
+        numbers = {parameter.name for effect in self.effects for parameter in effect.parameters}
+        known = numbers.intersection(self.covariance.names)
+        if known != numbers:
+            found.append(PARTLY_UNKNOWN if known else UNKNOWN)
+        return tuple(found)
+
     def _repr_html_(self) -> str:
         drawn = tuple(curve.name for curve in self.curves.values() if curve.illustrative)
         errors = errors_html(self.machine, self.effects, self.covariance, drawn)
@@ -338,7 +360,9 @@ class Calibration:
         about = about_html(self.source, self.path, self.control, drawn, unknown)
         small = "no errors: the machine as drawn" if self.empty else ""
         title = f"Calibration of {self.machine.name}"
-        return card(title, errors, about, small=small, illustrative=self.illustrative).text
+        # The card itself shows the first, and `about` lists what has no uncertainty.
+        said = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
+        return card(title, *said, errors, about, small=small, illustrative=self.illustrative).text
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
         """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""

@@ -68,6 +68,7 @@ class Measurements:
         temperature_degC: by axis or sensor, (n,) NaN where not given.
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
+        simulated: whether any of the readings were simulated, not measured on a machine.
     """
 
     source: str
@@ -87,6 +88,7 @@ class Measurements:
     temperature_degC: Mapping[str, np.ndarray]
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
+    simulated: bool = False
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -171,7 +173,7 @@ class Measurements:
                 if np.isfinite(known).any():
                     columns |= _columns(tuple(f"{prefix}{name}" for name in names), known)
         text = io.StringIO()
-        text.write("".join(f"# {line}\n" for line in comment.splitlines()))
+        text.write(comments_of(comment, simulated=self.simulated))
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
@@ -192,7 +194,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
             pose given in part.
     """
     header, rows, said = read_table(path)
-    made = [f"the file says: {text}" for text in said if text.startswith(SIMULATED)]
+    made = says_simulated(said)
     axes = machine.axes
     columns = {name: i for i, name in enumerate(header)}
     needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
@@ -215,7 +217,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
     known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
     known |= {f"{PLANNED}{name}" for name in (*PLACE_COLUMNS, *STATION_COLUMNS)}
     strange = [name for name in header if name not in known]
-    notices = (*made, *(not_understood(name, sorted(known)) for name in strange))
+    notices = (*(f"the file says: {text}" for text in made), *(not_understood(name, sorted(known)) for name in strange))
     table = Measurements(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
@@ -233,11 +235,30 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
         station_pose=_places(reader, STATION_COLUMNS, planned=plan),
         temperature_degC=MappingProxyType(temperatures),
         notices=notices,
+        simulated=bool(made),
     )
     if n == 0:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
     _check_names(table, path)
     return _usable(_known(table), machine)
+
+
+def says_simulated(comments: Sequence[str]) -> list[str]:
+    """Return those comments of a table that say its readings were simulated."""
+    return [text for text in comments if text.lower().startswith(SIMULATED)]
+
+
+def comments_of(text: str, *, simulated: bool) -> str:
+    """Return the comment lines that stand before a table.
+
+    Args:
+        text: the lines.
+        simulated: whether the readings were simulated: then one of the lines says so.
+    """
+    lines = text.splitlines()
+    if simulated and not says_simulated([line.lstrip("# ") for line in lines]):
+        lines.insert(0, f"{SIMULATED} readings")
+    return "".join(f"# {line}\n" for line in lines)
 
 
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
@@ -345,6 +366,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         temperature_degC=MappingProxyType(temperatures),
         set_aside=tuple(note for table in tables for note in table.set_aside),
         notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
+        simulated=any(table.simulated for table in tables),
     )
     return _known(table)
 

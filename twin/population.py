@@ -29,6 +29,7 @@ from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.parallel import Workers, in_order
+from twin.provenance import SourceWarning, to_json
 from twin.show import card, histogram, note, pairs, several, table
 from twin.uncertainty import (
     COVERAGE,
@@ -170,6 +171,7 @@ class Population:
         as_it_is: error of the machines against the machine as drawn, uncompensated: of its RMS and of its maximum over the poses.
         compensated: the same of what is left where the estimated errors are compensated exactly.
         without_uncertainty: what has a value and no uncertainty, and is therefore the same for all machines.
+        warnings: of where the calibration's numbers come from.
     """
 
     axes: tuple[str, ...]
@@ -187,6 +189,7 @@ class Population:
     as_it_is: tuple[Spread, Spread]
     compensated: tuple[Spread, Spread]
     without_uncertainty: tuple[str, ...]
+    warnings: tuple[SourceWarning, ...] = ()
 
     def _repr_html_(self) -> str:
         spread = [
@@ -237,6 +240,7 @@ class Population:
             "poses": len(self.positions),
             "seed": self.seed,
             "definition": DEFINITION,
+            "warnings": to_json(self.warnings),
             "without_uncertainty": list(self.without_uncertainty),
             "by_draws": summary(self.by_draws_um),
             "first_order": summary(self.first_order_um),
@@ -513,6 +517,7 @@ def _population(draws: Draws, total: Part, tool: ToolUncertainty, digits: int) -
         as_it_is=(spreads[0], spreads[1]),
         compensated=(spreads[2], spreads[3]),
         without_uncertainty=tool.without_uncertainty,
+        warnings=draws.calibration.warnings,
     )
 
 

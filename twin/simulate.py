@@ -221,6 +221,7 @@ def simulate(
         source="simulated",
         set_aside=(),
         notices=(),
+        simulated=True,
     )
     return measured, placed
 

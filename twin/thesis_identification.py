@@ -25,7 +25,7 @@ circle's frame does, g − Ad(R(q))·h with h such that all is zero at the first
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal, final
 
@@ -166,7 +166,8 @@ def identify_as_thesis(
         for component, values in enumerate(np.moveaxis(solved, 2, 0)):
             motion = _averaged(f"E_{DIRECTIONS[component]}{name}", component, run, values)
             motions[motion.name] = motion
-    return ThesisIdentification(_fitted(motions, machine, chosen, constant), MappingProxyType(motions))
+    calibration = replace(_fitted(motions, machine, chosen, constant), simulated=measurements.simulated)
+    return ThesisIdentification(calibration, MappingProxyType(motions))
 
 
 def _check_machine(machine: Machine) -> None:

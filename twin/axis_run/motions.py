@@ -7,7 +7,7 @@ stands. So they do in a calibration (`twin.identification.unknowns`): a curve ha
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, final
 
 import numpy as np
@@ -55,6 +55,7 @@ class Motions:
         dof: its degrees of freedom.
         spread: whose scatter the covariance carries.
         displacement: the carriage's motions row by row, and the installation as estimated.
+        simulated: whether the readings were simulated.
     """
 
     axis: str
@@ -69,6 +70,7 @@ class Motions:
     dof: int
     spread: Spread
     displacement: Displacement
+    simulated: bool = False
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -159,6 +161,7 @@ def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "s
         dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
         spread=spread,
         displacement=found,
+        simulated=readings.simulated,
     )
 
 
@@ -294,7 +297,7 @@ def _fitted(
             k = places[name] + space.count
             reversal[name] = (float(theta[k]), float(np.sqrt(covariance[k, k])))
     return AxisCurves(
-        calibration=calibration,
+        calibration=replace(calibration, simulated=motions.simulated),
         orders={name: space.count for name, space in chosen.items() if space.count > space.first},
         held_out=held_out,
         reversal=reversal,

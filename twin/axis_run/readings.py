@@ -19,7 +19,7 @@ from twin.arrays import locked
 from twin.axis_run.layout import AxisLayout
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.measurement import RANGE_SLACK, SIMULATED, RowNote
+from twin.measurement import RANGE_SLACK, RowNote, comments_of, says_simulated
 from twin.tables import Cells, not_understood, read_table
 from twin.units import MM
 
@@ -42,6 +42,7 @@ class Readings:
         time_s: (n,) NaN where not given.
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
+        simulated: whether they were simulated, not measured on a machine.
     """
 
     source: str
@@ -53,6 +54,7 @@ class Readings:
     time_s: np.ndarray
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
+    simulated: bool = False
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -71,7 +73,7 @@ class Readings:
         if np.isfinite(self.time_s).any():
             columns["time_s"] = _printed(self.time_s)
         text = io.StringIO()
-        text.write("".join(f"# {line}\n" for line in comment.splitlines()))
+        text.write(comments_of(comment, simulated=self.simulated))
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
@@ -116,9 +118,10 @@ def load_readings(path: Path, layout: AxisLayout) -> Readings:
         approach=cells.signs("approach"),
         time_s=cells.numbers("time_s"),
         notices=(
-            *(f"the file says: {text}" for text in comments if text.startswith(SIMULATED)),
+            *(f"the file says: {text}" for text in says_simulated(comments)),
             *(not_understood(name, sorted(known)) for name in header if name not in known),
         ),
+        simulated=bool(says_simulated(comments)),
     )
     return _usable(table, layout)
 
@@ -151,6 +154,7 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
         time_s=locked(table.time_s[keep]),
         set_aside=notes,
         notices=table.notices,
+        simulated=table.simulated,
     )
 
 

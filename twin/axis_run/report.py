@@ -9,6 +9,7 @@ import numpy as np
 from twin.axis_run.layout import AxisLayout
 from twin.axis_run.motions import NAMES, AxisCurves, Motions
 from twin.axis_run.readings import Readings
+from twin.provenance import texts, to_json
 from twin.show import finite
 
 SCHEMA: Final = "twin.axis_run/1"
@@ -83,6 +84,7 @@ def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
             }
             for i, name in enumerate(layout.beams.installation)
         ],
+        "warnings": to_json(curves.calibration.warnings),
         "notices": [*readings.notices, *notices(motions, curves)],
         "set_aside": [{"line": note.line, "reason": note.text} for note in readings.set_aside],
     }
@@ -93,6 +95,7 @@ def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
     lines = [
         f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "
         f"counters zeroed at {layout.reference_mm:g} mm",
+        *texts(curves.calibration.warnings),
         f"misfit: chi² {motions.chi2:.0f} for {motions.dof} (chance {motions.p_value:.2g})",
         "",
         "error motion      range   functions   held out   u, largest   of it installation   reversal",

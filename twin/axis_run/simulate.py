@@ -120,6 +120,7 @@ def simulate_run(
         round=locked(np.full(n, "1", dtype=object) if rounds is None else np.array(rounds, dtype=object)),
         approach=locked(np.zeros(n) if approach is None else np.array(approach, dtype=float)),
         time_s=locked(np.full(n, np.nan) if time_s is None else np.array(time_s, dtype=float)),
+        simulated=True,
     )
     return readings, locked(stands)
 

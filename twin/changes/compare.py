@@ -19,6 +19,7 @@ from twin.changes.words import meaning_of
 from twin.channels import Conditions, options_of
 from twin.effects import Effect, split_name
 from twin.errors import InputError
+from twin.provenance import merged
 from twin.uncertainty import NORMAL_95
 
 MOSTLY: Final = 0.9
@@ -84,7 +85,7 @@ def compare(
     sides = [side.where(lambda name: name not in absent) for side, _ in limited]
     found = Changes(
         machine=machine,
-        illustrative=first.illustrative or second.illustrative,
+        warnings=merged(first.warnings, second.warnings),
         first=_called(first, "the first"),
         second=_called(second, "the second"),
         errors=tuple(errors),

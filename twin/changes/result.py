@@ -12,6 +12,7 @@ from twin.changes.pairs import Apart, Status
 from twin.changes.significance import FALSE_ALARMS, SHARE
 from twin.changes.tool import AtTool
 from twin.machine import Machine
+from twin.provenance import ILLUSTRATIVE, SourceWarning, to_json
 from twin.show import card, finite, first_rows, measured, note, pairs, readable, table
 
 SCHEMA: Final = "twin.comparison/1"
@@ -129,7 +130,7 @@ class Changes:
         left_out: effects the comparison at the tool leaves out, with the channels they need.
         notices: what holds for all of it.
         meaning: what it means, in sentences.
-        illustrative: whether either has curves that are drawn, not measured.
+        warnings: of where the numbers of either come from.
     """
 
     machine: Machine
@@ -145,7 +146,12 @@ class Changes:
     left_out: tuple[tuple[str, str], ...]
     notices: tuple[str, ...]
     meaning: tuple[str, ...] = ()
-    illustrative: bool = False
+    warnings: tuple[SourceWarning, ...] = ()
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether either has curves that are drawn, not measured."""
+        return ILLUSTRATIVE in self.warnings
 
     @cached_property
     def seen_by(self) -> tuple[str, ...]:
@@ -208,6 +214,7 @@ class Changes:
             "first": self.first,
             "second": self.second,
             "illustrative": self.illustrative,
+            "warnings": to_json(self.warnings),
             "verdict": self.verdict,
             "seen_by": list(self.seen_by),
             "false_alarms": {"of_all": FALSE_ALARMS, "of_each_look": SHARE},

@@ -27,8 +27,8 @@ def text_of(found: Changes) -> str:
         "unknown": "UNKNOWN",
     }[found.verdict]
     lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
-    if found.illustrative:
-        lines += ["ILLUSTRATIVE: numbers of one or both are drawn, not measured. No machine changed by this.", ""]
+    lines += [f"{one.title} (one or both): {one.sentence}" for one in found.warnings]
+    lines += [""] if found.warnings else []
     lines.append(head)
     for sentence in found.meaning:
         lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")

@@ -18,6 +18,7 @@ from twin.errors import InputError, nearest
 from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
+from twin.provenance import SIMULATED, merged, to_json
 
 LayoutOption = Annotated[
     Path,
@@ -126,6 +127,7 @@ def simulate_axis_run(
             "machine": loaded.name,
             "calibration": None if truth.path is None else str(truth.path),
             "illustrative": truth.illustrative,
+            "warnings": to_json(merged([SIMULATED], truth.warnings)),
             "layout": standing.name,
             "axis": standing.axis.name,
             "seed": seed,

@@ -28,6 +28,7 @@ from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
 from twin.native import in_use
 from twin.options import conditions
+from twin.provenance import texts, to_json
 from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
 
 SCHEMA = "twin.info/1"
@@ -111,6 +112,8 @@ def info(
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
+    for text in texts(errors.warnings):
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
     if any(row.name.startswith("reversal:") for row in rows):
         console.print("a reversal counts as ± half its size", highlight=False)
     if at.channels:
@@ -150,6 +153,7 @@ def _told(
         "calibration": None if calibration.path is None else str(calibration.path),
         "source": calibration.source,
         "illustrative": calibration.illustrative,
+        "warnings": to_json(calibration.warnings),
         "inverse": in_use(),
         "axes": [
             {

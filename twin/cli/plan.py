@@ -26,6 +26,7 @@ from twin.options import instrument_named, plan_file, positive
 from twin.planning import Kit, duration, judge, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
+from twin.provenance import texts, to_json
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
@@ -127,8 +128,9 @@ def plan(
             told = judge(table, loaded, instrument=reader, expected=errors, known=own.known, tool_length_mm=tool_length)
         seconds = duration(loaded, own, table)
         print(f"{judged}: {len(table)} readings with {instrument}, {seconds / 60.0:.0f} minutes by the kit's times\n")
-        print(told.to_text(), end="")
+        print("\n".join([*(f"expected errors: {text}" for text in texts(errors.warnings)), told.to_text()]), end="")
         report = {"schema": "twin.plan/1", "judged": str(judged), "minutes": seconds / 60.0, "forecast": told.to_dict()}
+        report["warnings"] = to_json(errors.warnings)
         incomplete = bool(table.set_aside)
         for note in table.set_aside:
             print(f"  line {note.line} set aside: {note.text}")

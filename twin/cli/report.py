@@ -26,6 +26,7 @@ from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import conditions
+from twin.provenance import texts
 from twin.report import MachineReport, machine_report
 
 
@@ -95,10 +96,8 @@ def report(
 
 def _tell(found: MachineReport) -> None:
     """The first screen, in a terminal."""
-    if found.illustrative:
-        print("ILLUSTRATIVE CALIBRATION: drawn, not measured. Do not cut with it.\n")
-    if found.simulated:
-        print("SIMULATED READINGS: nobody measured them on a machine.\n")
+    if found.warnings:
+        print("\n".join(texts(found.warnings)) + "\n")
     print(found.advice.headline)
     for line in found.advice.wrong:
         print(f"  {line}")

@@ -29,6 +29,7 @@ from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
 from twin.options import conditions, positive, setup
+from twin.provenance import texts, to_json
 
 
 @command(
@@ -84,6 +85,7 @@ def scene(
             "machine": loaded.name,
             "calibration": None if errors.path is None else str(errors.path),
             "illustrative": errors.illustrative,
+            "warnings": to_json(errors.warnings),
             "tool_length_mm": loaded.tool_length_mm if tool_length is None else tool_length,
             "points": len(run.positions),
             "left_out": run.left_out,
@@ -92,6 +94,8 @@ def scene(
         }
         write_json(json_file, told)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
+    for text in texts(errors.warnings):
+        print(text)
     print(f"written: {', '.join(str(path) for path in outputs)}{left}")
     tell_unused(at, errors)
     if run.left_out:

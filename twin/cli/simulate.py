@@ -24,6 +24,7 @@ from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
 from twin.options import instrument_named, plan_file, surroundings
+from twin.provenance import SIMULATED, merged, to_json
 from twin.simulate import simulate as run_simulation
 
 
@@ -93,6 +94,7 @@ def simulate(
             "machine": loaded.name,
             "calibration": None if truth.path is None else str(truth.path),
             "illustrative": truth.illustrative,
+            "warnings": to_json(merged([SIMULATED], truth.warnings)),
             "instrument": reader.name,
             "seed": seed,
             "noise": noise,

@@ -29,6 +29,7 @@ from twin.machine import DEFAULT, Machine
 from twin.options import conditions
 from twin.options import workers as workers_of
 from twin.population import POSES, TRIALS, Population, Spread, draw_machines
+from twin.provenance import texts
 
 
 @command(
@@ -81,6 +82,8 @@ def volume(
     if json_file is not None:
         write_json(json_file, found.to_dict())
     print(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
+    for text in texts(found.warnings):
+        print(text)
     total = found.machines * len(found.positions)
     print(
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "

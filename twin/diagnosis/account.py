@@ -124,7 +124,11 @@ def account(
     )
     effects = [effect for found_effects in found.effects for effect in found_effects]
     source = "extended by twin diagnose from " + problem.network.data.source
-    extended = calibration.extended(effects, found.covariance, source) if effects else calibration
+    extended = (
+        calibration.extended(effects, found.covariance, source, simulated=problem.network.data.simulated)
+        if effects
+        else calibration
+    )
     weights = problem.network.whitening
     before_um = _unwhitened(problem, problem.projected)
     rest = problem.residual - found.signature.sum(axis=1)

@@ -42,6 +42,7 @@ from twin.page import document
 from twin.page import embedded as _embedded
 from twin.page import escaped as _e
 from twin.page import facts as _facts
+from twin.provenance import texts
 
 LIKELY: Final = 0.5
 """Chance above which a cause is not worth a line."""
@@ -84,12 +85,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
 
 def _drawn(diagnosis: Diagnosis) -> str:
     """Badges of what is not measured on a machine."""
-    found, data = [], diagnosis.data
-    if data.source == "simulated" or any("simulated" in notice for notice in data.notices):
-        found.append("SIMULATED READINGS")
-    if diagnosis.calibration.illustrative:
-        found.append("ILLUSTRATIVE CALIBRATION: drawn, not measured")
-    return " ".join(f"<span class=badge>{_e(text)}</span>" for text in found)
+    return " ".join(f"<span class=badge>{_e(text)}</span>" for text in texts(diagnosis.warnings))
 
 
 def _first_screen(diagnosis: Diagnosis) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.effects import Effect
 from twin.measurement import Measurements
+from twin.provenance import SIMULATED, SourceWarning, merged, to_json
 
 SCHEMA: Final = "twin.diagnosis/1"
 Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
@@ -192,6 +193,11 @@ class Diagnosis:
     directions: np.ndarray
     precision: np.ndarray
 
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings of where the readings and the calibration come from."""
+        return merged(self.calibration.warnings, (SIMULATED,) if self.data.simulated else ())
+
     def to_dict(self) -> dict[str, Any]:
         """``schema: twin.diagnosis/1``."""
         gain = self.gain
@@ -245,6 +251,7 @@ class Diagnosis:
             "scatter": self.scatter,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
+            "warnings": to_json(self.warnings),
         }
 
     def to_text(self) -> str:

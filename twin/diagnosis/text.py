@@ -26,6 +26,7 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
+from twin.provenance import texts
 
 WIDTH: Final = 100
 HARD: Final = "\u00a0"
@@ -42,6 +43,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
     )
+    for text in texts(diagnosis.warnings):
+        lines += _wrapped(text, hang=2)
     for cause in diagnosis.causes:
         lines += ["", *_cause(cause)]
     lines.append("")
@@ -103,9 +106,7 @@ def diagnosis_brief(diagnosis: Diagnosis) -> str:
     body = "".join("<tr>" + "".join(f"<td style='{left}'>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     table = f"<table>{body}</table>" if rows else ""
     told = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
-    drawn = (
-        "<div><b>ILLUSTRATIVE</b> calibration: drawn, not measured</div>" if diagnosis.calibration.illustrative else ""
-    )
+    drawn = "".join(f"<div><b>{_e(one.title)}</b>: {_e(one.sentence)}</div>" for one in diagnosis.warnings)
     return (
         f"<div style='border-left:.4em solid {edge};padding:.2em 1em'><p><b>{_e(title)}</b> <small>{diagnosis.verdict}</small></p>"
         f"{drawn}{table}{told}</div>"

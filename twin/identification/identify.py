@@ -294,7 +294,7 @@ def _result(
         i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in best.together
     ]
     estimate, _ = unknowns.calibration(solution.theta, kept, source, covariance)
-    calibration = replace(estimate, settled=solution.converged)
+    calibration = replace(estimate, settled=solution.converged, simulated=data.simulated)
     rows = np.arange(len(data))
     difference = network.difference(solution.theta, solution.setup, rows)
     whitened = network.residual(solution.theta, solution.setup)

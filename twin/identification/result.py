@@ -20,6 +20,7 @@ from twin.identification.solve import Solution
 from twin.identification.spread import Misfit
 from twin.identification.table import TableTilt
 from twin.measurement import SHOWN_ASIDE, Measurements, RowNote
+from twin.provenance import texts, to_json
 from twin.show import card, note, pairs, table
 from twin.strips import errors_html, standard_uncertainty
 from twin.units import MM
@@ -214,6 +215,7 @@ class Identification:
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
             "notices": list(self.notices),
             "converged": self.converged,
+            "warnings": to_json(self.calibration.warnings),
         }
 
     def _repr_html_(self) -> str:
@@ -247,6 +249,7 @@ class Identification:
         lines = [
             f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
             f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} numbers determined",
+            *texts(self.calibration.warnings),
             "",
             f"what is left: {self.rms_um:.3g} µm RMS a coordinate; reduced chi² {fit.reduced:.3f} "
             f"({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})",

@@ -103,6 +103,7 @@ def plan(
             told,
             alternatives(stands),
             seed,
+            warnings=sizes.warnings,
         )
 
 

@@ -16,6 +16,7 @@ from twin.planning.fill import Stand
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
+from twin.provenance import SourceWarning, texts, to_json
 from twin.show import bar, card, note, pairs, several, table
 from twin.uncertainty import DEFINITION
 
@@ -109,6 +110,7 @@ class Plan:
         alternatives: other ways to stand, the best first; the plan's own among them.
         seed: of the poses tried.
         separation: how well it tells two causes apart, if that is what it is for.
+        warnings: of where the calibration that it starts from comes from.
     """
 
     machine: Machine
@@ -121,6 +123,7 @@ class Plan:
     alternatives: tuple[Alternative, ...]
     seed: int
     separation: Separation | None = None
+    warnings: tuple[SourceWarning, ...] = ()
 
     @property
     def table(self) -> Measurements:
@@ -218,6 +221,7 @@ class Plan:
             f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
             f"{self.minutes:.0f} minutes",
             *self.comment().splitlines()[1:3],
+            *(f"expected errors: {text}" for text in texts(self.warnings)),
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
@@ -265,5 +269,6 @@ class Plan:
             ],
             "retract_before": [row + 1 for row in spent.blocked],
             "notices": self.notices(),
+            "warnings": to_json(self.warnings),
             "seed": self.seed,
         }

@@ -164,6 +164,7 @@ def separate(
             alternatives(stands),
             seed,
             _separation(causes, again, covariance_of(last.prior, last.rows)),
+            known.warnings,
         )
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 from twin.diagnosis.words import tied
 from twin.page import bullets, document, escaped
+from twin.provenance import SourceWarning
 from twin.report.advice import Step
 from twin.report.numbers import UNKNOWN, expanded, figure, place
 from twin.report.result import MachineReport
@@ -65,7 +66,7 @@ def machine_html(report: MachineReport) -> str:
     made = report.sources.made.strftime("%d %B %Y")
     head = f"{name} · {file} · {made} · tool length {report.kinematics.tool_length_mm:g} mm"
     parts = [
-        f"<p class=small>{escaped(head)}{escaped(_conditions(report))}</p>{_drawn(report)}",
+        f"<p class=small>{escaped(head)}{escaped(_conditions(report))}</p>{_warnings(report)}",
         f'<div class=verdict style="background:{COLOURS[report.advice.mood]}">{_summary(report)}</div>',
         "<h2>What each error makes at the tool</h2>" + budget_part(report),
         "<h2>Error motions, axis by axis</h2>" + motions_part(report),
@@ -86,20 +87,18 @@ def _conditions(report: MachineReport) -> str:
     return "".join(f" · {name} {value:g}" for name, value in told.items())
 
 
-def _drawn(report: MachineReport) -> str:
-    names = report.illustrative
-    if not names and not report.simulated:
-        return ""
-    if not names:
-        return (
-            "<div class=drawn>▲ SIMULATED READINGS<p>The file this calibration was made of, or is shown against, says that it was "
-            "simulated: nobody measured it on a machine.</p></div>"
-        )
-    return (
-        f"<div class=drawn>▲ ILLUSTRATIVE: DRAWN, NOT MEASURED<p>{len(names)} of {len(report.calibration.curves)} error "
-        f"motions of this "
-        "calibration are made up to plausible sizes (marked * below). Do not cut, adjust or fill tables with it.</p></div>"
+def _warnings(report: MachineReport) -> str:
+    """Where the numbers come from, if that is to be minded: in front of everything else."""
+    return "".join(
+        f"<div class=drawn>▲ {one.title}<p>{escaped(_meaning(one, report))}</p></div>" for one in report.warnings
     )
+
+
+def _meaning(one: SourceWarning, report: MachineReport) -> str:
+    if one.name == "illustrative":
+        count = f"{len(report.illustrative)} of the {len(report.calibration.curves)} error motions of this calibration"
+        return f"{count} are drawn, not measured (marked * below). Do not cut, adjust or fill tables with it."
+    return one.sentence[0].upper() + one.sentence[1:]
 
 
 def _summary(report: MachineReport) -> str:

@@ -18,6 +18,7 @@ from twin.effects import split_name, unit_of
 from twin.kinematics import Kinematics
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
+from twin.provenance import SIMULATED, SourceWarning, merged, to_json
 from twin.report.advice import Advice, advise
 from twin.report.after import After, after
 from twin.report.contributions import Budget, budget
@@ -155,7 +156,13 @@ class MachineReport:
     def simulated(self) -> bool:
         """Whether a file it was made of, or is shown against, says that its readings were simulated."""
         told = () if self.identified is None else self.identified.notices
-        return any("simulated" in notice for notice in (*told, *(text for one in self.checked for text in one.notices)))
+        said = (*told, *(text for one in self.checked for text in one.notices))
+        return self.calibration.simulated or any("simulated" in notice for notice in said)
+
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings of where the numbers come from: those of the calibration and of the readings it is shown against."""
+        return merged(self.calibration.warnings, (SIMULATED,) if self.simulated else ())
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -181,6 +188,7 @@ class MachineReport:
                 "source": self.calibration.source,
                 "illustrative": list(self.illustrative),
                 "simulated_readings": self.simulated,
+                "warnings": to_json(self.warnings),
             },
             "tool_length_mm": self.kinematics.tool_length_mm,
             "conditions": dict(self.kinematics.conditions.channels),

@@ -12,6 +12,7 @@ import html
 import importlib.resources
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,7 @@ from meshcat.path import Path as NodePath
 
 from twin.errors import InputError
 from twin.kinematics import Kinematics
+from twin.provenance import SourceWarning, texts
 from twin.scene.camera import CAMERA
 from twin.scene.page import PAGE
 from twin.scene.path import (
@@ -67,7 +69,7 @@ def scene_html(
     vectors: int = 24,
     seconds: float = 20.0,
     tool_radius_mm: float = 5.0,
-    illustrative: bool = False,
+    warnings: Sequence[SourceWarning] = (),
 ) -> str:
     """The page: the machine moving through a program, and the tool path with its deviation exaggerated and coloured.
 
@@ -79,7 +81,7 @@ def scene_html(
         vectors: at how many points the deviation is drawn as an arrow.
         seconds: duration of the animation.
         tool_radius_mm: radius the tool is drawn with.
-        illustrative: say in the page that the calibration is drawn, not measured.
+        warnings: of where the calibration comes from; the page shows them.
 
     Returns:
         The page's text, some megabytes.
@@ -151,7 +153,7 @@ def scene_html(
         rms_um=short(path.rms_um),
         max_line=int(path.lines[path.worst]),
         what="cutting moves" if np.any(path.cutting) else "all moves",
-        notice='<p class="notice">ILLUSTRATIVE calibration: drawn, not measured</p>' if illustrative else "",
+        notice="".join(f'<p class="notice">{html.escape(text)}</p>' for text in texts(warnings)),
         still="" if len(frames.share) > 1 else "still",
     )
 

@@ -90,6 +90,6 @@ def draw_program(
         ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines),
         title=f"{source.name} on {machine.name}",
         exaggeration=exaggeration,
-        illustrative=errors.illustrative,
+        warnings=errors.warnings,
     )
     return Scene(page, run)

@@ -1,0 +1,75 @@
+"""Warnings of where numbers come from. They travel with the numbers: measured table, calibration, programs, tables, reports, JSON.
+
+Each name stands for one cause. The sentences are plain ASCII without brackets, so that every program language and every table format
+can hold them in a comment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+Name = Literal["illustrative", "simulated_readings", "unsettled_estimate", "unknown_uncertainty"]
+
+
+@final
+@dataclass(frozen=True)
+class SourceWarning:
+    """A warning of where numbers come from.
+
+    Attributes:
+        name: which warning, for programs.
+        title: the same for people; stands in front of the sentence.
+        sentence: what it means.
+    """
+
+    name: Name
+    title: str
+    sentence: str
+
+    @property
+    def text(self) -> str:
+        """Title and sentence in one line."""
+        return f"{self.title}: {self.sentence}"
+
+    def to_dict(self) -> dict[str, str]:
+        """For JSON."""
+        return {"name": self.name, "text": self.text}
+
+
+ILLUSTRATIVE: Final = SourceWarning(
+    "illustrative", "ILLUSTRATIVE", "some of the error motions are drawn, not measured. Do not cut with them."
+)
+SIMULATED: Final = SourceWarning(
+    "simulated_readings",
+    "SIMULATED READINGS",
+    "the readings were computed, not measured on a machine. Do not cut with their numbers.",
+)
+UNSETTLED: Final = SourceWarning(
+    "unsettled_estimate", "UNSETTLED ESTIMATE", "the identification did not converge. Do not use its numbers."
+)
+UNKNOWN: Final = SourceWarning(
+    "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for its errors."
+)
+PARTLY_UNKNOWN: Final = SourceWarning(
+    "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for some of its errors."
+)
+
+
+def merged(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
+    """All warnings of several sources, each name once, in the order of their weight; the first of a name counts."""
+    first: dict[str, SourceWarning] = {}
+    for one in (one for each in lists for one in each):
+        first.setdefault(one.name, one)
+    return tuple(first[one.name] for one in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if one.name in first)
+
+
+def to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
+    """The entry ``warnings`` of a JSON file."""
+    return [one.to_dict() for one in warnings]
+
+
+def texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
+    """One line a warning."""
+    return tuple(one.text for one in warnings)
