@@ -66,7 +66,7 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        shown = ("lines", "moves", "rewritten", "split", "added", "before", "after", "headline")
+        shown = ("lines", "moves", "rewritten", "split", "added", "before", "after", "headline", "warnings")
         return {
             "program": str(self.program),
             "output": None if self.output is None else str(self.output),

@@ -73,3 +73,8 @@ def to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
 def texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
     """One line a warning."""
     return tuple(one.text for one in warnings)
+
+
+def program_comments(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
+    """Comments for the head of a program, one a warning."""
+    return tuple(f"twin: {one.text}" for one in warnings)

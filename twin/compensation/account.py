@@ -129,7 +129,7 @@ class Account:
             machine=bench.machine.name,
             calibration=str(bench.calibration.path or "none"),
             calibration_source=bench.calibration.source,
-            illustrative=bench.calibration.illustrative,
+            warnings=bench.calibration.warnings,
             method=bench.options.method,
             scope="as in the thesis" if bench.options.method == "thesis" else str(self.aim.scope),
             tool_length_mm=bench.full.tool_length_mm,

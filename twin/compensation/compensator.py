@@ -28,6 +28,7 @@ from twin.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
 from twin.nc.post import post
+from twin.provenance import program_comments
 from twin.toolpath import Path as ToolPath
 from twin.toolpath import check_domains, follow
 
@@ -122,6 +123,8 @@ class Compensator:
             text = post(program, reading, rewrites, axes, "heidenhain" if written.name == "heidenhain" else "iso")
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
+        if rewrites:
+            text = written.commented(text, program_comments(self.bench.calibration.warnings))
         tcp = self.bench.options.tcp and not posted
         try:
             again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)

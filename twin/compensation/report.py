@@ -13,6 +13,7 @@ from twin.channels import TIME
 from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
 from twin.compensation.shortfalls import SHOWN, Shortfall, blocks, line_numbers
+from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
 from twin.show import bar, card, note, pairs, several, table
 from twin.spatial import tilt
 from twin.uncertainty import DEFINITION
@@ -194,13 +195,14 @@ class Report:
         conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
         reversals: by axis; the side each axis comes from follows from the program.
         control: what the control corrects by itself; None where the calibration says nothing of it.
+        warnings: of where the calibration's numbers come from; they stand at the head of the program, too.
     """
 
     program: str
     machine: str
     calibration: str
     calibration_source: str
-    illustrative: bool
+    warnings: tuple[SourceWarning, ...]
     method: str
     scope: str
     tool_length_mm: float
@@ -224,6 +226,11 @@ class Report:
     conditions: Mapping[str, float] = field(default_factory=dict)
     reversals: tuple[ReversalNote, ...] = ()
     control: ControlNote | None = None
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether some of the errors are drawn, not measured."""
+        return ILLUSTRATIVE in self.warnings
 
     @property
     def complete(self) -> bool:
@@ -265,6 +272,8 @@ class Report:
             name: {"value": value, "unit": unit} for name, (value, unit) in self.largest_correction.items()
         }
         data["uncertainty"] = self.uncertainty.to_dict()
+        data["illustrative"] = self.illustrative
+        data["warnings"] = to_json(self.warnings)
         data["not_corrected"] = [one.to_dict() for one in self.not_corrected]
         return {
             "schema": SCHEMA,
@@ -342,10 +351,7 @@ class Report:
             f"{self.program} on {self.machine}: {self.headline}",
             f"  calibration   {self.calibration}",
         ]
-        if self.illustrative:
-            out.append(
-                "                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it."
-            )
+        out += [f"                {text}" for text in texts(self.warnings)]
         out += [f"  {one.label:<14}{one.headline}" for one in self.uncertainty]
         out += [] if self.uncertainty.unknown is None else [f"  {self.uncertainty.unknown}"]
         out += [

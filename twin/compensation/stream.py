@@ -30,6 +30,7 @@ from twin.nc.columns import MoveColumns
 from twin.nc.iso import Iso
 from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
+from twin.provenance import program_comments
 from twin.toolpath import Follower, MotionColumns, check_domains, chords
 from twin.toolpath import Path as ToolPath
 
@@ -393,6 +394,9 @@ class _Attempt:
                 self._held = []
         idle = self._aim is not None and self._aim.idle
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
+        if not idle and not self._written_lines:
+            head = _ISO.commented(data.decode("latin-1"), program_comments(self._bench.calibration.warnings))
+            data = head.encode("latin-1")
         written = Stretch(data, self._written_lines, self._axes.names)
         try:
             again = self._checker.read(written)

@@ -11,6 +11,7 @@ from twin.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Move, Notice, Program, Reading, Rewrite
 from twin.nc.dialect import TextDialect
 from twin.nc.emit import Vector, pieces_of, vector_texts
+from twin.nc.header import first_lines, inserted
 from twin.nc.plain import NOTHING, VALUE
 from twin.nc.text import (
     BLANK,
@@ -164,6 +165,19 @@ class Apt(TextDialect):
     name = "apt"
     suffixes = (".cls", ".apt")
 
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`: behind ``PARTNO``."""
+        lines = first_lines(text)
+        at = place = 0
+        while place < len(lines):
+            statement, after = statement_at(lines, place)
+            if statement.word == "PARTNO":
+                at = after
+            elif statement.word:
+                break
+            place = after
+        return inserted(text, lines, at, comments, "$$ {}".format, _comment)
+
     def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
         """See `TextDialect._moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
         reader = _Reader(program.source, axes)
@@ -305,6 +319,12 @@ class _Writer:
             self.out.append(f"{goto}{','.join(numbers)}{end or self.newline}")
         if not end:
             self.out[-1] = self.out[-1].removesuffix(self.newline)
+
+
+def _comment(line: str) -> str | None:
+    """The text of a line that is a comment, or nothing; None of any other."""
+    body = line.strip()
+    return body[2:].strip() if body.startswith("$$") else None if body else ""
 
 
 def _decimals(text: str) -> int:

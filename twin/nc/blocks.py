@@ -240,6 +240,15 @@ class Dialect(ABC):
         what the output program last said of that axis, whether or not the original wrote it.
         """
 
+    @abstractmethod
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """The text with comments at its head, in this language's syntax; those that stand there already are not repeated.
+
+        Args:
+            text: the program; where lines are not numbered, its first part is enough.
+            comments: ASCII without brackets.
+        """
+
 
 def known(position: Sequence[float]) -> bool:
     """Whether every entry of a position is known (no NaN)."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 from typing import final
 
 from twin.nc.blocks import AxisWords, Kind, Move, Program, Reading, Rewrite
 from twin.nc.dialect import TextDialect
 from twin.nc.emit import Said, pieces_of, vector_texts
+from twin.nc.header import with_heidenhain_comments
 from twin.nc.heidenhain_state import Interpreter, PathBlock
 from twin.nc.heidenhain_words import HEAD
 from twin.nc.iso_block import AxisWord
@@ -25,6 +26,10 @@ class Heidenhain(TextDialect):
 
     name = "heidenhain"
     suffixes = (".h",)
+
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`."""
+        return with_heidenhain_comments(text, comments) if comments else text
 
     def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
         """See `TextDialect._moves`."""

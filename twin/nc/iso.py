@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import final
 
 from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
 from twin.nc.dialect import TextDialect
 from twin.nc.emit import pieces_of
+from twin.nc.header import with_iso_comments
 from twin.nc.iso_plain import PlainInterpreter
 from twin.nc.iso_write import Writer
 from twin.nc.plain import NOTHING, iso_plain
@@ -20,6 +21,10 @@ class Iso(TextDialect):
 
     name = "iso"
     suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
+
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`."""
+        return with_iso_comments(text, comments) if comments else text
 
     def _moves(self, program: Program, axes: AxisWords, *, tcp: bool, short_way: bool = True) -> Reading:
         """See `TextDialect._moves`."""

@@ -139,7 +139,7 @@ def account(bench: Bench, job: Job, written: Written, *, compensated: bool, aske
         program=job.program.source,
         machine=bench.machine.name,
         calibration=str(errors.path or "none"),
-        illustrative=compensated and errors.illustrative,
+        warnings=errors.warnings if compensated else (),
         shares=job.shares,
         lever_mm=job.lever_mm,
         angle_deg=float(np.degrees(tolerance / job.lever_mm)),

@@ -74,6 +74,10 @@ class Shortened(Dialect):
         """The text with moves replaced; see `Dialect.rewrite`."""
         return self.inner.rewrite(program, axes, reading, rewrites)
 
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """The text with comments at its head; see `Dialect.commented`."""
+        return self.inner.commented(text, comments)
+
 
 def shortened(
     program: Program,

@@ -8,6 +8,7 @@ from typing import Any, final
 
 from twin.compensation.report import NO_ERRORS, LineNote, Report, grouped
 from twin.paths.budget import COVERAGE_FACTOR, Contribution, combined
+from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
 from twin.show import UNKNOWN, bar, card, finite, note, pairs, several, table
 
 SCHEMA = "twin.path/1"
@@ -75,6 +76,7 @@ class PathReport:
     """The account of one refitted program; every field is in the JSON under its name.
 
     Attributes:
+        warnings: of where the calibration's numbers come from; none where the program is not compensated.
         shares: of the tolerance, where the path has least of it (runs that turn rotary axes round them, too).
         lever_mm: what a rotary word's deviation is multiplied by: at the tool axis, so far from the tip, it makes that.
         angle_deg: the rotary words' own tolerance: the tolerance at the lever.
@@ -88,7 +90,7 @@ class PathReport:
     program: str
     machine: str
     calibration: str
-    illustrative: bool
+    warnings: tuple[SourceWarning, ...]
     shares: Shares
     lever_mm: float
     angle_deg: float
@@ -98,6 +100,11 @@ class PathReport:
     contributions: tuple[Contribution, ...]
     compensation: Report | None
     compensation_asked: bool = False
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether some of the errors compensated for are drawn, not measured."""
+        return ILLUSTRATIVE in self.warnings
 
     @property
     def blocks(self) -> int:
@@ -148,6 +155,7 @@ class PathReport:
             "machine": self.machine,
             "calibration": self.calibration,
             "illustrative": self.illustrative,
+            "warnings": to_json(self.warnings),
             "shares_um": asdict(self.shares),
             "used_um": self.used(),
             "lever_mm": self.lever_mm,
@@ -206,10 +214,7 @@ class PathReport:
         out = [f"{self.program} on {self.machine}" + ("" if self.headline is None else f": {self.headline}")]
         if self.compensation is not None:
             out.append(f"  calibration   {self.calibration}")
-            if self.illustrative:
-                out.append(
-                    "                ILLUSTRATIVE: some of its error motions are drawn, not measured. Do not cut with it."
-                )
+            out += [f"                {text}" for text in texts(self.warnings)]
         else:
             out.append("  not compensated: on the machine as drawn")
         fit_share = max((run.fit_share_um for run in self.runs), default=0.0)
