@@ -24,7 +24,6 @@ from twin.cli.app import (
 from twin.cli.outputs import JsonOption, Output, command
 from twin.control import FORMATS
 from twin.control_tables import Request, compared, deliver, make, outputs_of, written_by
-from twin.control_tables.account import ILLUSTRATIVE
 from twin.errors import InputError
 from twin.files import check_folder, check_writable, write_json
 from twin.iso16907 import BASIC, Scope
@@ -141,7 +140,7 @@ def control(
         products=products,
         conditions=around,
         add=add,
-        notes=(*notes, ILLUSTRATIVE) if errors.illustrative else notes,
+        notes=notes,
     )
     room = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
     if not room.is_dir():

@@ -50,7 +50,7 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
     Args:
         terms: single tables; all over one axis have the same nodes, and only one of an axis over itself differs by direction.
         machine: the machine.
-        notes: said in a comment behind the end of each ``.COM``.
+        notes: said in a comment behind the end of each file.
 
     Raises:
         InputError: an axis that is none of X Y Z A B C U V W; what such tables cannot hold.
@@ -74,7 +74,7 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
             rows.append([str(i), _signed(q, 4), *values])
         files[name] = _table(name, rows, notes)
     rows = [["NR", "ACTIVE", *(axis.name for axis in inputs)], ["0", "*", *(f"{axis.name}_CORR" for axis in inputs)]]
-    files[CMA] = _table(CMA, rows, ())
+    files[CMA] = _table(CMA, rows, notes)
     return files
 
 

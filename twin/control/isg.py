@@ -136,7 +136,7 @@ def write(errors: Sequence[AxisErrors], geometry: Geometry, notes: Sequence[str]
                 for i in components
             ]
             lines.append("  ".join([plain(q, 4), *cells]))
-    return {FILE: "\n".join(lines) + "\n", LIST: _list(machine)}
+    return {FILE: "\n".join(lines) + "\n", LIST: "".join(f"# {note}\n" for note in notes) + _list(machine)}
 
 
 def _machine(geometry: Geometry) -> dict[str, float]:

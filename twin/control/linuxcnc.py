@@ -41,7 +41,7 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
     Args:
         terms: tables of an axis over itself; two of one axis, of the directions +1 and −1, have the same nodes.
         machine: its axes are taken as joints 0, 1, … in command order.
-        notes: lines said behind the last point, where the control no longer reads.
+        notes: said in comments: behind the last point, where the control no longer reads, and at the head of the INI lines.
 
     Raises:
         InputError: an axis that is none of X Y Z A B C U V W, more than 256 points, or what a joint compensation cannot hold.
@@ -50,6 +50,7 @@ def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) ->
     files: dict[str, str] = {}
     ini = [
         "# Lines for the INI file of LinuxCNC; COORDINATES and the units are there already and must say the same.",
+        *(f"# {note}" for note in notes),
         "[TRAJ]",
         f"COORDINATES = {' '.join(machine.names)}",
         "LINEAR_UNITS = mm",

@@ -8,10 +8,10 @@ from typing import Any, Final, final
 
 from twin.control_tables.loading import rows, steps, trial
 from twin.control_tables.make import Made, Table, classes_of
-from twin.control_tables.remains import Carried, Left, Remains
+from twin.control_tables.remains import Carried, Remains
+from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
 
 SCHEMA: Final = "twin.control/1"
-ILLUSTRATIVE: Final = "ILLUSTRATIVE calibration: some of its errors are drawn, not measured. Do not cut with it."
 DONE_TWICE: Final = (
     "Programs: with these tables on, compensate them with the calibration.yaml of this folder and no other. It says what the "
     "control takes out by "
@@ -35,7 +35,7 @@ class Account:
         carried: every error of the calibration.
         missing: effects left out for want of a temperature or the time, by the channel.
         source: the calibration's file.
-        illustrative: whether it is.
+        warnings: of where its numbers come from.
     """
 
     made: Made
@@ -43,7 +43,7 @@ class Account:
     carried: tuple[Carried, ...]
     missing: Mapping[str, tuple[str, ...]]
     source: str
-    illustrative: bool
+    warnings: tuple[SourceWarning, ...]
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class Account:
         request = made.request
         where = ", ".join(f"{name} {value:g}" for name, value in wanted.at.items())
         lines = [f"Compensation tables for {wanted.machine.name}: {request.kind}"]
-        lines += [ILLUSTRATIVE] if self.illustrative else []
+        lines += texts(self.warnings)
         lines += [
             f"from {self.source}",
             f"tool length {wanted.tool_length_mm:g} mm, the other axes at {where}",
@@ -71,17 +71,8 @@ class Account:
             "  between nodes: how far the model is at most from the straight lines; read back: how far the file, read again, was "
             "from the model at places drawn.",
             "",
-            f"Error of the point at the tool over the volume ({self.remains.poses} poses), µm   RMS     largest    tool axis leans, "
-            "µrad RMS about x / y",
-            _left("  as it is", self.remains.before),
-            _left("  with the tables", self.remains.tables),
+            *self.remains.to_lines(),
         ]
-        if self.remains.program is not None:
-            lines.append(_left("  with the tables and a program compensated on top", self.remains.program))
-        if self.remains.at_limits:
-            lines.append(
-                f"  at {self.remains.at_limits} of the poses an axis would have to leave its range to correct the rest"
-            )
         lines += ["", "Error motions", *_shares(self.carried)]
         if request.kind in ("linuxcnc", "heidenhain", "siemens"):
             lines += [
@@ -123,20 +114,15 @@ class Account:
             "schema": SCHEMA,
             "machine": wanted.machine.name,
             "calibration": self.source,
-            "illustrative": self.illustrative,
+            "illustrative": ILLUSTRATIVE in self.warnings,
+            "warnings": to_json(self.warnings),
             "format": made.request.kind,
             "classes": list(classes_of(made.request.kind, sorted(made.request.classes))),
             "tool_length_mm": wanted.tool_length_mm,
             "at": dict(wanted.at),
             "files": list(made.files),
             "tables": [row(one) for one in made.tables],
-            "error_at_tool": {
-                "poses": self.remains.poses,
-                "before": asdict(self.remains.before),
-                "with_tables": asdict(self.remains.tables),
-                "with_tables_and_program": None if self.remains.program is None else asdict(self.remains.program),
-                "poses_at_limits": self.remains.at_limits,
-            },
+            "error_at_tool": self.remains.to_dict(),
             "errors": [asdict(one) for one in self.carried],
             "unchecked": list(made.unchecked),
             "load": list(steps(made)),
@@ -159,10 +145,6 @@ def row(one: Table) -> dict[str, Any]:
         "holds": one.holds,
         "within_tolerance": one.fine,
     }
-
-
-def _left(name: str, left: Left) -> str:
-    return f"{name:<62}{left.rms_um:>10.2f}  {left.max_um:>10.2f}    {left.tilt_rms_urad[0]:>8.1f} / {left.tilt_rms_urad[1]:.1f}"
 
 
 def _shares(carried: tuple[Carried, ...]) -> list[str]:

@@ -58,7 +58,7 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
         carried(made.wanted, request.kind, request.classes, products=request.products and not made.left_out),
         missing,
         str(errors.path or "no file: the machine as drawn"),
-        errors.illustrative,
+        errors.warnings,
     )
 
 

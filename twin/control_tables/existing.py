@@ -20,6 +20,7 @@ from twin.control_tables.remains import Remains, remains
 from twin.control_tables.wanted import Wanted
 from twin.iso16907 import BASIC
 from twin.machine import DIRECTIONS, Machine
+from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
 
 PLACES = 1001
 
@@ -74,7 +75,7 @@ class Existing:
         tool_length_mm: taken.
         source: the calibration's file.
         remaining: whether the model's errors were measured with tables on.
-        illustrative: whether any of them is drawn.
+        warnings: of where the model's numbers come from.
     """
 
     files: tuple[Path, ...]
@@ -86,7 +87,7 @@ class Existing:
     tool_length_mm: float
     source: str
     remaining: bool
-    illustrative: bool
+    warnings: tuple[SourceWarning, ...]
 
     def to_text(self) -> str:
         """As it is printed."""
@@ -99,8 +100,7 @@ class Existing:
             for one in self.contents
         ]
         lines += ["", f"Against {self.source}, tool length {self.tool_length_mm:g} mm, the other axes at {where}"]
-        if self.illustrative:
-            lines.append("  ILLUSTRATIVE calibration: some of its errors are drawn, not measured.")
+        lines += [f"  {text}" for text in texts(self.warnings)]
         if self.remaining:
             lines.append(
                 "  The errors of this calibration were measured with tables on: what it wants is what is still to be added, and no "
@@ -115,12 +115,7 @@ class Existing:
         ]
         if self.remains is not None:
             found = self.remains
-            lines += [
-                "",
-                f"Error of the point at the tool over the volume ({found.poses} poses): {found.before.rms_um:.2f} µm RMS, "
-                f"{found.before.max_um:.2f} largest "
-                f"without these tables; with them {found.tables.rms_um:.2f} and {found.tables.max_um:.2f}",
-            ]
+            lines += ["", *found.to_lines()]
             if found.tables.rms_um > found.before.rms_um:
                 lines.append(
                     "  By this model the machine is worse with them: wrong sign, other axes, or not this machine's errors."
@@ -136,11 +131,12 @@ class Existing:
             "tables": [asdict(one) for one in self.contents],
             "calibration": self.source,
             "calibration_errors_are_remaining": self.remaining,
-            "illustrative": self.illustrative,
+            "illustrative": ILLUSTRATIVE in self.warnings,
+            "warnings": to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
             "at": dict(self.at),
             "differences": [asdict(one) for one in self.differences],
-            "error_at_tool": None if self.remains is None else asdict(self.remains),
+            "error_at_tool": None if self.remains is None else self.remains.to_dict(),
         }
 
 
@@ -185,7 +181,7 @@ def compared(
         length,
         str(calibration.path or "the machine as drawn"),
         remaining,
-        calibration.illustrative,
+        calibration.warnings,
     )
 
 

@@ -26,6 +26,7 @@ from twin.errors import InputError
 from twin.files import scratch_folder
 from twin.iso16907 import BASIC
 from twin.machine import DIRECTIONS, Machine
+from twin.provenance import texts
 
 FORMAT: Final[Mapping[str, Format]] = {
     "linuxcnc": Format(linuxcnc.POINTS, False, False, False, False, (0.0005, 0.0088)),
@@ -196,7 +197,7 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
         raise InputError("--tolerance is not positive", expected="µm", value=request.tolerance_um)
     calibration.check_settled()
     doubts = (f"not checked against a public description: {one}" for one in UNCHECKED.get(request.kind, ()))
-    request = replace(request, notes=(*request.notes, *doubts))
+    request = replace(request, notes=(*request.notes, *texts(calibration.warnings), *doubts))
     old = _old(machine, calibration, request)
     length = machine.tool_length_mm if request.tool_length_mm is None else request.tool_length_mm
     wanted = Wanted(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -14,6 +14,8 @@ from twin.channels import Listening
 from twin.control_tables.wanted import Wanted, step_back
 from twin.effects import ControlCorrection, Effect
 from twin.kinematics import Kinematics, Poses, rms_and_max
+from twin.show import UNKNOWN, finite
+from twin.uncertainty import DEFINITION, ToolUncertainty
 
 Share = Literal["whole", "line", "no"]
 STEPS: Final = 2
@@ -30,13 +32,61 @@ class Left:
     """The error at the tool over the volume.
 
     Attributes:
-        rms_um, max_um: of the point.
+        rms_um, max_um: of the point, by the model.
+        expected_rms_um: of the point, with the uncertainty of the calibration counted in; NaN where that is unknown.
         tilt_rms_urad: of the tool axis, about x and about y.
     """
 
     rms_um: float
     max_um: float
+    expected_rms_um: float
     tilt_rms_urad: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; null where it is unknown."""
+        return {**asdict(self), "expected_rms_um": finite(self.expected_rms_um)}
+
+
+@final
+@dataclass(frozen=True)
+class KnownTo:
+    """How well the point is known over the volume: the calibration's uncertainty, which no correction reduces.
+
+    Attributes:
+        rms_um, max_um: U of the point (`twin.uncertainty.DEFINITION`), over the poses; NaN where it is unknown.
+        standard_rms_um: standard uncertainty (k = 1) of the distance, RMS over the poses; NaN likewise.
+        without_uncertainty: errors that have a value and no uncertainty; if any, all of these are lower bounds.
+    """
+
+    rms_um: float
+    max_um: float
+    standard_rms_um: float
+    without_uncertainty: tuple[str, ...]
+
+    @classmethod
+    def of(cls, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> KnownTo:
+        """Return it at (n, axes) poses, come to from these sides."""
+        tool = ToolUncertainty(real)
+        if not tool.parameters:
+            return cls(np.nan, np.nan, np.nan, tool.without_uncertainty)
+        found = tool.at(q, sides)
+        u, variance = found.expanded_um, found.standard_um**2
+        rms, standard = (float(np.sqrt(np.mean(one))) for one in (u**2, variance.sum(axis=1)))
+        return cls(rms, float(u.max()), standard, tool.without_uncertainty)
+
+    @property
+    def least(self) -> str:
+        """What stands before a number that is a lower bound."""
+        return "at least " if self.without_uncertainty else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; null where it is unknown."""
+        return {
+            "definition": DEFINITION,
+            "rms_um": finite(self.rms_um),
+            "max_um": finite(self.max_um),
+            "without_uncertainty": list(self.without_uncertainty),
+        }
 
 
 @final
@@ -46,6 +96,7 @@ class Remains:
 
     Attributes:
         before, tables, program: the errors; ``program`` is None for a machine that runs none.
+        known_to: how well the point is known: U of all three.
         poses: over how many.
         at_limits: of these, in how many an axis would have to leave its range to correct the rest.
     """
@@ -53,8 +104,64 @@ class Remains:
     before: Left
     tables: Left
     program: Left | None
+    known_to: KnownTo
     poses: int
     at_limits: int
+
+    @property
+    def worth(self) -> float:
+        """Share of the RMS error that the tables take away; with its uncertainty counted in, where that is known."""
+        before, after = self.before.expected_rms_um, self.tables.expected_rms_um
+        if not np.isfinite(before):
+            before, after = self.before.rms_um, self.tables.rms_um
+        return 1.0 - after / before if before > 0.0 else 0.0
+
+    def to_lines(self) -> list[str]:
+        """As the account says it."""
+        u = self.known_to
+        rows = [("as it is", self.before), ("with the tables", self.tables)]
+        rows += [] if self.program is None else [("with the tables and a program compensated on top", self.program)]
+        lines = [
+            f"Error of the point at the tool over the volume ({self.poses} poses), µm",
+            f"{'':<52}{'by the model':>12}  {'± U (95 %)':>11}  {'expected':>9}  {'largest':>9}   tool axis leans",
+            f"{'':<52}{'RMS':>12}  {'RMS':>11}  {'RMS':>9}  {'by model':>9}   µrad RMS about x / y",
+        ]
+        lines += [_row(name, left, u) for name, left in rows]
+        if not np.isfinite(u.rms_um):
+            lines.append("  U is unknown: the calibration gives no uncertainty. What really remains may be any size.")
+        else:
+            lines.append(
+                f"  {DEFINITION}; up to {u.least}{u.max_um:.2f} µm. It is the calibration's: no table and no program makes it smaller."
+            )
+            lines.append("  expected: with the uncertainty of the calibration counted in.")
+            if u.without_uncertainty:
+                lines.append(f"  U is a lower bound: no uncertainty of {' '.join(u.without_uncertainty)}.")
+        if self.at_limits:
+            lines.append(
+                f"  at {self.at_limits} of the poses an axis would have to leave its range to correct the rest"
+            )
+        return lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "poses": self.poses,
+            "before": self.before.to_dict(),
+            "with_tables": self.tables.to_dict(),
+            "with_tables_and_program": None if self.program is None else self.program.to_dict(),
+            "uncertainty": self.known_to.to_dict(),
+            "poses_at_limits": self.at_limits,
+        }
+
+
+def _row(name: str, left: Left, u: KnownTo) -> str:
+    about_x, about_y = left.tilt_rms_urad
+    numbers = f"{left.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(left.expected_rms_um):>9}  {left.max_um:>9.2f}"
+    return f"  {name:<50}{numbers}   {about_x:.1f} / {about_y:.1f}"
+
+
+def _or_unknown(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
 
 
 def remains(wanted: Wanted, calibration: Calibration) -> Remains:
@@ -67,20 +174,20 @@ def remains(wanted: Wanted, calibration: Calibration) -> Remains:
     with_tables = wanted.under(calibration)
     q = known_volume(calibration)
     sides, goal = drawn_sides(q), wanted.meant.forward(q)
-    program, limited = _program(wanted, with_tables, q, sides, goal) if wanted.machine.runs_programs else (None, 0)
-    return Remains(
-        _left(wanted.under(wanted.calibration).forward(q, sides), goal),
-        _left(with_tables.forward(q, sides), goal),
-        program,
-        len(q),
-        limited,
-    )
+    real = wanted.under(wanted.calibration)
+    known_to = KnownTo.of(real, q, sides)
+    program, limited = None, 0
+    if wanted.machine.runs_programs:
+        reached, limited = _program(wanted, with_tables, q, sides, goal)
+        program = _left(reached, goal, known_to)
+    before, tables = (_left(one.forward(q, sides), goal, known_to) for one in (real, with_tables))
+    return Remains(before, tables, program, known_to, len(q), limited)
 
 
 def _program(
     wanted: Wanted, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
-) -> tuple[Left, int]:
-    """What a program leaves that corrects the point for what the tables leave, and at how many poses an axis has no room for it."""
+) -> tuple[Poses, int]:
+    """Return the poses with a program that corrects what the tables leave, and at how many of them an axis has no room for it."""
     machine, commands, limited = wanted.machine, q.copy(), np.zeros(len(q), dtype=bool)
     linear = list(machine.linear)
     limits = np.array([wanted.range_of(machine.axes[i]) for i in linear])
@@ -88,13 +195,14 @@ def _program(
         step = commands[:, linear] + step_back(with_tables, commands, sides, goal.point_mm)
         commands[:, linear] = np.clip(step, *limits.T)
         limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
-    return _left(with_tables.forward(commands, sides), goal), int(limited.sum())
+    return with_tables.forward(commands, sides), int(limited.sum())
 
 
-def _left(reached: Poses, goal: Poses) -> Left:
+def _left(reached: Poses, goal: Poses, known_to: KnownTo) -> Left:
     off = np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3
     tilt, _ = rms_and_max(reached.tilt_urad(goal))
-    return Left(float(np.sqrt(np.mean(off**2))), float(off.max()), tilt)
+    rms = float(np.sqrt(np.mean(off**2)))
+    return Left(rms, float(off.max()), float(np.hypot(rms, known_to.standard_rms_um)), tilt)
 
 
 @final
