@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -12,12 +11,12 @@ from typing import Any, Final, Literal, final
 from twin.calibration import Calibration
 from twin.channels import options_of
 from twin.diagnosis.words import listed, lower
-from twin.machine import DIRECTIONS, Machine
 from twin.report.after import After
 from twin.report.contributions import Budget, Contribution
 from twin.report.identified import Identified
 from twin.report.numbers import UNKNOWN, expanded, figure, with_half
 from twin.report.readings import Checked
+from twin.report.tables import TablesLeft
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Mood = Literal["well", "wrong", "unknown"]
@@ -25,7 +24,13 @@ NAMED: Final = 3
 WORTH: Final = 0.05
 """Share of the error over the volume that a step must take away to be worth a visit to the machine."""
 MECHANICAL: Final = ("L-SQU", "R-POR")
-TABLES: Final = {"L-POS": "positioning", "L-STR": "straightness", "R-POS": "angular positioning"}
+TABLES: Final = {
+    "L-POS": "positioning",
+    "L-STR": "straightness",
+    "L-SQU": "squareness",
+    "L-ANG": "tilts of the linear axes",
+    "R-POS": "angular positioning",
+}
 """What tables of axes take out, by class."""
 SMALL_UM: Final = 2.0
 """About what rounding to a µm of three axes, and splitting, leave: what is smaller is nothing to act on."""
@@ -81,6 +86,7 @@ def advise(
     identified: Identified | None,
     left_out: Mapping[str, tuple[str, ...]],
     points: Sequence[Checked] = (),
+    tables: Sequence[TablesLeft] = (),
 ) -> Advice:
     """Put the numbers into words.
 
@@ -91,6 +97,7 @@ def advise(
         identified: what `identify` said, or None.
         left_out: effects that could not be worked out, by channel.
         points: measured ones against the calibration.
+        tables: what tables in the control would leave, the best first; none where they are in use already.
     """
     total = found.total.rms_um
     if not found.errors and not left_out:
@@ -118,8 +125,7 @@ def advise(
         *_one_of(
             _compensate(calibration, found, outcome),
             _adjust(found),
-            # Where tables are on already, what more of them would do is not what they leave out of these errors.
-            _tables(found) if calibration.control is None else [],
+            _tables(found, tables),
         ),
         *_measure(found, outcome),
         *_never(calibration, found),
@@ -264,8 +270,7 @@ def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list
         ]
     if found.total.rms_um <= 0.0:
         return []
-    length = f" --tool-length {found.kinematics.tool_length_mm:g}"
-    how = f"`twin compensate part.nc -o part.compensated.nc{_about(calibration)}{length}{_conditions(found)}`"
+    how = f"`twin compensate part.nc -o part.compensated.nc{_about(calibration)}{_tool(found)}{_conditions(found)}`"
     start = figure(outcome.before.rms_um, "µm")
     if outcome.likely is None:
         text = (
@@ -336,36 +341,39 @@ def _adjust(found: Budget) -> list[Step]:
     return steps
 
 
-def _tables(found: Budget) -> list[Step]:
-    """What the control's own tables could take out."""
-    total, machine = found.total.rms_um, found.kinematics.machine
-    of = [name for name in TABLES if any(_tabled(one, machine) and one.iso_class == name for one in found.errors)]
-    if not of or not total or len(machine.linear) > 3:
+def _tables(found: Budget, tables: Sequence[TablesLeft]) -> list[Step]:
+    """What the control's own tables could take out, as `twin control` works it out."""
+    if not tables:
         return []
-    rest = found.rms_without_um(lambda one: not _tabled(one, machine))
-    worth = total - rest >= WORTH * total
-    gain = f"from {figure(total, 'µm')} to {figure(rest, 'µm')} RMS at the tool"
-    text = f"They take out {listed([f'{TABLES[name]} ({name})' for name in of])} for all programs at once: {gain}."
-    if worth:
-        title = _with_measured("fill the control's axis tables", found.kinematics.calibration)
-        return [Step("do", title, f"{text} `twin control` writes them.")]
-    text += (
-        " These errors partly cancel the others." if rest > total else " The rest is tilts, squareness and rotary axes."
+    best = tables[0]
+    # An error within its own 95 % half-width is not shown to be there: nothing is promised of it.
+    shown = {one.name for one in found.errors if one.rms_um > 0.0 and not one.peak <= one.peak_half}
+    classes = {one.iso_class for one in best.carried if one.share != "no" and one.name in shown}
+    names = [f"{words} ({name})" for name, words in TABLES.items() if name in classes]
+    if not names:
+        return []
+    where = ", ".join(f"{name} {value:g}" for name, value in best.at.items())
+    text = (
+        f"They take out {listed(names)} for all programs at once. RMS at the tool, {figure(best.remains.before.rms_um, 'µm')} without: "
+        f"{'; '.join(_leaves(one) for one in tables)}. For tool length {best.tool_length_mm:g} mm, with the other axes at {where}."
     )
+    if best.remains.worth >= WORTH:
+        calibration = found.kinematics.calibration
+        title = _with_measured("fill the control's axis tables", calibration)
+        how = f"twin control --to {best.kind} -o tables/{_about(calibration)}{_tool(found)}{_conditions(found)}"
+        return [Step("do", title, f"{text} `{how}` writes them.")]
     return [Step("never", "Expect much of the control's axis tables alone", text)]
 
 
-def _tabled(one: Contribution, machine: Machine) -> bool:
-    """Whether a table over the position of an axis can take it out: not what comes with temperature, nor what no axis moves.
+def _leaves(one: TablesLeft) -> str:
+    """What the tables of a format leave, by the model and with what is not known."""
+    left, u = one.remains.tables, one.remains.known_to
+    expected = f"{u.least}{figure(left.expected_rms_um, 'µm')} to be expected" if isfinite(u.rms_um) else f"U {UNKNOWN}"
+    return f"{one.kind} {figure(left.rms_um, 'µm')} by the model, {expected}"
 
-    Nor what is smaller than its own 95 % half-width: a table of it would as likely do harm. Where that is unknown, it is taken.
-    """
-    if one.iso_class not in TABLES or one.rms_um <= 0.0 or one.name.startswith("thermal") or one.peak <= one.peak_half:
-        return False
-    across = re.search(r"E_([XYZ])", one.name) if one.iso_class == "L-STR" else None
-    return across is None or any(
-        abs(axis.direction[DIRECTIONS.index(across[1])]) > 0.5 for axis in machine.axes if axis.linear
-    )
+
+def _tool(found: Budget) -> str:
+    return f" --tool-length {found.kinematics.tool_length_mm:g}"
 
 
 def _measure(found: Budget, outcome: After) -> list[Step]:

@@ -27,6 +27,7 @@ from twin.report.identified import Identified
 from twin.report.motions import Motion, motions
 from twin.report.readings import Checked, checked
 from twin.report.sources import Sources, sources
+from twin.report.tables import TablesLeft, tables_left
 from twin.report.words import named
 from twin.show import finite
 from twin.uncertainty import DEFINITION, NORMAL_95
@@ -124,6 +125,7 @@ class MachineReport:
         identified: what `identify` said, or None.
         checked: measured points against this calibration, one for each table.
         gaps: what is not in it.
+        tables: what tables in the control would leave, format by format.
         advice: what follows, in words.
         sources: what it was made of.
     """
@@ -139,6 +141,7 @@ class MachineReport:
     identified: Identified | None
     checked: tuple[Checked, ...]
     gaps: Gaps
+    tables: tuple[TablesLeft, ...]
     advice: Advice
     sources: Sources
 
@@ -211,6 +214,7 @@ class MachineReport:
             "constants": [one.to_dict() for one in self.constants],
             "field": self.field.to_dict(),
             "compensation": self.after.to_dict(),
+            "control_tables": [one.to_dict() for one in self.tables],
             "identification": None if self.identified is None else self.identified.to_dict(),
             "measured": [one.to_dict() for one in self.checked],
             "gaps": self.gaps.to_dict(),
@@ -265,9 +269,11 @@ def machine_report(
     outcome = after(shares, seed)
     found = []
     for i, (path, data) in enumerate(measured):
-        tell("measured", 0.5 + 0.4 * i / len(measured))
+        tell("measured", 0.5 + 0.35 * i / len(measured))
         found.append(checked(data, machine, known, path))
     gaps = Gaps(_absent(known), shares.without_uncertainty, left_out, at.unused(calibration))
+    tell("control's tables", 0.9)
+    tables = tables_left(real, calibration, left_out)
     tell("words", 0.95)
     return MachineReport(
         machine=machine,
@@ -281,7 +287,8 @@ def machine_report(
         identified=told,
         checked=tuple(found),
         gaps=gaps,
-        advice=advise(calibration, shares, outcome, told, left_out, found),
+        tables=tables,
+        advice=advise(calibration, shares, outcome, told, left_out, found, tables),
         sources=origin,
     )
 

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from twin.control_tables import Left
 from twin.diagnosis.words import capital, listed, probability
 from twin.page import bullets, embedded, escaped, facts, table
 from twin.report.after import Level
@@ -356,7 +357,33 @@ def after_part(report: MachineReport) -> str:
                 f"{figure(d, 'µrad')} after."
             )
     text += bullets(escaped(item) for item in items)
-    return text + _checked(report)
+    return text + _tables(report) + _checked(report)
+
+
+def _tables(report: MachineReport) -> str:
+    """What tables in the control would leave: the figures of `twin control`."""
+    if not report.tables:
+        return ""
+    first = report.tables[0]
+    rows = [("none", *_left(first.remains.before))]
+    rows += [(escaped(one.kind), *_left(one.remains.tables)) for one in report.tables]
+    u, where = first.remains.known_to, place(dict(first.at))
+    known = f"U of the point is {expanded(u.rms_um, complete=not u.without_uncertainty)} RMS with and without them."
+    return (
+        "<h3>Tables in the control</h3>"
+        + table(
+            ["tables for", "RMS by the model [µm]", "RMS expected [µm]", "largest by the model [µm]"],
+            rows,
+            numbers=(1, 2, 3),
+        )
+        + f"<p class=small>For tool length {first.tool_length_mm:g} mm, with the other axes at {escaped(where)} while one moves. {known} "
+        "“Expected” has the uncertainty of the calibration counted in. <code>twin control</code> writes the tables and gives the same "
+        "figures for the same tool length and place.</p>"
+    )
+
+
+def _left(left: Left) -> tuple[str, str, str]:
+    return figure(left.rms_um), figure(left.expected_rms_um), figure(left.max_um)
 
 
 def _checked(report: MachineReport) -> str:
