@@ -18,7 +18,10 @@ kinematics (`tcp_on`, `tcp_off`) and a default tool length.
 
 `identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above)
 and `lower`, the lower triangle, one row a line. It takes the place of the curves' own. `settled: false` says that the estimate did
-not settle: no program and no table is made of such a file.
+not settle: no program and no table is made of such a file. `simulated: true` says that readings it comes from were simulated;
+`identify`, `axis-run` and `diagnose --extended` write it, even where only one of several tables was simulated. `illustrative`,
+`simulated`, `settled: false` and errors without a covariance are warnings: programs, tables of a control, reports and JSON
+(`warnings`: a list of `name` and `text`) made from the file repeat them.
 
 A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k
 (1 − x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, the curve between its smallest and largest
@@ -30,6 +33,7 @@ errs in the frame that does not turn, then moves: L·E(θ)·R(θ); E = Trans(e_X
 y_mm, z_mm` in the station's frame (an empty field was not measured; the interferometer's length stands in `x_mm`), and
 optionally `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`.
 `twin.measurement.load` lists every row it sets aside, with the reason. A plan is the same table without the coordinates.
+A comment that begins with `simulated` says that the readings are: `twin simulate` writes it.
 Optional and ours: `place_x_mm, place_y_mm, place_z_mm`, the target's known place on its carrier (tool: frame of the spindle
 nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg … station_c_deg`, the station's known origin and
 rotation vector in the base frame; one row of a target or station is enough, contradictions are refused. In a plan

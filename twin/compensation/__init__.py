@@ -4,7 +4,8 @@
 
 - **ISO** (`.nc .ngc .tap .mpf .txt .iso .eia`), **Heidenhain plain language** (`.h`), **APT** cutter locations (`.cls .apt`;
   `-o x.nc|x.h` posts them as axis words). Everything that is not a motion word passes through byte for byte; every block
-  carries every word that changed.
+  carries every word that changed. Warnings of where the calibration's numbers come from (`twin doc files`) stand at the head in
+  comments of the language, behind tape mark and program number, `BEGIN PGM` or `PARTNO`; once, however often it is compensated.
 - `--mode axis` (default): words are axis positions after adding `--work-offset`. `--mode tcp`, or where the program switches it
   on itself (`G43.4`, `G43.5`, `TRAORI`, `M128`, `FUNCTION TCPM`, words the machine file names): words are tool-tip coordinates
   in the work frame (table centre, moved by `--work-origin`) with B and C or a tool vector. In mode axis what the control adds

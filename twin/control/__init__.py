@@ -30,7 +30,10 @@ and so do `isg` and `grid`.
 at places drawn: no farther off than between the nodes plus half of the last digit, or the exit status is 3.
 
 **What remains** is printed for the machine at hand: point and tool axis over the volume as it is, with the tables, with a
-compensated program on top; and every error of the calibration with whether it is taken out.
+compensated program on top; and every error of the calibration with whether it is taken out. These are the model's figures. U (95 %) of
+the point stands beside them, from the calibration's covariance, and the RMS to be expected with it; where the calibration gives no
+covariance they are unknown. `twin report` gives the same figures for `siemens`, `heidenhain` and `linuxcnc` at the same tool
+length, the other axes in the middle of their ranges. Warnings of where the numbers come from stand in the comments of every file.
 
 **Errors measured with tables on** (`control: errors_are: remaining`) are what those leave. New tables in their place would lose
 what they take out, and are refused; `--add` writes old and new together, on the nodes of the old ones. `calibration.yaml` then

@@ -11,6 +11,7 @@ control or into programs, what to measure again, and what not to do. The error b
 16907. Every error motion with its 95 % interval: both directions where a linear axis has a reversal, polar for a rotary one.
 Squareness and locations. The error over the volume as a field in 3D, and in planes. Before and after compensation. U over the volume.
 What could not be identified, has no uncertainty, or is not in the calibration at all. Files with their digests, versions, seeds.
+Warnings of where the numbers come from (illustrative, simulated readings, unsettled estimate, unknown uncertainty) stand above all.
 
 **What it can know.** The calibration gives errors and their covariance; where it gives none, U is unknown and never zero, and what is
 known in part reads "at least". `--identified` (the JSON of `twin identify`) adds how well the model fitted and what the data could not
@@ -18,7 +19,8 @@ show; if its numbers are not those of the calibration, the first screen says so 
 stop by stop, those that are far off too: a screening would hide a lost motion.
 
 **How it is reckoned.** "Compensated" is what a program would get: rotary words rounded and the linear axes solved again, rounded,
-stopped at the ends of travel; what the calibration is uncertain by comes on top, drawn from its covariance. Adjusting is advised only
+stopped at the ends of travel; what the calibration is uncertain by comes on top, drawn from its covariance. What tables in the control
+leave is worked out by making them, as `twin control` does, with its defaults. Adjusting is advised only
 for what takes off a twentieth of the error over the volume and is larger than its own 95 % half-width. The field stands at rotary zero
 and shows no wave shorter than its grid; the budget covers all axes. Effects that need a temperature or a time take `--temperature` and
 `--time`; without them they are left out, listed, and the exit status is 3.

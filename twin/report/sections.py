@@ -376,7 +376,7 @@ def _tables(report: MachineReport) -> str:
             rows,
             numbers=(1, 2, 3),
         )
-        + f"<p class=small>For tool length {first.tool_length_mm:g} mm, with the other axes at {escaped(where)} while one moves. {known} "
+        + f"<p class=small>For tool length {first.tool_length_mm:g} mm, with the other axes at {escaped(where)}. {known} "
         "“Expected” has the uncertainty of the calibration counted in. <code>twin control</code> writes the tables and gives the same "
         "figures for the same tool length and place.</p>"
     )
