@@ -290,7 +290,8 @@ def test_readings_are_written_and_read_back(machine: Machine, layout: AxisLayout
     for field in ("position_mm", "change_mm", "approach", "time_s"):
         assert np.array_equal(getattr(again, field), getattr(readings, field), equal_nan=True)
     assert list(again.round) == list(readings.round)
-    assert again.set_aside == () and again.notices == ()
+    assert again.set_aside == () and again.simulated
+    assert again.notices == ("the file says: simulated readings",)
 
 
 def test_half_the_path_is_half_the_path(machine: Machine, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.errors import random_calibration
+from tests.heads import body
 from tests.reference import dmu50_pose
 from tests.truth import AXES, TruthMachine, run_iso
 from twin import cli, compensate
@@ -175,19 +176,19 @@ def test_turns_quadrants_and_five_axes(dmu50: Machine, tmp_path: Path, sign: flo
     assert result.report.complete
     assert result.report.after.rms_um < 1.0 < 12.0 < result.report.before.rms_um
     kept = [line for line in PROGRAM.splitlines() if not run_iso(line)]
-    assert [line for line in result.text.splitlines() if not run_iso(line)] == kept
+    assert [line for line in body(result).splitlines() if not run_iso(line)] == kept
     assert "(a comment)" in result.text and "M8" in result.text
 
 
 def test_the_step_stands_in_front_of_the_way_back(dmu50: Machine, tmp_path: Path) -> None:
     text = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 Y110 F500 (up)\nX120\nY120\nX100\nY90 (down)\nY80\nG0 Y100\nG1 Y105\n"
-    lagging = done(text, dmu50, extended(tmp_path, reversal("Y", -12.0))).text
+    lagging = body(done(text, dmu50, extended(tmp_path, reversal("Y", -12.0))))
     assert lagging == (
         "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 Y100.006 F500 (up)\nY110.006\nX120\nY120.006\nX100\nY119.994 (down)\nY89.994\n"
         "Y79.994\nG0 Y100.006\nG1 Y105.006\n"
     )
     # Jumping ahead: beyond what takes it up, and back, so that the axis has turned before the way back begins.
-    ahead = done(text, dmu50, extended(tmp_path, reversal("Y", 12.0))).text
+    ahead = body(done(text, dmu50, extended(tmp_path, reversal("Y", 12.0))))
     assert "X100\nY120.009 (down)\nY120.006\nY90.006\nY80.006\nG0 Y99.994\n" in ahead
 
 
@@ -233,7 +234,7 @@ def test_three_languages(dmu50: Machine, calibration: Calibration, tmp_path: Pat
     # Where rounded B and C take linear axes back by a µm or two, their play swallows it.
     assert off.max() <= ROUNDING_UM + 1.5 and np.sqrt(np.mean(off**2)) < 0.7
     assert result.report.complete
-    added = len(result.text.splitlines()) - len(text.splitlines())
+    added = len(body(result).splitlines()) - len(text.splitlines())
     assert added == result.report.added > 0
 
 
@@ -289,7 +290,7 @@ def test_scope_and_the_baseline(dmu50: Machine, tmp_path: Path) -> None:
 def test_inverse_time_gives_each_piece_its_own(dmu50: Machine, tmp_path: Path) -> None:
     text = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 G93 Y140 F2.\nY90 F2.\n"
     result = done(text, dmu50, extended(tmp_path, reversal("Y", -12.0)))
-    feeds = [float(line.split("F")[1]) for line in result.text.splitlines() if "F" in line]
+    feeds = [float(line.split("F")[1]) for line in body(result).splitlines() if "F" in line]
     assert feeds[1] == feeds[3] == 2.0
     # 12 µm of 50 mm in as small a part of half a minute.
     assert feeds[2] == pytest.approx(2.0 * 50.012 / 0.012, rel=1e-3)

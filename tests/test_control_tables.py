@@ -22,11 +22,13 @@ from twin.compensation import compensate
 from twin.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.control_tables import Made, Request, account_of, deliver, make
 from twin.control_tables.make import bundle
+from twin.covariance import Covariance
 from twin.effects import CrossAxis, Reversal
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
 from twin.motion_curve import Curve
+from twin.report.numbers import figure
 
 LENGTH = 100.0
 
@@ -388,3 +390,78 @@ def test_illustrative_is_in_every_file(dmu50: Machine, calibration: Calibration,
     for file in out.iterdir():
         if file.suffix != ".CMA":
             assert "illustrative" in file.read_text().lower(), file.name
+
+
+# --- how well it is known ------------------------------------------------------------------------------------------------
+
+
+def known_to(machine: Machine, u_um: float | None, *, rest: bool = True) -> Calibration:
+    """Errors of X and Y whose only uncertainty is that of one constant along X; the other numbers are exact, or say nothing."""
+    calibration = drawn(machine, 5, rotary=False).where(lambda name: name in ("E_XX", "E_YX", "E_AY", "E_C0Y"))
+    names = tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
+    if u_um is None:
+        return calibration
+    kept = names if rest else ("E_XX[0]",)
+    matrix = np.diag([u_um**2 if name == "E_XX[0]" else 0.0 for name in kept])
+    return replace(calibration, joint=Covariance(kept, matrix))
+
+
+def test_u_stands_beside_what_is_left(dmu50: Machine) -> None:
+    """Of an error along one line: 1.96 standard uncertainties, in every line of the account; the mean square has the variance more."""
+    calibration = known_to(dmu50, 2.0)
+    account = account_of(
+        make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH)), calibration, calibration, {}
+    )
+    found = account.remains
+    assert found.known_to.rms_um == pytest.approx(1.96 * 2.0, rel=1e-3) == found.known_to.max_um
+    assert found.program is not None and found.program.rms_um < 0.01
+    for left in (found.before, found.tables, found.program):
+        assert left.expected_rms_um == pytest.approx(np.hypot(left.rms_um, 2.0), rel=1e-3)
+    rows = [line for line in account.to_text().splitlines() if line.startswith(("  as it is", "  with the tables"))]
+    assert len(rows) == 3 and all("3.92" in row for row in rows) and "0.00         3.92       2.00" in rows[2]
+    assert "lower bound" not in account.to_text()
+
+
+def test_what_is_not_known_is_unknown_and_never_zero(dmu50: Machine) -> None:
+    calibration = known_to(dmu50, None)
+    account = account_of(
+        make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH)), calibration, calibration, {}
+    )
+    rows = [line for line in account.to_text().splitlines() if line.startswith(("  as it is", "  with the tables"))]
+    assert len(rows) == 3 and all(row.count("unknown") == 2 for row in rows)
+    told = json.loads(json.dumps(account.to_dict(), allow_nan=False))["error_at_tool"]
+    assert told["uncertainty"]["rms_um"] is None and told["uncertainty"]["max_um"] is None
+    assert {told[name]["expected_rms_um"] for name in ("before", "with_tables", "with_tables_and_program")} == {None}
+    part = known_to(dmu50, 2.0, rest=False)
+    text = account_of(make(dmu50, part, Request("siemens", tool_length_mm=LENGTH)), part, part, {}).to_text()
+    assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty of E_XX[1]" in text
+
+
+@pytest.mark.parametrize("length", [0.0, 120.0])
+def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    known_to(dmu50, 2.0).save(mine)
+    given = ["-c", str(mine), "--tool-length", f"{length:g}"]
+    assert run(["report", "-o", str(tmp_path / "r.html"), *given, "--json", str(tmp_path / "r.json")]) == 0
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert {one["format"] for one in report["control_tables"]} == {"siemens", "heidenhain", "linuxcnc"}
+    for one in report["control_tables"]:
+        out = tmp_path / one["format"]
+        assert run(["control", "--to", one["format"], "-o", str(out), *given, "--json", str(tmp_path / "c.json")]) == 0
+        told = json.loads((tmp_path / "c.json").read_text())
+        assert one == {key: told[key] for key in ("format", "at", "tool_length_mm", "error_at_tool")}
+    # And the same U as in the budget.
+    assert told["error_at_tool"]["uncertainty"]["rms_um"] == pytest.approx(
+        report["budget"]["total"]["U_rms_um"], rel=1e-9
+    )
+    (step,) = [one for one in report["summary"]["steps"] if "axis tables" in one["title"]]
+    best = report["control_tables"][0]
+    assert step["kind"] == "do" and f"twin control --to {best['format']} " in step["text"]
+    assert f"siemens {figure(best['error_at_tool']['with_tables']['rms_um'], 'µm')} by the model" in step["text"]
+    # With them on, compensated on top of them: no more tables, and no other figure for what they leave.
+    again = ["report", "-o", str(tmp_path / "s.html"), "-c", str(tmp_path / "siemens" / "calibration.yaml"), *given[2:]]
+    assert run([*again, "--json", str(tmp_path / "s.json")]) == 0
+    after = json.loads((tmp_path / "s.json").read_text())
+    assert after["control_tables"] == []
+    left = best["error_at_tool"]["with_tables"]
+    assert after["budget"]["total"]["rms_um"] == pytest.approx(left["rms_um"], rel=1e-9)

@@ -299,7 +299,7 @@ def test_the_json_is_the_contracts(found: Mapping[str, Diagnosis]) -> None:
     """Contract §4; pictures' needs stay out of it."""
     told = json.loads(json.dumps(found["lost motion"].to_dict()))
     contract = "schema verdict residual causes unexplained unidentifiable gain next_measurement".split()
-    ours = "not_evaluated trends scatter set_aside notices".split()
+    ours = "not_evaluated trends scatter set_aside notices warnings".split()
     assert set(told) == {*contract, *ours}
     assert set(told["causes"][0]) == set("effect where origin parameters p_value share equivalent evidence".split())
 

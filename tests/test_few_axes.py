@@ -210,7 +210,7 @@ def test_a_report_promises_no_programs(drill: Path) -> None:
     done = [step for step in one.advice.steps if step.kind == "do"]
     assert [step.title for step in done] == ["Fill the control's axis tables"]
     # The straightness across the plane of both axes is no table's.
-    assert "positioning (L-POS) and straightness (L-STR)" in done[0].text
+    assert "positioning (L-POS), straightness (L-STR) and tilts of the linear axes (L-ANG) for all" in done[0].text
     only_y = Calibration.load(drill.parent / "mine.yaml", machine).where(lambda name: name in ("E_XX", "E_YX"))
     (step,) = [step for step in machine_report(machine, only_y, made=MADE).advice.steps if step.kind == "do"]
     assert "positioning (L-POS) for all" in step.text

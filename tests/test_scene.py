@@ -22,6 +22,7 @@ from twin.calibration import Calibration
 from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Machine
+from twin.provenance import ILLUSTRATIVE
 from twin.scene import ScenePath, scene_html
 from twin.scene.path import (
     MAX_KEYFRAMES,
@@ -80,7 +81,7 @@ def page_data(page: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def page(real: Kinematics) -> str:
-    return scene_html(real, motion(real), title="a <b>program</b> & more", illustrative=True, seconds=12.0)
+    return scene_html(real, motion(real), title="a <b>program</b> & more", warnings=(ILLUSTRATIVE,), seconds=12.0)
 
 
 # ---- what the page says
@@ -115,7 +116,7 @@ def test_title_is_text_not_markup(page: str) -> None:
 
 
 def test_illustrative_is_said_where_it_is_so_and_nowhere_else(real: Kinematics, page: str) -> None:
-    assert "ILLUSTRATIVE calibration: drawn, not measured" in page
+    assert ILLUSTRATIVE.text in page
     assert "ILLUSTRATIVE" not in scene_html(real, motion(real, 5), title="t")
 
 

@@ -27,6 +27,7 @@ from twin.errors import InputError, OutputError
 from twin.nc.blocks import Notice
 from twin.nc.bulk import NewPositions
 from twin.nc.columns import MoveColumns
+from twin.nc.header import HEAD_LINES
 from twin.nc.iso import Iso
 from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
@@ -274,6 +275,7 @@ class _Attempt:
         self._follower = Follower(source, bench.space)
         self._rewriter: IsoRewriter | None = None
         self._held: list[bytes] = []
+        self._head: bytes | None = b""
         self._notices: list[Notice] = []
         self._lines = self._written_lines = self.moves = self.bytes = 0
         self._turns = False
@@ -394,9 +396,6 @@ class _Attempt:
                 self._held = []
         idle = self._aim is not None and self._aim.idle
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
-        if not idle and not self._written_lines:
-            head = _ISO.commented(data.decode("latin-1"), program_comments(self._bench.calibration.warnings))
-            data = head.encode("latin-1")
         written = Stretch(data, self._written_lines, self._axes.names)
         try:
             again = self._checker.read(written)
@@ -404,9 +403,20 @@ class _Attempt:
             raise unreadable(self._source, error) from error
         self._written_lines += len(written)
         _verify(self._source, moves, new, again)
-        self._out.write(data)
+        self._put(data, last=False)
         self.moves += len(moves)
         self.bytes += len(stretch.scan.data)
+
+    def _put(self, data: bytes, *, last: bool) -> None:
+        """Write, the first lines not before all of them are there: then with the comments at the head of the program."""
+        if self._head is None:
+            self._out.write(data)
+            return
+        self._head += data
+        if last or self._written_lines >= HEAD_LINES:
+            comments = program_comments(self._bench.calibration.warnings)
+            self._out.write(_ISO.commented(self._head.decode("latin-1"), comments).encode("latin-1"))
+            self._head = None
 
     def report(self) -> Report:
         """The account of all of it.
@@ -418,6 +428,7 @@ class _Attempt:
             raise InputError(
                 "no block that moves an axis to a known place", expected="a program with motion", file=self._source
             )
+        self._put(b"", last=True)
         notices = [*self._notices, *self._follower.passed]
         return self._account.report(lines=self._lines, moves=self.moves, notices=notices)
 
