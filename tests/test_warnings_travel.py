@@ -294,6 +294,7 @@ def test_comments_stand_behind_what_has_to_come_first(text: str, expected: str) 
         ),
         ("BEGIN PGM a MM\r\nL X+1\r\n", "BEGIN PGM a MM\r\n; twin: SIMULATED READINGS: made up.\r\nL X+1\r\n"),
         ("L X+1\n", "; TWIN: SIMULATED READINGS: MADE UP.\nL X+1\n"),
+        ("%\n0  BEGIN  PGM A MM\n1 M2", "%\n0  BEGIN  PGM A MM\n1 ; TWIN: SIMULATED READINGS: MADE UP.\n2 M2"),
     ],
 )
 def test_numbered_blocks_stay_in_order(text: str, expected: str) -> None:

@@ -58,7 +58,7 @@ def with_heidenhain_comments(text: str, comments: Sequence[str]) -> str:
         comments: a line each; ASCII.
     """
     lines = first_lines(text)
-    at = next((i + 1 for i, line in enumerate(lines) if _body(line).upper().startswith("BEGIN PGM")), 0)
+    at = next((i + 1 for i, line in enumerate(lines) if _body(line).upper().split()[:2] == ["BEGIN", "PGM"]), 0)
     number = None if at == 0 else HEAD.match(lines[at - 1])
     if number is None or number.group(1) is None:
         return inserted(text, lines, at, comments, "; {}".format, _plain_content)
