@@ -19,12 +19,13 @@ from twin.curves import BASES, basis_named
 from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError, nearest
 from twin.extension import effect_named, entry_of
-from twin.files import Place, line_of, load_yaml, write_whole
+from twin.files import write_whole
 from twin.machine import Machine
 from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
 from twin.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, texts
 from twin.show import card, note
 from twin.strips import about_html, errors_html
+from twin.yaml_files import Place, line_of, load_yaml
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5

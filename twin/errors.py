@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
+
+_CONTROL: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Characters that steer a terminal, turn the direction of writing, end a line, or are half of a pair; not tab, CR and LF."""
 
 
 @final
@@ -53,7 +57,28 @@ class InputError(ValueError):
             place = self.file if self.line is None else f"{self.file}:{self.line}"
             place += ": "
         shown = "" if self.value is None else f": {_one_line(self.value)!r}"
-        return f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}"
+        return printable(f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}", one_line=True)
+
+
+def control_character(text: str) -> str | None:
+    """Return the first control character of a text other than tab and line ends, escaped; None if there is none."""
+    found = _CONTROL.search(text)
+    return None if found is None else _escaped(found)
+
+
+def printable(text: str, *, one_line: bool = False) -> str:
+    """Return a text with its control characters escaped, so that what a file or its name holds cannot steer a terminal.
+
+    Args:
+        text: any text.
+        one_line: whether tabs and line ends are escaped too.
+    """
+    shown = _CONTROL.sub(_escaped, text)
+    return re.sub(r"[\t\r\n]", _escaped, shown) if one_line else shown
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return found[0].encode("unicode_escape").decode("ascii")
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

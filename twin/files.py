@@ -1,4 +1,4 @@
-"""Files in and out: YAML whose errors know their line, and outputs that appear whole or not at all.
+"""Files in and out: text that is read, and outputs that appear whole or not at all.
 
 **Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
 `unlimited`), least increment and, where the joint's own frame will not do, `error_frame_rpy_deg`; `frames` names the tool and
@@ -62,7 +62,6 @@ import json
 import math
 import os
 import platform
-import re
 import secrets
 import shutil
 import stat
@@ -71,30 +70,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar, final, get_args
+from typing import Any, BinaryIO, Final, final
 
-import yaml
-from pydantic import BaseModel, ValidationError
+from twin.errors import InputError
 
-from twin.errors import InputError, nearest
-
-Schema = TypeVar("Schema", bound=BaseModel)
-Place = tuple[str | int, ...]
-_IN_WORDS: Final = {
-    "missing": "this entry",
-    "float_parsing": "a number",
-    "float_type": "a number",
-    "int_parsing": "a whole number",
-    "int_type": "a whole number",
-    "bool_parsing": "true or false",
-    "string_type": "text",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "entries, each `name: value`",
-    "model_type": "entries, each `name: value`",
-    "mapping_type": "entries, each `name: value`",
-}
-"""What pydantic's kinds of errors want."""
+MOST_BYTES: Final = 2**29
+"""Of a text file; a table of a million rows has a third of it."""
 TEMPORARY: Final = ".twin-"
 """How the names of all temporary files and folders begin; process, random part and computer follow."""
 
@@ -110,156 +91,76 @@ def note_input(path: Path) -> None:
         run.add_input(path)
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     """Return the content of a file.
 
+    Args:
+        path: the file.
+        most_bytes: size beyond which it is refused; None: any.
+
     Raises:
-        InputError: there is no such file, it cannot be read, or the running command is going to write it.
+        InputError: there is no such file, it cannot be read, it is too large, or the running command is going to write it.
     """
     note_input(path)
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            data = stream.read(-1 if most_bytes is None else most_bytes + 1)
     except (OSError, ValueError) as error:
         value = error.strerror if isinstance(error, OSError) else error
         raise InputError("cannot be read", expected="a readable file", file=path, value=value) from error
+    if most_bytes is not None and len(data) > most_bytes:
+        raise InputError("too large", expected=f"at most {most_bytes >> 20} MB of text", file=path)
+    return data
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
     """Return the content of a UTF-8 text file.
+
+    Args:
+        path: the file.
+        most_bytes: size beyond which it is refused.
 
     Raises:
         InputError: as `read_bytes`; it is not UTF-8 text.
     """
+    data = read_bytes(path, most_bytes=most_bytes)
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError("not a text file", expected="UTF-8 text", file=path, value=error.reason) from error
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError("not a text file", expected="UTF-8 text", file=path, line=line, value=error.reason) from error
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise InputError("not a text file", expected="UTF-8 text without NUL", file=path, line=line)
+    return text
 
 
-def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[Place, int]]:
-    """A YAML file checked against a pydantic model, and the line of every entry by its place in the file.
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of a UTF-8 text file, ended by LF, CR LF or CR and by no other character.
+
+    Raises:
+        InputError: as of `read_text`.
+    """
+    lines = read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines[:-1] if lines[-1] == "" else lines
+
+
+def read_json(path: Path, expected: str) -> Any:
+    """Return the data of a JSON file.
 
     Args:
         path: the file.
-        schema: the model it must fit.
-        name: the value its ``schema:`` entry must have.
+        expected: what it should be, for messages.
 
     Raises:
-        InputError: with the line, on anything that does not fit; a key given twice included.
+        InputError: as of `read_text`; it is not JSON, too deep, or has a number that is too long.
     """
     try:
-        root = yaml.compose(read_text(path), Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        raise InputError(
-            "not YAML", expected="a YAML file", file=path, line=mark.line + 1 if mark else None, value=error.problem
-        ) from error
-    except yaml.YAMLError as error:
-        raise InputError("not YAML", expected="a YAML file", file=path, value=error) from error
-    if not isinstance(root, yaml.MappingNode):
-        raise InputError("no entries", expected=f"a file with `schema: {name}`", file=path)
-    lines: dict[Place, int] = {}
-    data = _plain(root, (), lines, path)
-    if data.get("schema") != name:
-        raise InputError(
-            "wrong kind of file",
-            expected=f"schema: {name}",
-            file=path,
-            line=lines.get(("schema",)),
-            value=data.get("schema"),
-        )
-    try:
-        return schema.model_validate(data), lines
-    except ValidationError as error:
-        # A key that nobody knows says more than the one that is therefore missing.
-        told = error.errors()
-        first = next((one for one in told if one["type"] == "extra_forbidden"), told[0])
-        # pydantic names the member of a union it tried; the file has no such entry.
-        place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
-        entry = ".".join(str(part) for part in place)
-        known = _known(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
-        raise InputError(
-            f"`{entry}` is missing" if first["type"] == "missing" else f"`{entry}` does not fit",
-            expected=_expected(first, known),
-            file=path,
-            line=line_of(place, lines),
-            # Of a whole file it would be all of it.
-            value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
-            nearest=_meant(first, known),
-        ) from error
-
-
-def _expected(first: Any, known: Sequence[str]) -> str:
-    """What should stand there, in words of ours where pydantic's are about programs."""
-    if known:
-        return f"one of {', '.join(known)}"
-    if first["type"] in _IN_WORDS:
-        return _IN_WORDS[first["type"]]
-    return str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
-
-
-def _meant(first: Any, known: Sequence[str]) -> str | None:
-    """What a key nobody knows, or a word that is none of a list, was probably meant to be."""
-    if first["type"] == "literal_error":
-        return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
-    return nearest(str(first["loc"][-1]), known) if known else None
-
-
-def _known(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
-    """The keys there are where one stands that nobody knows."""
-    models: list[type[BaseModel]] = [schema]
-    for part in place[:-1]:
-        below = [
-            field.annotation
-            for model in models
-            for name, field in model.model_fields.items()
-            if part in (name, field.alias)
-        ]
-        models = [model for annotation in below for model in _models(annotation)] or models
-    return [field.alias or name for model in models for name, field in model.model_fields.items()]
-
-
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models an annotation names, in whatever containers."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in get_args(annotation) for model in _models(part)]
-
-
-def line_of(place: Place, lines: Mapping[Place, int]) -> int | None:
-    """The line of an entry, or of the nearest entry around it."""
-    while place and place not in lines:
-        place = place[:-1]
-    return lines.get(place)
-
-
-def _plain(node: yaml.Node, place: Place, lines: dict[Place, int], path: Path) -> Any:
-    lines[place] = node.start_mark.line + 1
-    if isinstance(node, yaml.MappingNode):
-        found: dict[Any, Any] = {}
-        for key_node, value_node in node.value:
-            key = _scalar(key_node)
-            if key in found:
-                raise InputError(
-                    "given twice", expected="each key once", file=path, line=key_node.start_mark.line + 1, value=key
-                )
-            found[key] = _plain(value_node, (*place, key), lines, path)
-            lines[(*place, key)] = key_node.start_mark.line + 1
-        return found
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, (*place, index), lines, path) for index, item in enumerate(node.value)]
-    return _scalar(node)
-
-
-def _scalar(node: yaml.Node) -> Any:
-    value = yaml.constructor.SafeConstructor().construct_object(node, deep=True)
-    if isinstance(value, str) and isinstance(node, yaml.ScalarNode) and node.style is None:
-        # YAML 1.1 reads 1e-3 as text; a metrologist means the number.
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
+        return json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError("not JSON", expected=expected, file=path, line=error.lineno, value=error.msg) from None
+    except (RecursionError, ValueError):
+        raise InputError("lists too deep or numbers too long", expected=expected, file=path) from None
 
 
 @final
@@ -410,7 +311,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
         InputError: it cannot be written.
     """
     with whole_file(path) as stream:
-        stream.write(content.encode("utf-8") if isinstance(content, str) else content)
+        stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def write_json(path: Path, data: Any) -> None:

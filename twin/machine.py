@@ -23,7 +23,6 @@ import pinocchio as pin
 
 from twin.arrays import locked
 from twin.errors import InputError, nearest
-from twin.files import Place, line_of, load_yaml
 from twin.machine_file import (
     SCHEMA,
     AxisEntry,
@@ -35,6 +34,7 @@ from twin.machine_file import (
 )
 from twin.show import Cell, card, chain, pairs, span, table
 from twin.units import DEG, MM
+from twin.yaml_files import Place, line_of, load_yaml
 
 DIRECTIONS = "XYZABC"
 """Components of an error frame in order: translations along, rotations about x, y, z (ISO 230-1, 3.4)."""

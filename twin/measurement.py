@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.errors import InputError, nearest
-from twin.files import read_text, write_whole
+from twin.files import read_lines, write_whole
 from twin.machine import Axis, Machine
 from twin.show import Cell, card, note, pairs, several, spans
 from twin.tables import Cells, not_understood, read_table
@@ -298,7 +298,7 @@ def load_export(
     if carrier not in CARRIERS:
         raise InputError("no such carrier", expected=" or ".join(CARRIERS), value=carrier)
     lines, points = [], []
-    for number, text in enumerate(read_text(path).splitlines(), start=1):
+    for number, text in enumerate(read_lines(path), start=1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         cells = [cell.strip() for cell in text.split(",")]

@@ -3,39 +3,48 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from twin.arrays import locked
-from twin.errors import InputError, is_it
-from twin.files import read_text
+from twin.errors import InputError, control_character, is_it
+from twin.files import read_lines
+
+MOST_COLUMNS: Final = 1000
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
-    """A CSV file with a header row and ``#`` comments.
+    """Return a CSV file with a header row and ``#`` comments.
+
+    A row is a line: a line break in a cell is refused.
 
     Returns:
         Header, rows with their lines, and the text of every comment.
 
     Raises:
-        InputError: no header, a column given twice, a row of another length.
+        InputError: no header, too many columns, a column given twice, a row of another length, a cell that does not end in its line
+            or is too long, a control character.
     """
-    whole = [(number, text) for number, text in enumerate(read_text(path).splitlines(), start=1) if text.strip()]
+    whole = [(number, text) for number, text in enumerate(read_lines(path), start=1) if text.strip()]
+    for number, text in whole:
+        if control_character(text) is not None:
+            raise InputError("a control character", expected="printable text", file=path, line=number, value=text)
     lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
     comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
     if not lines:
         raise InputError("no header row", expected="a CSV table with a header", file=path)
-    cells = list(csv.reader([text for _, text in lines]))
+    cells = _cells(lines, path)
     header = [name.strip() for name in cells[0]]
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(
-                "a column given twice", expected="each column once", file=path, line=lines[0][0], value=name
-            )
+    if len(header) > MOST_COLUMNS:
+        raise InputError(f"{len(header)} columns", expected=f"at most {MOST_COLUMNS}", file=path, line=lines[0][0])
+    twice = next((name for name, count in Counter(header).items() if count > 1), None)
+    if twice is not None:
+        raise InputError("a column given twice", expected="each column once", file=path, line=lines[0][0], value=twice)
     rows = []
     for (number, text), row in zip(lines[1:], cells[1:], strict=True):
         if len(row) != len(header):
@@ -48,6 +57,32 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
             )
         rows.append((number, [cell.strip() for cell in row] if " " in text or "\t" in text else row))
     return header, rows, comments
+
+
+def cells_of(text: str, path: Path, line: int) -> list[str]:
+    """Return the cells of one line of CSV.
+
+    Raises:
+        InputError: a cell that does not end in this line, or is too long.
+    """
+    return _cells([(line, text)], path)[0]
+
+
+def _cells(lines: Sequence[tuple[int, str]], path: Path) -> list[list[str]]:
+    """The cells of every line: as many rows as lines."""
+    reader = csv.reader((text for _, text in lines), strict=True)
+    found: list[list[str]] = []
+    expected = "cells with a comma between, each ending in its line"
+    try:
+        for row in reader:
+            found.append(row)
+            if reader.line_num != len(found):
+                line, text = lines[len(found) - 1]
+                raise InputError("a line break in a cell", expected=expected, file=path, line=line, value=text)
+    except csv.Error as error:
+        line, text = lines[len(found)]
+        raise InputError(f"no row of a table ({error})", expected=expected, file=path, line=line, value=text) from None
+    return found
 
 
 @final

@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
 from twin.errors import InputError
-from twin.files import Place, line_of, load_yaml
 from twin.instruments.multi_axis import MultiAxis
 from twin.machine import Axis, Machine
 from twin.units import MM, UM, URAD
+from twin.yaml_files import Place, line_of, load_yaml
 
 SCHEMA: Final = "twin.interferometer/1"
 PPM: Final = 1e-6

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 
 from twin.errors import InputError
-from twin.files import read_text
+from twin.files import read_lines
 from twin.machine import Axis, Machine
 
 UM_IN_MM = 1e-3
@@ -22,7 +22,7 @@ def numbered(path: Path) -> list[tuple[int, str]]:
     Raises:
         InputError: the file cannot be read.
     """
-    return [(number, text.strip()) for number, text in enumerate(read_text(path).splitlines(), start=1)]
+    return [(number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
 def number(text: str, path: Path, line: int, what: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,9 +10,10 @@ from typing import Final
 import numpy as np
 
 from twin.errors import InputError
-from twin.files import read_text
+from twin.files import read_lines
 from twin.nc.blocks import AxisWords, Dialect, Program
 from twin.nc.text import Style, format_number
+from twin.tables import cells_of
 
 POINT: Final = ("x_mm", "y_mm", "z_mm")
 VECTOR: Final = ("i", "j", "k")
@@ -82,10 +82,10 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
     header: tuple[str, ...] | None = None
     lines: list[int] = []
     rows: list[list[float]] = []
-    for number, text in enumerate(read_text(path).splitlines(), start=1):
+    for number, text in enumerate(read_lines(path), start=1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
-        cells = [cell.strip() for cell in next(csv.reader([text]))]
+        cells = [cell.strip() for cell in cells_of(text, path, number)]
         if header is None:
             header = tuple(cells)
             if header not in known:

@@ -15,11 +15,11 @@ from pydantic_core import PydanticCustomError
 
 from twin.budget import volume
 from twin.errors import InputError, nearest
-from twin.files import Place, load_yaml
 from twin.instruments import INSTRUMENTS, Instrument
 from twin.machine import Machine, find_bundled
 from twin.simulate import Station
 from twin.units import DEG
+from twin.yaml_files import Place, load_yaml
 
 SCHEMA: Final = "twin.kit/1"
 ACCEPTANCE_DEG: Final = 30.0
