@@ -125,12 +125,13 @@ class Calibration:
         return cls(machine, "nominal: no errors", nothing, nothing, nothing)
 
     @classmethod
-    def load(cls, path: Path, machine: Machine) -> Calibration:
+    def load(cls, path: str | Path, machine: Machine) -> Calibration:
         """Read and check a calibration file.
 
         Raises:
             InputError: with file, line, value and what was expected.
         """
+        path = Path(path)
         entries, lines = load_yaml(path, _CalibrationFile, SCHEMA)
         if entries.machine != machine.name:
             raise InputError(
@@ -173,9 +174,9 @@ class Calibration:
             cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
         )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all."""
-        write_whole(path, self.to_yaml(path.parent))
+        write_whole(Path(path), self.to_yaml(Path(path).parent))
 
     def to_yaml(self, folder: Path | None = None) -> str:
         """The file's text; reading it gives the same calibration.

@@ -11,7 +11,7 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin.errors import InputError
-from twin.files import Place, line_of
+from twin.yaml_files import Place, line_of
 from twin.units import DEG
 from twin.urdf_file import read_urdf
 

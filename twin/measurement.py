@@ -35,6 +35,10 @@ FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
 SHOWN_ASIDE: Final = 5
 """Rows set aside that a display lists."""
+SMALLEST_U_MM: Final = 1e-9
+"""Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
+LARGEST_MM: Final = 1e6
+"""Coordinate beyond which a row is set aside: no instrument reads a machine from a kilometre away."""
 RANGE_SLACK: Final = 0.5
 """mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
 
@@ -131,9 +135,9 @@ class Measurements:
         temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
         return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
 
-    def save(self, path: Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
+    def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
         """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
-        write_whole(path, self.to_csv(machine, comment=comment, planned=planned))
+        write_whole(Path(path), self.to_csv(machine, comment=comment, planned=planned))
 
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
         """The table as text; reading it gives the same measurements. Without any coordinate it is a plan.
@@ -180,7 +184,7 @@ class Measurements:
         return text.getvalue()
 
 
-def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
+def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
     """Read and check a measurement table.
 
     Args:
@@ -193,6 +197,7 @@ def load(path: Path, machine: Machine, *, plan: bool = False) -> Measurements:
             number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
             pose given in part.
     """
+    path = Path(path)
     header, rows, said = read_table(path)
     made = says_simulated(said)
     axes = machine.axes
@@ -271,7 +276,7 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
 
 
 def load_export(
-    path: Path,
+    path: str | Path,
     machine: Machine,
     positions: Any,
     *,
@@ -292,6 +297,7 @@ def load_export(
     Raises:
         InputError: another number of lines than blocks times positions, or a line that is not a name and three numbers.
     """
+    path = Path(path)
     commands = np.atleast_2d(np.asarray(positions, dtype=float))
     if commands.shape[1] != len(machine.axes):
         raise InputError("positions of the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
@@ -423,10 +429,10 @@ def _known(table: Measurements) -> Measurements:
 
 def _told(table: Measurements, what: str, names: np.ndarray, columns: Sequence[str], values: np.ndarray) -> np.ndarray:
     given = ~np.isnan(values)
-    for row in np.flatnonzero(given.any(axis=1) & ~np.isfinite(values).all(axis=1)):
+    for row in np.flatnonzero(given.any(axis=1) & ~(np.abs(values) <= LARGEST_MM).all(axis=1)):
         raise InputError(
             f"{what} {names[row]}: its place is given in part",
-            expected=f"finite numbers in {', '.join(columns)}, or nothing",
+            expected=f"numbers of at most {LARGEST_MM:g} in {', '.join(columns)}, or nothing",
             file=table.source,
             line=int(table.lines[row]),
         )
@@ -460,8 +466,9 @@ def _usable(table: Measurements, machine: Machine) -> Measurements:
     finite = np.isfinite(table.positions)
     aside(~finite.all(axis=1), "a commanded position that is no finite number")
     aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate that is no finite number")
+    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate beyond {LARGEST_MM:g} mm")
     aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
-    aside(np.any(table.u_mm <= 0.0, axis=1), "a standard uncertainty that is not positive")
+    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty below {SMALLEST_U_MM:g} mm")
     for i, axis in enumerate(machine.axes):
         if axis.lower is not None and axis.upper is not None:
             q = table.positions[:, i]

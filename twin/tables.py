@@ -16,6 +16,8 @@ from twin.errors import InputError, control_character, is_it
 from twin.files import read_lines
 
 MOST_COLUMNS: Final = 1000
+LARGEST: Final = 1e12
+"""Of any number in a table: seconds since 1970 are less; the square of it, and sums of squares, are finite."""
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
@@ -113,6 +115,14 @@ class Cells:
                 line=line,
                 value=cell,
             ) from None
+        for i in np.flatnonzero(np.isfinite(values) & (np.abs(values) > LARGEST)):
+            raise InputError(
+                f"{name} is too large",
+                expected=f"a number of at most {LARGEST:g}",
+                file=self.path,
+                line=self.rows[i][0],
+                value=cells[i],
+            )
         for i in np.flatnonzero(np.isnan(values)):
             if cells[i]:
                 values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured

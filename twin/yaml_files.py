@@ -20,7 +20,7 @@ from twin.files import read_text
 Schema = TypeVar("Schema", bound=BaseModel)
 Place = tuple[str | int, ...]
 
-MOST_BYTES: Final = 2**24
+MOST_BYTES: Final = 2**23
 MOST_ENTRIES: Final = 100_000
 """Of one file, with every alias written out; a calibration of five axes has some thousand."""
 DEEPEST: Final = 32
@@ -189,7 +189,7 @@ class _Reading:
         if node.tag not in (f"{_YAML}map", f"{_YAML}seq"):
             raise self._fail("a tag that is not read", "entries or a list without a tag", line, node.tag)
         if any(one is node for one in self._around):
-            raise self._fail("an alias of what it stands in", "no anchor within itself", line, None)
+            raise self._fail("an alias inside its own anchor", "no recursion", line, None)
         if len(self.lines) > MOST_ENTRIES:
             raise self._fail(f"more than {MOST_ENTRIES} entries with its aliases", "a smaller file", line, None)
         self._around.append(node)

@@ -90,12 +90,13 @@ class AxisLayout:
     path: Path | None = None
 
     @classmethod
-    def load(cls, path: Path, machine: Machine) -> AxisLayout:
+    def load(cls, path: str | Path, machine: Machine) -> AxisLayout:
         """Read and check a layout file.
 
         Raises:
             InputError: with file, line, value and what was expected.
         """
+        path = Path(path)
         entries, lines = load_yaml(path, _LayoutFile, SCHEMA)
         check = _Check(path, lines)
         linear = [axis.name for axis in machine.axes if axis.linear]

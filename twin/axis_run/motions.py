@@ -280,7 +280,13 @@ def _fitted(
         start += part.shape[1]
     design = np.concatenate(blocks, axis=1)
     rows = np.tile([f"E_{letter}{motions.axis}" in chosen for letter in NAMES], g)
-    factor = np.linalg.cholesky(motions.covariance[np.ix_(rows, rows)])
+    try:
+        factor = np.linalg.cholesky(motions.covariance[np.ix_(rows, rows)])
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"the uncertainty of {motions.axis}'s motions is too uneven to weigh them",
+            expected="readings of one layout, and stated uncertainties of like sizes",
+        ) from None
     whitened = np.linalg.solve(factor, design[rows])
     right = np.linalg.solve(factor, motions.values.reshape(-1)[rows])
     q, r = np.linalg.qr(whitened)

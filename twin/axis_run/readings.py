@@ -19,7 +19,7 @@ from twin.arrays import locked
 from twin.axis_run.layout import AxisLayout
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.measurement import RANGE_SLACK, RowNote, comments_of, says_simulated
+from twin.measurement import LARGEST_MM, RANGE_SLACK, RowNote, comments_of, says_simulated
 from twin.tables import Cells, not_understood, read_table
 from twin.units import MM
 
@@ -79,12 +79,12 @@ class Readings:
         writer.writerows(zip(*columns.values(), strict=True))
         return text.getvalue()
 
-    def save(self, path: Path, layout: AxisLayout, *, comment: str = "") -> None:
+    def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
         """Write the table, whole or not at all."""
-        write_whole(path, self.to_csv(layout, comment=comment))
+        write_whole(Path(path), self.to_csv(layout, comment=comment))
 
 
-def load_readings(path: Path, layout: AxisLayout) -> Readings:
+def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
     """Read and check a table of readings.
 
     Args:
@@ -94,6 +94,7 @@ def load_readings(path: Path, layout: AxisLayout) -> Readings:
     Raises:
         InputError: with file, line and value: no header, a missing column, a cell that is no number, no usable row.
     """
+    path = Path(path)
     header, rows, comments = read_table(path)
     position = f"{layout.axis.name}_mm"
     needed = (position, *layout.columns)
@@ -135,6 +136,7 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
 
     aside(~np.isfinite(table.position_mm), "a commanded position that is no finite number")
     aside(np.isinf(table.change_mm).any(axis=1), "a reading that is no finite number")
+    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading beyond {LARGEST_MM:g} mm")
     aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:

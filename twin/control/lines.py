@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import isfinite
 from pathlib import Path
 
 from twin.errors import InputError
@@ -12,6 +11,8 @@ from twin.machine import Axis, Machine
 
 UM_IN_MM = 1e-3
 URAD_IN_DEG = 180e-6 / 3.141592653589793
+LARGEST = 1e9
+"""Of any number in a control's file: a thousand kilometres, more than the increments of any scale."""
 LETTERS = tuple("XYZABCUVW")
 """What LinuxCNC and HEIDENHAIN call axes."""
 
@@ -26,7 +27,7 @@ def numbered(path: Path) -> list[tuple[int, str]]:
 
 
 def number(text: str, path: Path, line: int, what: str) -> float:
-    """A finite number.
+    """Return a number of magnitude up to `LARGEST`.
 
     Raises:
         InputError: it is none.
@@ -35,8 +36,10 @@ def number(text: str, path: Path, line: int, what: str) -> float:
         value = float(text)
     except ValueError:
         value = float("nan")
-    if not isfinite(value):
-        raise InputError(f"{what} is no number", expected="a number", file=path, line=line, value=text)
+    if not abs(value) <= LARGEST:
+        raise InputError(
+            f"{what} is no number", expected=f"a number of at most {LARGEST:g}", file=path, line=line, value=text
+        )
     return value
 
 

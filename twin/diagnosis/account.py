@@ -336,7 +336,7 @@ def _evidence(form: Form, found: Estimate, k: int) -> str:
         "station_drift": f"station {where} creeps while it measures",
         "misplaced": _misplaced(where),
         "target_shift": f"target {where} sits elsewhere than before",
-    }[form.candidate.effect]
+    }.get(form.candidate.effect, f"{where}: an error of the kind {form.candidate.effect.replace('_', ' ')}")
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
 
 

@@ -31,7 +31,7 @@ SEEN: Final = 1e-9
 
 
 def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:
-    """The mistake in words; empty where none is plain.
+    """The mistake in words; empty where none is plain, or the curve has more coefficients than there are functions.
 
     Args:
         space: the functions of the correction.
@@ -39,6 +39,8 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
         correction: (k,) coefficients of the first functions, µm or µrad.
         covariance: (k, k) of them; what the data do not see is zero.
     """
+    if len(curve.coefficients) > space.count:
+        return ""
     given = _given(space, curve)
     weight, rank = _inverse(covariance)
     k = len(correction)

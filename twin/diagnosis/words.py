@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, exp, floor, log10
+from math import ceil, exp, floor, isfinite, log10
 from types import MappingProxyType
 from typing import Any, Final, Literal, final
 
@@ -139,8 +139,12 @@ def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
 
 
 def measured(value: float, u: float, unit: str) -> str:
-    """A number with its 95 % interval, to two digits of that: 9.29 ± 0.51 µm."""
+    """Return a number with its 95 % interval, to two digits of that: 9.29 ± 0.51 µm; words where either is not finite."""
     sign = "" if unit == "1" else f" {unit}"
+    if not isfinite(value):
+        return "not determined"
+    if not isfinite(u):
+        return f"{value:.4g}{sign}, uncertainty unknown".replace("-", "−")
     if u <= 0.0:
         return f"{value:.4g}{sign}".replace("-", "−")
     half = COVERAGE * u

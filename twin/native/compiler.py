@@ -114,7 +114,11 @@ def found() -> Compiler | None:
 
 @cache
 def _found(named: str, path: str) -> Compiler | None:
-    for words in [tuple(shlex.split(named))] if named.strip() else [(name,) for name in CANDIDATES]:
+    try:
+        own = tuple(shlex.split(named))
+    except ValueError:  # a quotation mark without its other
+        return None
+    for words in [own] if own else [(name,) for name in CANDIDATES]:
         program = shutil.which(words[0], path=path)
         if program is None:
             continue

@@ -146,12 +146,13 @@ class Kit:
         return self.stations_known | {name for name, target in self.targets.items() if target.known}
 
     @classmethod
-    def load(cls, path: Path, machine: Machine) -> Kit:
+    def load(cls, path: str | Path, machine: Machine) -> Kit:
         """From a file (``schema: twin.kit/1``).
 
         Raises:
             InputError: with file, line and value, on whatever does not fit the schema or the machine.
         """
+        path = Path(path)
         entries, lines = load_yaml(path, _KitFile, SCHEMA)
 
         def fail(place: Place, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:

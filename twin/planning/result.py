@@ -166,7 +166,7 @@ class Plan:
             found.append(f"RETRACT before readings {rows}{more}: the straight move there comes too near to something")
         return found
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the plan as a table without coordinates, whole or not at all."""
         meant = {*self.kit.stations, *self.kit.targets} - self.kit.known
         self.table.save(path, self.machine, comment=self.comment(), planned=meant)

@@ -111,7 +111,7 @@ class Identified:
     others: tuple[str, ...]
 
     @classmethod
-    def load(cls, path: Path, calibration: Calibration) -> Identified:
+    def load(cls, path: str | Path, calibration: Calibration) -> Identified:
         """Read the file.
 
         Args:
