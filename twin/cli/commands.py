@@ -10,6 +10,7 @@ from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.cli.complete import told_word_by_word
 from twin.cli.signals import as_interrupt
+from twin.cli.terminal import BROKEN_PIPE, accept_any_text, discard_output, flush, line_of_failure, tell_error
 from twin.cli.usage import UsageError, help_of, line_of_usage
 from twin.errors import InputError, OutputError
 from twin.options import gathered
@@ -37,29 +38,51 @@ __all__ = [
 
 def run(arguments: list[str]) -> None:
     """Run a command: exit 0 done, 2 bad input or usage, 3 done but something was not met, 128 + n ended by signal n."""
+    accept_any_text()
     with as_interrupt() as received:
         try:
-            # Not standalone: the parser's own errors are printed in one line, as all others.
-            told_word_by_word()
-            words = gathered(arguments)
-            status = app(args=words, prog_name="twin", standalone_mode=False)
-            if status == INTERRUPTED:  # the parser's own way to pass on KeyboardInterrupt
-                raise KeyboardInterrupt
-            sys.exit(status if isinstance(status, int) else 0)
+            sys.exit(_run(arguments))
         except UsageError as error:
             shown = help_of(error)
             if shown is None:
-                print(f"twin: {line_of_usage(error)}", file=sys.stderr)
+                tell_error(f"twin: {line_of_usage(error)}")
             else:
                 print(shown, end="")
             sys.exit(BAD_INPUT)
         except InputError as error:
             option = "" if error.setting is None else f" (--{error.setting.replace(' ', '-')})"
-            print(f"twin: {error}{option}", file=sys.stderr)
+            tell_error(f"twin: {error}{option}")
             sys.exit(BAD_INPUT)
         except OutputError as error:
-            print(f"twin: defect, nothing written: {error}", file=sys.stderr)
+            tell_error(f"twin: defect, nothing written: {error}")
             sys.exit(NOT_ALL_MET)
+        except BrokenPipeError:
+            discard_output()
+            sys.exit(BROKEN_PIPE)
+        except OSError as error:
+            discard_output()
+            tell_error(f"twin: {line_of_failure(error)}")
+            sys.exit(BAD_INPUT)
         except KeyboardInterrupt:
-            print(f"twin: {received.reason}, nothing half written", file=sys.stderr)
+            tell_error(f"twin: {received.reason}, nothing half written")
             sys.exit(received.status)
+
+
+def _run(words: list[str]) -> int:
+    """Run the command of these words and return its exit status, with everything printed."""
+    for word in words:
+        if "\0" in word:
+            raise InputError("a NUL character in an argument", expected="text without it", value=word)
+    # Not standalone: the parser's own errors are printed in one line, as all others.
+    told_word_by_word()
+    try:
+        status = app(args=gathered(words), prog_name="twin", standalone_mode=False)
+    except SystemExit as stop:
+        # The parser's own way to deal with a closed pipe.
+        if isinstance(stop.__context__, BrokenPipeError):
+            raise stop.__context__ from None
+        raise
+    if status == INTERRUPTED:  # the parser's own way to pass on KeyboardInterrupt
+        raise KeyboardInterrupt
+    flush()
+    return status if isinstance(status, int) else 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from twin.calibration import Calibration
 from twin.errors import InputError
-from twin.files import read_text
+from twin.files import read_json
 
 SCHEMA: Final = "twin.identification/1"
 POINTS: Final = 201
@@ -121,12 +120,9 @@ class Identified:
         Raises:
             InputError: it is no such file, or of another machine.
         """
+        path = Path(path)
         try:
-            found = _File.model_validate(json.loads(read_text(path)))
-        except json.JSONDecodeError as error:
-            raise InputError(
-                "not JSON", expected="what `twin identify --json` wrote", file=path, line=error.lineno, value=error.msg
-            ) from None
+            found = _File.model_validate(read_json(path, "what `twin identify --json` wrote"))
         except ValidationError as error:
             first = error.errors()[0]
             entry = ".".join(str(part) for part in first["loc"]) or "the file"
