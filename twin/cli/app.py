@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from twin.channels import Conditions
 from twin.cli import complete
 from twin.cli.installation import BAD_INPUT as BAD_INPUT
 from twin.cli.installation import NOT_ALL_MET as NOT_ALL_MET
+from twin.errors import InputError
 from twin.iso16907 import NAMES
 from twin.machine import Machine
 
@@ -124,6 +126,22 @@ def tell_unused(at: Conditions, errors: Calibration) -> None:
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     """The calibration of that file, or the machine file's own."""
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
+
+
+def need_pictures(what: str) -> None:
+    """Find out before the work whether pictures can be drawn.
+
+    Raises:
+        InputError: matplotlib does not import.
+    """
+    try:
+        import_module("matplotlib.figure")
+    except ImportError as error:
+        raise InputError(
+            f"{what} draws pictures, and matplotlib is not installed",
+            expected="pip install 'twin[plots]'",
+            value=error,
+        ) from error
 
 
 @contextmanager

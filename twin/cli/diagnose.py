@@ -13,6 +13,7 @@ from twin.cli.app import (
     CalibrationOption,
     MachineOption,
     calibration_of,
+    need_pictures,
     progress,
 )
 from twin.cli.outputs import CALIBRATION, HTML, JsonOption, command
@@ -52,6 +53,8 @@ def diagnose(
     ] = None,
 ) -> None:
     """Show what the model gets wrong about measured data, and name the cause."""
+    if html_file is not None:
+        need_pictures("the HTML report")
     loaded = Machine.load(machine)
     outputs = [path for path in (json_file, html_file, extended) if path is not None]
     errors = calibration_of(calibration, loaded)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -17,11 +16,11 @@ from twin.cli.app import (
     TimeOption,
     ToolOption,
     calibration_of,
+    need_pictures,
     progress,
     tell_unused,
 )
 from twin.cli.outputs import HTML, JsonOption, command
-from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
@@ -55,10 +54,7 @@ def report(
     json_file: JsonOption = None,
 ) -> None:
     """One page about a machine: what is wrong most, what it makes at the tool, what to do and what not, and what it rests on."""
-    if find_spec("matplotlib") is None:
-        raise InputError(
-            "the report draws pictures, and matplotlib is not installed", expected="pip install 'twin[plots]'"
-        )
+    need_pictures("the report")
     loaded = Machine.load(machine)
     outputs = [path for path in (output, json_file) if path is not None]
     tables = measured or []

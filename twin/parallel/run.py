@@ -18,6 +18,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import Any, Final, TypeVar, final
 
 import cloudpickle
@@ -55,7 +56,7 @@ class Workers:
         tls: for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
 
     Raises:
-        InputError: fewer than one process; TLS without a scheduler that uses it.
+        InputError: fewer than one process; a scheduler, and Dask is not installed; TLS without a scheduler that uses it.
     """
 
     processes: int | None = None
@@ -69,6 +70,8 @@ class Workers:
             raise InputError(
                 "TLS files and a scheduler that does not use TLS", expected="tls://host:8786", value=self.scheduler
             )
+        if self.scheduler is not None and find_spec("distributed") is None:
+            raise InputError("a scheduler was named and Dask is not installed", expected="pip install 'twin[cluster]'")
 
 
 def finished(
@@ -198,12 +201,8 @@ def _end_with(parent: int) -> None:
 def _on_cluster(
     common: bytes, tasks: Sequence[Any], address: str, tls: Tls | None, name: Callable[[int], str]
 ) -> Generator[tuple[int, Any], None, None]:
-    try:
-        from twin.parallel.cluster import connected
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "a scheduler was named and Dask is not installed", expected="pip install 'twin[cluster]'", value=error.name
-        ) from error
+    from twin.parallel.cluster import connected  # Dask takes its time, and is not always installed
+
     with connected(address, tls, name) as (backend, threads):
         pool = Parallel(
             n_jobs=threads,
