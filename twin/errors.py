@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
 from pathlib import Path
@@ -63,22 +64,29 @@ class InputError(ValueError):
 def control_character(text: str) -> str | None:
     """Return the first control character of a text other than tab and line ends, escaped; None if there is none."""
     found = _CONTROL.search(text)
-    return None if found is None else _escaped(found)
+    return None if found is None else _escaped(found[0])
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    """Return a text with its control characters escaped, so that what a file or its name holds cannot steer a terminal.
+    """Return a text with control and format characters escaped, so that what a file or its name holds cannot steer a terminal.
 
     Args:
         text: any text.
         one_line: whether tabs and line ends are escaped too.
     """
-    shown = _CONTROL.sub(_escaped, text)
-    return re.sub(r"[\t\r\n]", _escaped, shown) if one_line else shown
+    if text.isprintable():
+        return text
+    kept = "" if one_line else "\t\r\n"
+    return "".join(one if one in kept or not _steers(one) else _escaped(one) for one in text)
 
 
-def _escaped(found: re.Match[str]) -> str:
-    return found[0].encode("unicode_escape").decode("ascii")
+def _steers(one: str) -> bool:
+    category = unicodedata.category(one)
+    return category[0] == "C" or category in ("Zl", "Zp")
+
+
+def _escaped(one: str) -> str:
+    return one.encode("unicode_escape").decode("ascii")
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -28,6 +28,9 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
 }
 """Options that take several words (contract §3), and what every word after the first looks like."""
+SMALLEST: Final = 1e-12
+LARGEST: Final = 1e12
+"""Of a number on the command line, whatever its unit: less than an atom, more than the seconds since 1970."""
 
 
 def instrument_named(name: str) -> Instrument:
@@ -205,7 +208,7 @@ def workers(
 
 
 def number(option: str, text: str, shown: str) -> float:
-    """A finite number.
+    """Return a number as `usable_number` wants it.
 
     Raises:
         InputError: it is not; with what was expected.
@@ -214,9 +217,29 @@ def number(option: str, text: str, shown: str) -> float:
         value = float(text)
     except ValueError:
         value = float("nan")
+    usable_number(option, value, shown)
+    return value
+
+
+def usable_number(option: str, value: float, shown: object) -> None:
+    """Raise `InputError` unless a number is finite and of a size that can be squared and divided by.
+
+    Args:
+        option: what it was given with.
+        value: the number.
+        shown: the text it was given as, for the message.
+
+    Raises:
+        InputError: it is not.
+    """
     if not abs(value) < float("inf"):
         raise InputError(f"{option} is no number", expected="a finite number", value=shown)
-    return value
+    if value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+        raise InputError(
+            f"{option} is beyond any machine",
+            expected=f"0, or a number between {SMALLEST:g} and {LARGEST:g} in size",
+            value=shown,
+        )
 
 
 def positive(option: str, value: float) -> None:

@@ -45,6 +45,7 @@ from twin.units import MM, UM
 
 SCHEMA: Final = "twin.volume/1"
 TRIALS: Final = 100_000
+MOST_TRIALS: Final = 100_000_000
 POSES: Final = 200
 MOST_POSES: Final = 5_000
 """More would make the counts of a task larger than the work of sending them is worth."""
@@ -427,8 +428,8 @@ def draw_machines(
     Raises:
         InputError: numbers out of place; a calibration without covariance; as `twin.parallel.finished`.
     """
-    if trials < FEWEST_TRIALS:
-        raise InputError("too few machines", expected=f"at least {FEWEST_TRIALS}", value=trials)
+    if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
+        raise InputError("a number of machines out of place", expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}", value=trials)
     if not 1 <= poses <= MOST_POSES:
         raise InputError("a number of poses out of place", expected=f"1 … {MOST_POSES}", value=poses)
     if seed < 0:

@@ -120,7 +120,7 @@ class Cells:
                 f"{name} is too large",
                 expected=f"a number of at most {LARGEST:g}",
                 file=self.path,
-                line=self.rows[i][0],
+                line=self.rows[int(i)][0],
                 value=cells[i],
             )
         for i in np.flatnonzero(np.isnan(values)):

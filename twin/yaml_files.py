@@ -21,7 +21,7 @@ Schema = TypeVar("Schema", bound=BaseModel)
 Place = tuple[str | int, ...]
 
 MOST_BYTES: Final = 2**23
-MOST_ENTRIES: Final = 100_000
+MOST_ENTRIES: Final = 50_000
 """Of one file, with every alias written out; a calibration of five axes has some thousand."""
 DEEPEST: Final = 32
 """Levels of lists and entries in one another; a calibration has five."""

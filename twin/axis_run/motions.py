@@ -34,6 +34,10 @@ FEWEST: Final = 4
 PAYS: Final = 1e-6
 """Of held-out error: of models that foretell alike the smallest is taken."""
 NAMES: Final = "XYZABC"
+MOST_STATES: Final = 1500
+"""Positions, each side counted: their joint covariance has 6 times as many rows and columns (0.6 GB)."""
+MOST_ROWS: Final = 30_000
+"""Readings of them."""
 SCALE: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
 
 
@@ -95,8 +99,16 @@ def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "s
         spread: the readings' stated noise, or the scatter of repeats of the same state. The installation's part is in both.
 
     Raises:
-        InputError: beams that do not fix six motions; too few repeats for ``spread="repeats"``; no estimate.
+        InputError: beams that do not fix six motions; too few repeats for ``spread="repeats"``; no estimate; too many readings.
     """
+    states = len(np.unique(np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1), axis=0))
+    if states > MOST_STATES or len(readings) > MOST_ROWS:
+        raise InputError(
+            "too many readings for a joint covariance of all of them",
+            expected=f"at most {MOST_STATES} positions, each side counted, and {MOST_ROWS} rows",
+            file=readings.source,
+            value=f"{states} positions, {len(readings)} rows",
+        )
     start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
     found = measure(
         layout.beams, readings.paths(layout), noise=layout.noise, installation_u=layout.installation_u, poses=start

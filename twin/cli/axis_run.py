@@ -18,7 +18,11 @@ from twin.errors import InputError, nearest
 from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
+from twin.options import three_numbers
 from twin.provenance import SIMULATED, merged, to_json
+
+MOST_ROWS = 30_000
+"""Of a simulated run: what `twin axis-run` can work out."""
 
 LayoutOption = Annotated[
     Path,
@@ -100,8 +104,12 @@ def simulate_axis_run(
         if value < 0:
             raise InputError(f"{name} is too small", expected="--seed 0 or more, --rounds 1 or more", value=value)
     forth = _positions(positions, standing)
-    truth = calibration_of(calibration, loaded)
     n = len(forth)
+    if 2 * n * rounds > MOST_ROWS:
+        raise InputError(
+            f"{n} positions forth and back in {rounds} rounds are too many", expected=f"at most {MOST_ROWS} rows"
+        )
+    truth = calibration_of(calibration, loaded)
     table, stands = simulate_run(
         standing,
         loaded,
@@ -152,10 +160,7 @@ def _layout_file(path: Path) -> Path:
 
 
 def _positions(text: str, layout: AxisLayout) -> np.ndarray:
-    try:
-        first, last, count = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError("--positions does not fit", expected="from,to,count", value=text) from None
+    first, last, count = three_numbers("--positions", text, text, "from,to,count")
     lower, upper = layout.axis.lower, layout.axis.upper
     inside = lower is None or upper is None or lower <= min(first, last) <= max(first, last) <= upper
     if not inside or not first < last or count != int(count) or count < 2:
@@ -163,4 +168,6 @@ def _positions(text: str, layout: AxisLayout) -> np.ndarray:
         raise InputError(
             "--positions does not fit", expected=f"rising positions{span} mm and a count of 2 or more", value=text
         )
+    if count > MOST_ROWS:
+        raise InputError("--positions has too many", expected=f"a count of at most {MOST_ROWS}", value=text)
     return np.linspace(first, last, int(count))

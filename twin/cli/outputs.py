@@ -1,5 +1,7 @@
 """Declares a command: every path it is given is an input unless it is marked as an `Output`, and no output may be an input.
 
+Every number it is given has a size that arithmetic can bear, so that no command can overflow.
+
 `command` replaces Typer's own decorator, so that no command can forget the check. Files that a command reads indirectly (the URDF a
 machine file names, a default calibration) are noted by `twin.files` when they are read.
 """
@@ -18,6 +20,7 @@ import typer
 from twin.cli.app import app
 from twin.errors import InputError
 from twin.files import check_writable, command_files
+from twin.options import usable_number
 
 Function = TypeVar("Function", bound=Callable[..., None])
 
@@ -57,6 +60,9 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
         @functools.wraps(function)
         def checked(*arguments: Any, **options: Any) -> None:
             given = inspect.signature(function).bind(*arguments, **options).arguments
+            for parameter, value in given.items():
+                if isinstance(value, float):
+                    usable_number(f"--{parameter.replace('_', '-')}", value, value)
             with command_files() as files:
                 for path in _given(given, paths, outputs=False):
                     if path.exists():

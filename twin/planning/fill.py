@@ -17,6 +17,8 @@ from twin.planning.design import Aim, Say, choose, covariance_of
 from twin.planning.kit import Kit
 from twin.planning.route import Route, Session, route
 
+MOST_READINGS: Final = 10_000
+"""A plan's work grows with their square; a day has some 5,000."""
 STATIONS: Final = 4
 """Stations of one plan at most: each more is set up, placed by the data, and paid for."""
 FEWEST: Final = 12
@@ -87,11 +89,21 @@ class Filler:
         seed: of every draw.
         say: told how far it is.
         first_round: number of the first round.
+
+    Raises:
+        InputError: time for more readings than can be planned.
     """
 
     def __init__(
         self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say, *, first_round: int = 1
     ) -> None:
+        longest = MOST_READINGS * kit.seconds.point / 60.0
+        if not minutes <= longest:
+            raise InputError(
+                f"time for more than {MOST_READINGS} readings",
+                expected=f"at most {longest:.4g} minutes, or a kit that takes longer over a reading",
+                value=minutes,
+            )
         self.first_round = first_round
         self.machine = machine
         self.kit = kit
