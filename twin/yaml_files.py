@@ -207,6 +207,8 @@ class _Reading:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self._fail("a name that is a list or has entries", "`name: value`", line, None)
             key = self._scalar(key_node)
+            if not isinstance(key, str):
+                raise self._fail("a name that is no text", "quotes around it", line, key_node.value)
             if key in found:
                 raise self._fail("given twice", "each key once", line, key)
             found[key] = self.plain(value_node, (*place, key))

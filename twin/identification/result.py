@@ -202,8 +202,8 @@ class Identification:
                 "rms_um": self.rms_um,
                 "chi2": fit.chi2,
                 "dof": fit.dof,
-                "reduced_chi2": fit.reduced,
-                "p_value": fit.p_value,
+                "reduced_chi2": _number(fit.reduced),
+                "p_value": _number(fit.p_value),
                 "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": _number(fit.pure_reduced)},
                 "lack_of_fit_p_value": _number(fit.lack_p_value),
             },
@@ -220,7 +220,7 @@ class Identification:
 
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
-        left = f"{self.rms_um:.3g} µm RMS a coordinate; reduced chi² {fit.reduced:.3f} (p = {fit.p_value:.2g})"
+        left = f"{self.rms_um:.3g} µm RMS a coordinate; {_fit_text(fit)}"
         rows = [
             ("data", self.data.source),
             ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
@@ -251,13 +251,12 @@ class Identification:
             f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} numbers determined",
             *texts(self.calibration.warnings),
             "",
-            f"what is left: {self.rms_um:.3g} µm RMS a coordinate; reduced chi² {fit.reduced:.3f} "
-            f"({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})",
+            f"what is left: {self.rms_um:.3g} µm RMS a coordinate; {_fit_text(fit)}",
         ]
         if fit.pure_dof:
             lines.append(
                 f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
-                f"p = {fit.lack_p_value:.2g}"
+                + ("cannot be tested" if _number(fit.lack_p_value) is None else f"p = {fit.lack_p_value:.2g}")
             )
         lines += [_verdict(fit), "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
@@ -327,6 +326,12 @@ def _nearest(scores: Mapping[int, float], size: int) -> float | None:
 
 def _list(values: np.ndarray) -> list[float]:
     return [float(v) for v in values]
+
+
+def _fit_text(fit: Misfit) -> str:
+    if fit.dof <= 0:
+        return "no degrees of freedom are left to judge the fit by"
+    return f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
 
 
 def _number(value: float) -> float | None:

@@ -44,9 +44,9 @@ class _Unidentified(BaseModel):
 class _Misfit(BaseModel):
     model_config = ConfigDict(frozen=True)
     rms_um: float
-    reduced_chi2: float
+    reduced_chi2: float | None
     dof: float
-    p_value: float
+    p_value: float | None
     lack_of_fit_p_value: float | None = None
 
 
@@ -84,7 +84,7 @@ class Identified:
         orders: how many functions `identify` gave a curve beyond its datum, by name.
         not_identifiable: names with the reason.
         rms_um: of what was left of the readings, a coordinate.
-        reduced_chi2, dof, p_value: of the fit.
+        reduced_chi2, dof, p_value: of the fit; NaN without degrees of freedom.
         lack_p_value: of what repeats against what scatters; None without repeats.
         rows: of the table that were set aside, line and reason.
         notices: what a reader must know.
@@ -148,9 +148,9 @@ class Identified:
             orders={one.name: one.order for one in found.errors if one.order is not None},
             not_identifiable=tuple((one.name, one.reason) for one in found.not_identifiable),
             rms_um=found.misfit.rms_um,
-            reduced_chi2=found.misfit.reduced_chi2,
+            reduced_chi2=_or_nan(found.misfit.reduced_chi2),
             dof=found.misfit.dof,
-            p_value=found.misfit.p_value,
+            p_value=_or_nan(found.misfit.p_value),
             lack_p_value=found.misfit.lack_of_fit_p_value,
             rows=tuple((one.line, one.reason) for one in found.set_aside),
             notices=found.notices,
@@ -178,6 +178,10 @@ class Identified:
             "converged": self.converged,
             "other_numbers_than_the_calibration": list(self.others),
         }
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
 
 
 def _others(errors: tuple[_Error, ...], calibration: Calibration) -> tuple[str, ...]:

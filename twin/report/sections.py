@@ -468,13 +468,16 @@ def gaps_part(report: MachineReport) -> str:
     if by_reason:
         text += "<p><b>Not identifiable</b> from the data, however large: they look the same with and without it.</p>"
         text += bullets(f"{escaped(', '.join(names))}: {escaped(reason)}" for reason, names in by_reason.items())
+    judged = (
+        f"reduced chi² {told.reduced_chi2:.3f} ({told.dof:,.0f} degrees of freedom, {probability(told.p_value)})"
+        if told.dof > 0
+        else "no degrees of freedom to judge the fit by"
+    )
     fit = [
         ("From", f"{told.data}: {told.used:,} points used, {told.set_aside:,} set aside; scatter: {told.spread}"),
         (
             "Fit",
-            f"{figure(told.rms_um, 'µm')} RMS a coordinate left; reduced chi² {told.reduced_chi2:.3f} ({told.dof:,.0f} "
-            f"degrees of freedom, "
-            f"{probability(told.p_value)})",
+            f"{figure(told.rms_um, 'µm')} RMS a coordinate left; {judged}",
         ),
     ]
     if told.lack_p_value is not None:
