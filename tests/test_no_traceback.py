@@ -58,7 +58,7 @@ LAUGHS = "a: &a [x, x]\n" + "".join(
         ("source: &a [*a]\n", 3, "an alias inside its own anchor"),
         ("source: &a {b: [*a]}\n", 3, "an alias inside its own anchor"),
         (f"source: {'[' * 5000}\n", 3, "more than 32 levels"),
-        (f"source:\n{''.join(' ' * i + 'a:' + chr(10) for i in range(1, 5000))}", 35, "more than 32 levels"),
+        (f"source:\n{''.join(' ' * i + 'a:' + chr(10) for i in range(1, 200))}", 34, "more than 32 levels"),
         (f"source: x\n{LAUGHS}", None, "entries with its aliases"),
         (f"source: [{'1, ' * 60_000}]\n", 3, "more than 50000 entries"),
         (f"source: {'a' * 9_000_000}\n", None, "at most 8 MB"),
@@ -246,6 +246,15 @@ def test_a_compiler_whose_name_cannot_be_split_is_none(monkeypatch: pytest.Monke
     assert compiler.found() is None
 
 
+def test_text_of_a_file_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"{HEAD}source: 'measured [/1], [red]see[/] :smile: [2]'\n")
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["info", "--calibration", str(path)])
+    assert stopped.value.code == 0
+    assert "measured [/1], [red]see[/] :smile: [2]" in capsys.readouterr().out
+
+
 def test_control_characters_are_shown_not_sent() -> None:
     error = InputError("bad \x1b[2J", expected="a\nb", file="\x1b]0;x\x07.csv", value="\x1b")
     assert str(error) == "\\x1b]0;x\\x07.csv: bad \\x1b[2J: '\\x1b'; expected a\\nb"
@@ -257,9 +266,7 @@ def run(*arguments: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
 
 
 @pytest.mark.parametrize("name", ["\x1b]0;x\x07.csv", "\udcff.csv"])
-def test_names_that_would_steer_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_names_that_would_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     escaped = name.encode("unicode_escape").decode()
     assert f"{escaped}: " in refused(capsys, "identify", tmp_path / name, "-o", tmp_path / "x.yaml")
     (tmp_path / name).write_text(sample("plan"))
@@ -293,9 +300,9 @@ def test_a_terminal_of_another_encoding(
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2))
     monkeypatch.setattr("sys.stdout", out)
     monkeypatch.setattr("sys.stderr", err)
-    for words in (["doc", "speed"], ["identify", str(tmp_path / "−→µ.csv"), "-o", str(tmp_path / "x.yaml")]):
+    for line in (["doc", "speed"], ["identify", str(tmp_path / "−→µ.csv"), "-o", str(tmp_path / "x.yaml")]):
         with pytest.raises(SystemExit):
-            cli.main(words)
+            cli.main(line)
     out.flush()
     assert len(out.buffer.getvalue().decode(encoding)) > 500  # type: ignore[attr-defined]
     assert shown in err.buffer.getvalue().decode(encoding)  # type: ignore[attr-defined]

@@ -18,6 +18,7 @@ from twin.channels import Conditions
 from twin.cli import complete
 from twin.cli.installation import BAD_INPUT as BAD_INPUT
 from twin.cli.installation import NOT_ALL_MET as NOT_ALL_MET
+from twin.cli.terminal import echo
 from twin.errors import InputError
 from twin.iso16907 import NAMES
 from twin.machine import Machine
@@ -120,7 +121,7 @@ TlsKeyOption = Annotated[
 def tell_unused(at: Conditions, errors: Calibration) -> None:
     """Name what was given and not needed."""
     for name in at.unused(errors):
-        print(f"{name} was given and the calibration does not need it")
+        echo(f"{name} was given and the calibration does not need it")
 
 
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:

@@ -14,6 +14,7 @@ from twin.axis_run import AxisLayout, axis_curves, error_motions, load_readings,
 from twin.cli import complete
 from twin.cli.app import NOT_ALL_MET, CalibrationOption, MachineOption, calibration_of
 from twin.cli.outputs import CALIBRATION, TABLE, JsonOption, command
+from twin.cli.terminal import echo
 from twin.errors import InputError, nearest
 from twin.files import write_json
 from twin.machine import DEFAULT, Machine
@@ -74,8 +75,8 @@ def axis_run(
     curves.calibration.save(output)
     if json_file is not None:
         write_json(json_file, to_dict(standing, data, motions, curves))
-    print(to_text(standing, data, motions, curves), end="")
-    print(f"\nwritten: {', '.join(str(path) for path in written)}")
+    echo(to_text(standing, data, motions, curves), end="")
+    echo(f"\nwritten: {', '.join(str(path) for path in written)}")
     if data.set_aside:
         raise typer.Exit(NOT_ALL_MET)
 
@@ -144,7 +145,7 @@ def simulate_axis_run(
             "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
         }
         write_json(json_file, told)
-    print(f"written: {', '.join(str(path) for path in outputs)}, {len(table)} rows")
+    echo(f"written: {', '.join(str(path) for path in outputs)}, {len(table)} rows")
 
 
 def _layout_file(path: Path) -> Path:

@@ -10,7 +10,7 @@ from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.cli.complete import told_word_by_word
 from twin.cli.signals import as_interrupt
-from twin.cli.terminal import BROKEN_PIPE, accept_any_text, discard_output, flush, line_of_failure, tell_error
+from twin.cli.terminal import BROKEN_PIPE, accept_any_text, discard_output, echo, flush, line_of_failure, tell_error
 from twin.cli.usage import UsageError, help_of, line_of_usage
 from twin.errors import InputError, OutputError
 from twin.options import gathered
@@ -47,7 +47,7 @@ def run(arguments: list[str]) -> None:
             if shown is None:
                 tell_error(f"twin: {line_of_usage(error)}")
             else:
-                print(shown, end="")
+                echo(shown, end="")
             sys.exit(BAD_INPUT)
         except InputError as error:
             option = "" if error.setting is None else f" (--{error.setting.replace(' ', '-')})"

@@ -19,6 +19,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import JsonOption, command
+from twin.cli.terminal import echo
 from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.options import conditions, positive
@@ -72,8 +73,8 @@ def compare(
         )
     if json_file is not None:
         write_json(json_file, found.to_dict())
-    print(found.to_text(), end="")
+    echo(found.to_text(), end="")
     if outputs:
-        print(f"\nwritten: {json_file}")
+        echo(f"\nwritten: {json_file}")
     if found.unjudged:
         raise typer.Exit(NOT_ALL_MET)

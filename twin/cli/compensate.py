@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
@@ -39,6 +38,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import ANY, JsonOption, Output, command
+from twin.cli.terminal import echo, tell_error
 from twin.compensation import Compensator, Options
 from twin.errors import InputError
 from twin.files import write_json, write_whole
@@ -166,8 +166,8 @@ def _one(
         write_json(json_file, report.to_dict())
     if report_file is not None:
         write_whole(report_file, account)
-    print(account, end="")
-    print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+    echo(account, end="")
+    echo(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if not (report.strictly_complete if strict else report.complete):
         raise typer.Exit(NOT_ALL_MET)
 
@@ -219,13 +219,13 @@ def _several(
         write_json(json_file, data)
     if report_file is not None:
         write_whole(report_file, "\n".join(lines) + "\n")
-    print("\n".join(lines))
+    echo("\n".join(lines))
     if len(failed) < len(told):
-        print(f"written: {folder} (each with {TEXT} and {JSON})")
+        echo(f"written: {folder} (each with {TEXT} and {JSON})")
     for outcome in failed:
-        print(f"twin: {outcome.error}", file=sys.stderr)
+        tell_error(f"twin: {outcome.error}")
     if interrupted:
-        print(f"twin: {len(told) - len(failed)} of {len(programs)} programs written", file=sys.stderr)
+        tell_error(f"twin: {len(told) - len(failed)} of {len(programs)} programs written")
         raise KeyboardInterrupt
     if status:
         raise typer.Exit(status)

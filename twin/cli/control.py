@@ -22,6 +22,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.cli.outputs import JsonOption, Output, command
+from twin.cli.terminal import echo
 from twin.control import FORMATS
 from twin.control_tables import Request, compared, deliver, make, outputs_of, written_by
 from twin.errors import InputError
@@ -114,7 +115,7 @@ def control(
         found = compared(loaded, known, kind.value, files, place, tool_length, around)
         if json_file is not None:
             write_json(json_file, found.to_dict())
-        print(found.to_text(), end="")
+        echo(found.to_text(), end="")
         tell_unused(around, errors)
         return
     if to is None or output is None or files or kind is not None:
@@ -155,14 +156,14 @@ def control(
         account = deliver(made, errors, known, missing, output)
     if json_file is not None:
         write_json(json_file, account.to_dict())
-    print(account.to_text(), end="")
+    echo(account.to_text(), end="")
     tell_unused(around, errors)
-    print(f"\nwritten: {output}/ {' '.join(written_by(made))}")
+    echo(f"\nwritten: {output}/ {' '.join(written_by(made))}")
     strange = sorted(
         {path.name for path in output.iterdir()} - {*written_by(made), "" if json_file is None else json_file.name}
     )
     if strange:
-        print(f"also there, and not of these tables: {' '.join(strange)}")
+        echo(f"also there, and not of these tables: {' '.join(strange)}")
     if account.unmet:
         raise typer.Exit(NOT_ALL_MET)
 

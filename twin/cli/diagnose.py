@@ -17,6 +17,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import CALIBRATION, HTML, JsonOption, command
+from twin.cli.terminal import echo
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
@@ -71,8 +72,8 @@ def diagnose(
         from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
 
         write_whole(html_file, diagnosis_html(found))
-    print(found.to_text(), end="")
+    echo(found.to_text(), end="")
     if outputs:
-        print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+        echo(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if found.data.set_aside:
         raise typer.Exit(NOT_ALL_MET)

@@ -16,6 +16,7 @@ from twin.calibration import Calibration
 from twin.cli.app import NOT_ALL_MET, progress
 from twin.cli.installation import Finding, browser, extras, packages, python, show, size
 from twin.cli.outputs import JsonOption, command
+from twin.cli.terminal import echo
 from twin.compensation import Compensator, Options
 from twin.errors import InputError, OutputError
 from twin.files import write_json
@@ -71,7 +72,7 @@ def doctor(json_file: JsonOption = None) -> None:
         write_json(json_file, told)
     show(found, taken)
     if outputs:
-        print(f"written: {json_file}")
+        echo(f"written: {json_file}")
     if failed:
         raise typer.Exit(NOT_ALL_MET)
 

@@ -16,6 +16,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import CALIBRATION, JsonOption, command
+from twin.cli.terminal import echo
 from twin.errors import InputError, nearest
 from twin.files import write_json
 from twin.identification import identify as run_identification
@@ -106,12 +107,12 @@ def identify(
     found.calibration.with_control(tables).save(output)
     if json_file is not None:
         write_json(json_file, found.to_dict())
-    print(found.to_text(), end="")
+    echo(found.to_text(), end="")
     if tables is not None:
-        print(
+        echo(
             "\nThese errors are what the control's tables left: leave them on; add to them, never replace them (twin control --add)."
             + (f"\n{tables.caution}" if tables.caution else "")
         )
-    print(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
+    echo(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
     if not found.complete:
         raise typer.Exit(NOT_ALL_MET)

@@ -23,6 +23,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.cli.outputs import JsonOption, command
+from twin.errors import printable
 from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
@@ -68,13 +69,12 @@ def info(
         }
         told["left_out"] = {channel: list(by) for channel, by in missing.items()}
         write_json(json_file, told)
-    console = Console()
-    console.print(f"[bold]{loaded.name}[/bold]   twin {version('twin')}")
-    console.print(
-        f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n",
-        highlight=False,
-    )
-    console.print(f"inverse       {in_use()}\n", highlight=False, markup=False, soft_wrap=True)
+    console = Console(markup=False, emoji=False, highlight=False)  # names and sources of files are text as it stands
+    console.print(loaded.name, style="bold", end="")
+    console.print(f"   twin {version('twin')}")
+    files = f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n"
+    console.print(printable(files))
+    console.print(f"inverse       {in_use()}\n", soft_wrap=True)
     axes = Table(
         "axis",
         "kind",
@@ -104,8 +104,7 @@ def info(
     console.print(frames)
     console.print(
         f"tool frame {loaded.model.frames[loaded.tool_frame].name}, work frame {loaded.model.frames[loaded.work_frame].name}, "
-        f"squareness {' '.join(loaded.squareness_names) or 'none'}, locations {' '.join(loaded.location_names) or 'none'}\n",
-        highlight=False,
+        f"squareness {' '.join(loaded.squareness_names) or 'none'}, locations {' '.join(loaded.location_names) or 'none'}\n"
     )
     title = f"Error budget at the tool over the volume, tool length {kinematics.tool_length_mm:g} mm"
     console.print(_budget_table(title, rows, peak=True))
@@ -115,19 +114,17 @@ def info(
     for text in texts(errors.warnings):
         console.print(text, highlight=False, markup=False, soft_wrap=True)
     if any(row.name.startswith("reversal:") for row in rows):
-        console.print("a reversal counts as ± half its size", highlight=False)
+        console.print("a reversal counts as ± half its size")
     if at.channels:
-        console.print(
-            f"taken at: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}", highlight=False
-        )
+        console.print(f"taken at: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}")
     tell_unused(at, errors)
     for channel, effects in missing.items():
-        console.print(f"left out: {', '.join(effects)} (needs {options_of([channel])})", highlight=False)
+        console.print(f"left out: {', '.join(effects)} (needs {options_of([channel])})")
     if not known.empty:
         for line in _uncertainty_lines(over, without):
-            console.print(line, highlight=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
     if outputs:
-        console.print(f"\nwritten: {json_file}", highlight=False, soft_wrap=True)
+        console.print(printable(f"\nwritten: {json_file}"), soft_wrap=True)
 
 
 def _uncertainty(kinematics: Kinematics) -> tuple[UncertaintyMap | None, list[str]]:

@@ -26,6 +26,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import ANY, JsonOption, command
+from twin.cli.terminal import echo
 from twin.compensation import Options
 from twin.files import write_json, write_whole
 from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
@@ -103,7 +104,7 @@ def path(
     write_whole(output, result.text.encode("latin-1"))
     if json_file is not None:
         write_json(json_file, result.report.to_dict())
-    print(result.report.to_text(), end="")
-    print(f"\nwritten: {', '.join(str(one) for one in outputs)}")
+    echo(result.report.to_text(), end="")
+    echo(f"\nwritten: {', '.join(str(one) for one in outputs)}")
     if not (result.report.strictly_complete if strict else result.report.complete):
         raise typer.Exit(NOT_ALL_MET)

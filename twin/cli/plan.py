@@ -17,6 +17,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import TABLE, JsonOption, command
+from twin.cli.terminal import echo
 from twin.errors import InputError
 from twin.files import write_json
 from twin.instruments import INSTRUMENTS
@@ -127,13 +128,13 @@ def plan(
             say("judging", 0.0)
             told = judge(table, loaded, instrument=reader, expected=errors, known=own.known, tool_length_mm=tool_length)
         seconds = duration(loaded, own, table)
-        print(f"{judged}: {len(table)} readings with {instrument}, {seconds / 60.0:.0f} minutes by the kit's times\n")
-        print("\n".join([*(f"expected errors: {text}" for text in texts(errors.warnings)), told.to_text()]), end="")
+        echo(f"{judged}: {len(table)} readings with {instrument}, {seconds / 60.0:.0f} minutes by the kit's times\n")
+        echo("\n".join([*(f"expected errors: {text}" for text in texts(errors.warnings)), told.to_text()]), end="")
         report = {"schema": "twin.plan/1", "judged": str(judged), "minutes": seconds / 60.0, "forecast": told.to_dict()}
         report["warnings"] = to_json(errors.warnings)
         incomplete = bool(table.set_aside)
         for note in table.set_aside:
-            print(f"  line {note.line} set aside: {note.text}")
+            echo(f"  line {note.line} set aside: {note.text}")
     else:
         with progress() as say:
             if causes is not None:
@@ -162,10 +163,10 @@ def plan(
         incomplete = not made.complete
         if output is not None:
             made.save(output)
-        print(made.to_text(), end="")
+        echo(made.to_text(), end="")
     if json_file is not None:
         write_json(json_file, report)
     if outputs:
-        print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+        echo(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if incomplete:
         raise typer.Exit(NOT_ALL_MET)

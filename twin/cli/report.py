@@ -21,6 +21,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.cli.outputs import HTML, JsonOption, command
+from twin.cli.terminal import echo
 from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
@@ -84,19 +85,19 @@ def report(
     write_whole(output, page)
     _tell(found)
     tell_unused(at, errors)
-    print(f"\nwritten: {', '.join(str(path) for path in outputs)}")
+    echo(f"\nwritten: {', '.join(str(path) for path in outputs)}")
     if found.unmet:
-        print("\n".join(f"not met: {text}" for text in found.unmet))
+        echo("\n".join(f"not met: {text}" for text in found.unmet))
         raise typer.Exit(NOT_ALL_MET)
 
 
 def _tell(found: MachineReport) -> None:
     """The first screen, in a terminal."""
     if found.warnings:
-        print("\n".join(texts(found.warnings)) + "\n")
-    print(found.advice.headline)
+        echo("\n".join(texts(found.warnings)) + "\n")
+    echo(found.advice.headline)
     for line in found.advice.wrong:
-        print(f"  {line}")
+        echo(f"  {line}")
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     for step in found.advice.steps:
-        print(f"{names[step.kind]}: {step.title}. {step.text}")
+        echo(f"{names[step.kind]}: {step.title}. {step.text}")

@@ -25,6 +25,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.cli.outputs import HTML, JsonOption, command
+from twin.cli.terminal import echo
 from twin.files import write_json
 from twin.machine import DEFAULT, Machine
 from twin.nc import find_program
@@ -95,8 +96,8 @@ def scene(
         write_json(json_file, told)
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
     for text in texts(errors.warnings):
-        print(text)
-    print(f"written: {', '.join(str(path) for path in outputs)}{left}")
+        echo(text)
+    echo(f"written: {', '.join(str(path) for path in outputs)}{left}")
     tell_unused(at, errors)
     if run.left_out:
         raise typer.Exit(NOT_ALL_MET)

@@ -18,6 +18,7 @@ from twin.cli.app import (
     progress,
 )
 from twin.cli.outputs import TABLE, JsonOption, command
+from twin.cli.terminal import echo
 from twin.errors import InputError
 from twin.files import write_json
 from twin.instruments import INSTRUMENTS
@@ -105,10 +106,10 @@ def simulate(
             "notices": list(planned.notices),
         }
         write_json(json_file, told)
-    print(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
+    echo(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
     for note in planned.set_aside:
-        print(f"  line {note.line} set aside: {note.text}")
+        echo(f"  line {note.line} set aside: {note.text}")
     for notice in planned.notices:
-        print(f"  {notice}")
+        echo(f"  {notice}")
     if planned.set_aside:
         raise typer.Exit(NOT_ALL_MET)

@@ -49,7 +49,7 @@ def accept_any_text() -> None:
             stream.reconfigure(errors="twin.readable")
 
 
-def tell(text: object = "", *, end: str = "\n") -> None:
+def echo(text: object = "", *, end: str = "\n") -> None:
     """Print to the standard output, with control characters escaped."""
     print(printable(str(text)), end=end)
 

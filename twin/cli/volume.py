@@ -23,6 +23,7 @@ from twin.cli.app import (
     tell_unused,
 )
 from twin.cli.outputs import JsonOption, command
+from twin.cli.terminal import echo
 from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
@@ -81,18 +82,18 @@ def volume(
     taken = monotonic() - began
     if json_file is not None:
         write_json(json_file, found.to_dict())
-    print(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
+    echo(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
     for text in texts(found.warnings):
-        print(text)
+        echo(text)
     total = found.machines * len(found.positions)
-    print(
+    echo(
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
         f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n"
     )
-    print("\n".join(_lines(found, programs=loaded.runs_programs)))
+    echo("\n".join(_lines(found, programs=loaded.runs_programs)))
     tell_unused(at, errors)
     if outputs:
-        print(f"\nwritten: {json_file}")
+        echo(f"\nwritten: {json_file}")
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:
