@@ -11,9 +11,9 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin.errors import InputError
-from twin.yaml_files import Place, line_of
 from twin.units import DEG
 from twin.urdf_file import read_urdf
+from twin.yaml_files import Place, line_of
 
 SCHEMA = "twin.machine/1"
 MOST_AXES: Final = 16

@@ -17,9 +17,9 @@
   and C stay as written.
 - Rotary words are rounded first and the linear axes solved for what was rounded, so that only the linear words' own rounding (≤
   0.9 µm) is left.
-- Blocks are split only where the error between their ends would exceed `--tolerance` (1 µm); arcs become chords within it. A straight
-  block that leaves an axis's range is left as written and listed; an arc that does is refused, since it cannot be left as written between
-  compensated neighbours.
+- Blocks are split only where the error between their ends would exceed `--tolerance` (1 µm); arcs become chords within it. A
+  straight block that leaves an axis's range is left as written and listed; an arc that does is refused, since it cannot be left as
+  written between compensated neighbours.
 - The account names what is not corrected, one line a reason, with the number of blocks and the worst. Exit status 3: the point of a
   cutting block stays off by more than `--tolerance` (and the rounding), an orientation that `--scope FOR` asked for is not reached, or
   nothing could be corrected at all; `--strict`: anything is listed.
