@@ -20,7 +20,6 @@ import pytest
 
 from tests.commands import TWIN, refused
 from twin import cli
-from twin.cli import commands
 from twin.cli.commands import app
 from twin.cli.outputs import path_parameters
 from twin.errors import InputError
