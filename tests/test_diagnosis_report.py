@@ -33,6 +33,7 @@ from twin.errors import InputError
 from twin.instruments import LaserTracker
 from twin.machine import Machine
 from twin.measurement import load
+from twin.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN
 
 SIGMA_MM = 3e-3
 LOST_UM = 12.0
@@ -171,6 +172,24 @@ def test_drawn_data_say_so(
     data = load(folder / "told.csv", dmu50)
     assert data.notices == ("the file says: simulated by somebody, seed 3",)
     assert "SIMULATED READINGS" in diagnosis_html(replace(found["nothing"], data=data))
+
+
+def test_what_simulated_readings_extend_is_simulated(
+    found: Mapping[str, Diagnosis], folder: Path, dmu50: Machine, calibration: Calibration
+) -> None:
+    """The calibration that `--extended` writes keeps the warning of its readings; the diagnosis says it in text and JSON."""
+    (folder / "lost.csv").write_text("# simulated by somebody\n" + (folder / "lost motion.csv").read_text())
+    drawn = diagnose(load(folder / "lost.csv", dmu50), dmu50, calibration)
+    drawn.extended.save(folder / "extended.yaml")
+    assert SIMULATED in Calibration.load(folder / "extended.yaml", dmu50).warnings
+    assert SIMULATED.title in drawn.to_text()
+    assert [one["name"] for one in drawn.to_dict()["warnings"]] == [
+        one.name for one in (ILLUSTRATIVE, SIMULATED, UNKNOWN)
+    ]
+    # The mark is all that differs from the same readings without it.
+    measured = found["lost motion"]
+    assert not measured.extended.simulated and SIMULATED.title not in measured.to_text()
+    assert [one.to_dict() for one in drawn.causes] == [one.to_dict() for one in measured.causes]
 
 
 def test_the_same_diagnosis_is_the_same_page(found: Mapping[str, Diagnosis], pages: Mapping[str, str]) -> None:
