@@ -1,0 +1,44 @@
+"""An output's name must end as what is written there does: refused before the work, and nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twin import cli
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("scene", "cone_frustum.nc", "-o", "out.png"), ".html or .htm"),
+        (("scene", "cone_frustum.nc", "-o", "out"), ".html or .htm"),
+        (("report", "-o", "out.pdf"), ".html or .htm"),
+        (("identify", "measured.csv", "-o", "out.csv"), ".yaml or .yml"),
+        (("axis-run", "measured.csv", "-l", "measured.csv", "-o", "out.json"), ".yaml or .yml"),
+        (("diagnose", "measured.csv", "--html", "out.pdf"), ".html or .htm"),
+        (("diagnose", "measured.csv", "--extended", "out.html"), ".yaml or .yml"),
+        (("simulate", "thesis_plan.csv", "-o", "out.yaml"), ".csv"),
+        (("simulate-run", "-l", "measured.csv", "--positions", "0,100,5", "-o", "out.xlsx"), ".csv"),
+        (("plan", "-o", "out.nc"), ".csv"),
+        (("compensate", "cone_frustum.nc", "-o", "out.png"), ".nc .ngc"),
+        (("path", "cone_frustum.nc", "-o", "out.pdf"), ".nc .ngc"),
+    ],
+    ids=lambda one: " ".join(one) if isinstance(one, tuple) else "",
+)
+def test_a_name_that_does_not_fit(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    expected: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "measured.csv").write_text("")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(list(words))
+    said = capsys.readouterr()
+    assert ended.value.code == 2 and said.out == "" and said.err.count("\n") == 1
+    assert f"a name ending in {expected}" in said.err or f"a name ending in one of {expected}" in said.err
+    assert [path.name for path in tmp_path.iterdir()] == ["measured.csv"]
