@@ -198,7 +198,7 @@ def test_joints_named_as_the_error_frames_are(tmp_path: Path) -> None:
     assert caught.value.line == 6
 
 
-@pytest.mark.parametrize("name", ['"a\\0b"', "a" * 5000, ".", "loop"])
+@pytest.mark.parametrize("name", ["a" * 5000, ".", "loop"])
 def test_the_path_of_a_urdf_that_is_no_file(tmp_path: Path, name: str) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     path = few_axes.write_drill(tmp_path)

@@ -1,4 +1,4 @@
-"""What is installed and whether it imports. It uses the standard library only, so that it works where a package is broken."""
+"""What is installed and whether it imports. It imports no package, so that it works where one is broken."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from importlib.metadata import PackageNotFoundError, version
 from time import perf_counter
 from types import MappingProxyType
 from typing import Final, Literal, NoReturn, final
+
+from twin.cli.terminal import accept_any_text, echo, tell_error
 
 BAD_INPUT: Final = 2
 NOT_ALL_MET: Final = 3
@@ -114,6 +116,7 @@ def end(error: BaseException) -> NoReturn:
         BaseException: the error itself, where all packages import: it is one of twin's own.
         SystemExit: otherwise.
     """
+    accept_any_text()
     names: dict[str, list[str]] = {}
     for name, reason in broken().items():
         names.setdefault(reason, []).append(name)
@@ -124,7 +127,7 @@ def end(error: BaseException) -> NoReturn:
     ]
     if not found:
         raise error
-    print(f"twin: {'; '.join(found)}; expected packages that import: run twin doctor", file=sys.stderr)
+    tell_error(f"twin: {'; '.join(found)}; expected packages that import: run twin doctor")
     sys.exit(BAD_INPUT)
 
 
@@ -134,24 +137,25 @@ def end_with_findings() -> NoReturn:
     Raises:
         SystemExit: always.
     """
+    accept_any_text()
     clock = perf_counter()
     found = [python(), *packages(), *extras(), browser(), *size()]
     show(found, perf_counter() - clock)
-    print("machine, compiler and JSON: left out, because they need the packages that failed")
+    echo("machine, compiler and JSON: left out, because they need the packages that failed")
     sys.exit(NOT_ALL_MET)
 
 
 def show(findings: Sequence[Finding], seconds: float) -> None:
     """Print findings, one a line, and a summary."""
     for one in findings:
-        print(f"{one.status:<8}{one.name:<26}{one.detail}")
+        echo(f"{one.status:<8}{one.name:<26}{one.detail}")
         if one.remedy:
-            print(f"{'':<10}{one.remedy}")
+            echo(f"{'':<10}{one.remedy}")
     failed = [one.name for one in findings if one.status == "FAILED"]
     missing = [one.name for one in findings if one.status == "missing"]
-    print(f"\n{len(findings)} things looked at in {seconds:.1f} s: ", end="")
-    print(f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right", end="")
-    print(f"; optional and missing: {', '.join(missing)}" if missing else "")
+    echo(f"\n{len(findings)} things looked at in {seconds:.1f} s: ", end="")
+    echo(f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right", end="")
+    echo(f"; optional and missing: {', '.join(missing)}" if missing else "")
 
 
 def python() -> Finding:
