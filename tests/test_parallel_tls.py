@@ -29,10 +29,12 @@ def make_authority(folder: Path, name: str) -> Tls:
     """An authority and a certificate that it signed."""
     authority, subject = ["-subj", f"/CN=authority of {name}"], ["-subj", f"/CN={name}"]
     openssl(folder, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *authority, "-keyout", f"{name}-ca.key", "-out",
-            f"{name}-ca.pem")  # fmt: skip
+            f"{name}-ca.pem", "-addext", "keyUsage=critical,keyCertSign,cRLSign")  # fmt: skip
     openssl(folder, "req", "-newkey", "rsa:2048", "-nodes", *subject, "-keyout", f"{name}.key", "-out", f"{name}.csr")
+    # Python 3.13 refuses a certificate without them (VERIFY_X509_STRICT).
+    (folder / "extensions").write_text("subjectKeyIdentifier=hash\nauthorityKeyIdentifier=keyid\n")
     openssl(folder, "x509", "-req", "-in", f"{name}.csr", "-CA", f"{name}-ca.pem", "-CAkey", f"{name}-ca.key", "-CAcreateserial",
-            "-days", "2", "-out", f"{name}.pem")  # fmt: skip
+            "-extfile", "extensions", "-days", "2", "-out", f"{name}.pem")  # fmt: skip
     return Tls(folder / f"{name}-ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
 
 
