@@ -74,7 +74,7 @@ def test_exit_3_when_something_could_not_be_met(tmp_path: Path) -> None:
     part.write_text("G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X700 F500\n")
     done = twin("compensate", part, "-o", tmp_path / "out.nc")
     assert done.returncode == 3
-    assert "line 3: X 700" in done.stdout
+    assert "1 block (line 3): outside the range of X: left as written; worst 200 mm (line 3)" in done.stdout
     assert (tmp_path / "out.nc").is_file()
 
 

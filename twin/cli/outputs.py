@@ -67,10 +67,10 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 for path in _given(given, paths, outputs=False):
                     if path.exists():
                         files.add_input(path)
+                check_writable([path for path in _given(given, paths, outputs=True) if not path.is_dir()])
                 for parameter, mark in paths.items():
                     if mark is not None and given.get(parameter) is not None:
                         _check(given[parameter], mark)
-                check_writable([path for path in _given(given, paths, outputs=True) if not path.is_dir()])
                 function(*arguments, **options)
 
         app.command(name, epilog="\n\n".join(("Examples:", *examples)))(checked)
