@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +151,7 @@ def points(
     """
     n = len(of.q)
     error = {name: np.zeros((n, 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
-    entries = yaml.safe_load(calibration.read_text())
+    entries = _parsed(calibration.read_text())
     for name, entry in entries.get("curves", {}).items():
         _component(error, name)[:] += _size(name) * _curve(entry, of.at(name[3]))
     square = {name: 0.0 for name in ("E_C0Y", "E_B0Z", "E_A0Z")} | dict(entries.get("squareness", {}))
@@ -317,6 +318,12 @@ def write(path: Path, of: Plan, read: np.ndarray, *, u_mm: float | None, without
 def rounded(of: Plan) -> Plan:
     """The plan with temperatures as they are written in the table."""
     return replace(of, warm={name: np.round(values, 3) for name, values in of.warm.items()})
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str) -> dict:
+    """What a calibration says; read, never changed."""
+    return dict(yaml.safe_load(text))
 
 
 def _size(name: str) -> float:
