@@ -202,7 +202,7 @@ def test_an_effect_of_every_kind(found: Callable[[Hidden], Diagnosis], truth: Hi
 
 
 def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidden], Diagnosis]) -> None:
-    """RMS of all (value − truth)/u: of some 40 it is one to within 0.11, were they independent; a factor of two is far off."""
+    """RMS of all (value − truth)/u: of 33 it is one to within 0.12; a factor of two in u is far off."""
     rms = np.sqrt(np.mean(np.square(pulls_of([(found(truth), truth) for truth in SAMPLE]))))
     assert 0.7 < rms < 1.3
 
