@@ -255,7 +255,8 @@ def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
     heads = [html.unescape(re.sub("<[^>]+>", "|", head)) for head in re.findall(r"<thead>.*?</thead>", page, re.S)]
     with_units = [[cell for cell in head.split("|") if "[" in cell] for head in heads if "[" in head]
     at_tool = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
-    assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"]]
+    tables = ["RMS by the model [µm]", "RMS expected [µm]", "largest by the model [µm]"]
+    assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
 
 
 def test_what_the_identification_says_is_weighed(told: dict[str, Any]) -> None:
