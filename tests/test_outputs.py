@@ -128,26 +128,6 @@ def test_every_path_of_every_command_is_known() -> None:
         assert "json_file" in marked, "every command takes --json"
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("scene p.nc -o x.png", ".html"),
-        ("report -o x.pdf", ".html"),
-        ("identify plan.csv -o x.csv", ".yaml"),
-        ("diagnose plan.csv --extended x.csv", ".yaml"),
-        ("diagnose plan.csv --html x.pdf", ".html"),
-        ("simulate plan.csv -o x.xlsx", ".csv"),
-        ("plan -o x.yaml", ".csv"),
-    ],
-)
-def test_a_name_fits_what_is_written(
-    shop: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], line: str, expected: str
-) -> None:
-    monkeypatch.chdir(shop)
-    assert f"a name ending in {expected}" in refused(capsys, *line.split())
-    assert not list(shop.glob("x.*"))
-
-
 def test_a_device_or_a_pipe_is_not_replaced(shop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pipe = tmp_path / "pipe.json"
     os.mkfifo(pipe)

@@ -155,8 +155,9 @@ def read_json(path: Path, expected: str) -> Any:
     Raises:
         InputError: as of `read_text`; it is not JSON, too deep, or has a number that is too long.
     """
+    text = read_text(path)
     try:
-        return json.loads(read_text(path))
+        return json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError("not JSON", expected=expected, file=path, line=error.lineno, value=error.msg) from None
     except (RecursionError, ValueError):
