@@ -25,7 +25,7 @@ from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
 from twin.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, texts
 from twin.show import card, note
 from twin.strips import about_html, errors_html
-from twin.yaml_files import Place, line_of, load_yaml
+from twin.yaml_files import LARGEST, Place, line_of, load_yaml
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
@@ -497,6 +497,8 @@ class _Check:
             raise self.fail(
                 ("covariance", "lower"), "not a covariance", "the lower triangle, one row a line", error
             ) from None
+        if np.any(np.abs(found.matrix) > LARGEST):
+            raise self.fail(("covariance", "lower"), "too large a number", f"at most {LARGEST:g}", "")
         for curve in calibration.curves.values():
             names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
             whole = set(names) <= set(entry.parameters)

@@ -27,8 +27,8 @@ DEEPEST: Final = 32
 """Levels of lists and entries in one another; a calibration has five."""
 LONGEST_NUMBER: Final = 400
 """Characters of a number, and of what is written like one."""
-WORD_BITS: Final = 63
-"""Largest whole number: what other programs read of JSON without loss is less."""
+LARGEST: Final = 1e15
+"""Of any number in a file, whatever its unit: its square and what that is multiplied by are finite."""
 _YAML: Final = "tag:yaml.org,2002:"
 _SCALARS: Final[Mapping[str, str]] = {
     f"{_YAML}str": "text",
@@ -224,15 +224,19 @@ class _Reading:
             if control_character(text) is not None:
                 raise self._fail("a control character in the text", "printable text", line, text)
             # YAML 1.1 reads 1e-3 as text; a metrologist means the number.
-            return _number(text) if node.style is None else text
+            return self._in_size(_number(text), text, line) if node.style is None else text
         if len(text) > LONGEST_NUMBER:
             raise self._fail(f"a number of {len(text)} characters", expected, line, text)
         try:
             value = yaml.constructor.SafeConstructor().construct_object(node)
         except (ArithmeticError, LookupError, ValueError):
             raise self._fail("another kind of value", expected, line, text) from None
-        if isinstance(value, int) and value.bit_length() > WORD_BITS:
-            raise self._fail("too large a number", f"less than 2^{WORD_BITS}", line, text)
+        return self._in_size(value, text, line)
+
+    def _in_size(self, value: Any, text: str, line: int) -> Any:
+        # Infinity is left to the schema, which names the entry.
+        if isinstance(value, int | float) and LARGEST < abs(value) < float("inf"):
+            raise self._fail("too large a number", f"at most {LARGEST:g}", line, text)
         return value
 
     def _fail(self, what: str, expected: str, line: int, value: object) -> InputError:
