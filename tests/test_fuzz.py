@@ -17,13 +17,14 @@ from hypothesis import strategies as st
 
 from tests.hostile import KINDS, NUMBERS, TEXTS, beside, edited, layout, machine, sample
 from twin import cli
+from twin.cli.commands import app
 from twin.errors import InputError
 
 EXAMPLES = 120
 """Of a kind of file whose reading costs little; all in all some 2,000."""
 LONGEST_S = 10.0
 """Process time of one input; the dearest takes a tenth of it."""
-COMMANDS: dict[str, Any] = dict(typer.main.get_command(cli.app).commands)  # type: ignore[attr-defined]
+COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 SIMULATE = (
     "simulate-run",
     "--layout",

@@ -337,6 +337,6 @@ def test_a_defect_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(cli, "app", broken)
+    monkeypatch.setattr("twin.cli.commands.app", broken)
     with pytest.raises(ZeroDivisionError):
         cli.main(["info"])

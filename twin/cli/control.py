@@ -128,6 +128,8 @@ def control(
             value="FOR",
         )
     default = GRID_TOLERANCE_MM if to.value == "grid" else 1e-3
+    if step is not None:
+        positive("--step", step)
     positive("--tolerance", default if tolerance is None else tolerance)
     notes = (f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),)
     request = Request(

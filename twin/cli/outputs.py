@@ -12,6 +12,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, final, get_args, get_type_hints
 
@@ -61,7 +62,9 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
         def checked(*arguments: Any, **options: Any) -> None:
             given = inspect.signature(function).bind(*arguments, **options).arguments
             for parameter, value in given.items():
-                if isinstance(value, float):
+                if isinstance(value, float) and isfinite(
+                    value
+                ):  # the command says what else it wants than a finite number
                     usable_number(f"--{parameter.replace('_', '-')}", value, value)
             with command_files() as files:
                 for path in _given(given, paths, outputs=False):
