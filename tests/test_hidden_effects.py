@@ -90,8 +90,7 @@ def look(
         plan: Plan | None = None,
         sigma_mm: float = SIGMA_MM,
     ) -> Diagnosis:
-        of, rng = planned(seed)
-        of = plan or of
+        of, rng = planned(seed) if plan is None else (plan, np.random.default_rng(seed))
         read = hidden.noisy(
             hidden.points(of, effects, outside=outside), rng, "tracker" if "tracker" in noise else "isotropic", sigma_mm
         )

@@ -207,7 +207,7 @@ def test_programs_are_the_same_and_a_bad_one_stops_none(
     kept = ["a.nc", "b.h", "far.nc"]
     wanted = sorted(name + ending for name in kept for ending in ("", ".report.json", ".report.txt"))
     assert sorted(path.name for path in out.iterdir()) == wanted
-    assert "line 3: X 700" in (out / "far.nc.report.txt").read_text()
+    assert "(line 3): outside the range of X" in (out / "far.nc.report.txt").read_text()
     assert json.loads((out / "a.nc.report.json").read_text())["program"] == parts["a.nc"]
     # What is wrong is said of the user's own file, wherever it was read.
     assert f"twin: {parts['bad.nc']}:2:" in printed.err and parts["none.nc"] in printed.err

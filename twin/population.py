@@ -429,7 +429,11 @@ def draw_machines(
         InputError: numbers out of place; a calibration without covariance; as `twin.parallel.finished`.
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
-        raise InputError("a number of machines out of place", expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}", value=trials)
+        raise InputError(
+            "a number of machines out of place",
+            expected=f"at least {FEWEST_TRIALS}, at most {MOST_TRIALS}",
+            value=trials,
+        )
     if not 1 <= poses <= MOST_POSES:
         raise InputError("a number of poses out of place", expected=f"1 … {MOST_POSES}", value=poses)
     if seed < 0:
