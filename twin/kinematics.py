@@ -125,7 +125,7 @@ class Kinematics:
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
         if not 0.0 <= self.tool_length_mm <= LONGEST_TOOL_MM:
             raise InputError(
-                "no length of a tool",
+                "tool length out of range",
                 expected=f"a finite number of mm from the spindle nose to the tool tip, 0 to {LONGEST_TOOL_MM:g}",
                 value=tool_length_mm,
             )
