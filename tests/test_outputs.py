@@ -191,7 +191,7 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"doc.json", elsewhere.name, running.name, other.name}
 
 
-LONG = PART + "G1 X110 F500\nX100\n" * 1_000_000
+LONG = PART + "G1 X110 F500\nX100\n" * 300_000
 
 
 def _children(pid: int) -> list[int]:
@@ -228,7 +228,9 @@ def _state(pid: int) -> str:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see child processes")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP, signal.SIGKILL]
+)
 def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.Signals) -> None:
     for name in ("a.nc", "b.nc"):
         (tmp_path / name).write_text(LONG)

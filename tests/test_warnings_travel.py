@@ -152,7 +152,13 @@ def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
     return found
 
 
-@pytest.mark.parametrize("kind", KINDS)
+ONE_ALONE: Final = ("illustrative", "simulated", "unknown")
+"""Slow: together they are in ``all``."""
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in ONE_ALONE else kind for kind in KINDS]
+)
 def test_every_file_carries_what_its_calibration_warns_of(kind: str, made: Callable[[str], Files]) -> None:
     wanted = {one.name for one in KINDS[kind][3]}
     found = made(kind)
