@@ -437,7 +437,7 @@ def test_what_is_not_known_is_unknown_and_never_zero(dmu50: Machine) -> None:
     assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty of E_XX[1]" in text
 
 
-@pytest.mark.parametrize("length", [0.0, 120.0])
+@pytest.mark.parametrize("length", [pytest.param(0.0, marks=pytest.mark.slow), 120.0])
 def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     known_to(dmu50, 2.0).save(mine)

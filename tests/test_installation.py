@@ -36,7 +36,7 @@ def run_with(folder: Path, broken: str, text: str, *words: str) -> subprocess.Co
     ("module", "package"),
     [
         ("pinocchio", "pin"),
-        ("scipy", "scipy"),
+        pytest.param("scipy", "scipy", marks=pytest.mark.slow),
         pytest.param("casadi", "casadi", marks=pytest.mark.slow),
         pytest.param("yaml", "pyyaml", marks=pytest.mark.slow),
     ],
@@ -73,7 +73,7 @@ def test_doctor_survives_an_import_that_ends_the_process(tmp_path: Path, text: s
     ("module", "package", "words"),
     [
         ("pinocchio", "pin", ["info"]),
-        ("scipy", "scipy", ["compensate", "cone_frustum.nc", "-o", "out.nc"]),
+        pytest.param("scipy", "scipy", ["compensate", "cone_frustum.nc", "-o", "out.nc"], marks=pytest.mark.slow),
         ("meshcat", "meshcat", ["scene", "cone_frustum.nc", "-o", "out.html", "--tool-length", "120"]),
     ],
 )

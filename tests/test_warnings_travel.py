@@ -152,8 +152,8 @@ def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
     return found
 
 
-ONE_ALONE: Final = ("illustrative", "simulated", "unknown")
-"""Slow: together they are in ``all``."""
+ONE_ALONE: Final = ("nothing", "illustrative", "simulated", "unknown")
+"""Slow; the last three are together in ``all``."""
 
 
 @pytest.mark.parametrize(
