@@ -21,18 +21,22 @@ from tests.commands import TWIN, refused
 from tests.hostile import sample
 from twin import cli
 from twin.axis_run import AxisLayout, load_readings
+from twin.control import read_tables
 from twin.curves import POWER
 from twin.diagnosis import account, words
 from twin.diagnosis.flaws import flaw
 from twin.errors import InputError, printable
 from twin.identification.spread import Misfit
 from twin.identification.unknowns import CurveSpace
+from twin.machine import Machine
 from twin.measurement import load
 from twin.motion_curve import Curve
 from twin.native import compiler
+from twin.nc.heidenhain import Heidenhain
 from twin.parallel import Workers
 from twin.planning import Kit
 from twin.report.identified import Identified
+from twin.toolpath import axis_words
 
 HEAD = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\n"
 LAUGHS = "a: &a [x, x]\n" + "".join(
@@ -340,3 +344,39 @@ def test_a_defect_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.cli.commands.app", broken)
     with pytest.raises(ZeroDivisionError):
         cli.main(["info"])
+
+
+LONG_NUMBER = "9" * 5000
+"""More digits than Python converts to an integer."""
+
+
+@pytest.mark.parametrize("block", ["L X+10 M{}", "M{}", "CYCL DEF {}", "CYCL DEF 7.{}", "FN {}: Q1=5"])
+def test_a_code_with_thousands_of_digits_in_plain_language(dmu50: Machine, block: str) -> None:
+    text = f"0 BEGIN PGM A MM\n1 {block.format(LONG_NUMBER)}\n2 END PGM A MM\n"
+    with pytest.raises(InputError) as refused:
+        Heidenhain().moves(Heidenhain().read(text.encode(), "p.h"), axis_words(dmu50), tcp=False)
+    assert (refused.value.file, refused.value.line) == ("p.h", 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (f"$AN_CEC[{LONG_NUMBER},0]=0\n", 1),
+        (f"$AN_CEC[0,{LONG_NUMBER}]=0\n", 1),
+    ],
+)
+def test_an_index_with_thousands_of_digits_in_a_table(dmu50: Machine, tmp_path: Path, text: str, line: int) -> None:
+    (tmp_path / "cec.mpf").write_text(text)
+    with pytest.raises(InputError, match="no line of a compensation table") as refused:
+        read_tables("siemens", [tmp_path / "cec.mpf"], dmu50)
+    assert refused.value.line == line
+
+
+def test_a_table_without_a_name_in_an_ini_file(dmu50: Machine, tmp_path: Path) -> None:
+    ini = tmp_path / "joints.ini"
+    ini.write_text(
+        "[TRAJ]\nCOORDINATES = X Y Z B C\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\n[JOINT_0]\nCOMP_FILE =\n"
+    )
+    with pytest.raises(InputError, match="COMP_FILE names no file") as refused:
+        read_tables("linuxcnc", [ini], dmu50)
+    assert refused.value.line == 6 and refused.value.expected

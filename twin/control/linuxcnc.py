@@ -115,6 +115,8 @@ def read(files: Sequence[Path], machine: Machine) -> Terms:
         if entry is None:
             continue
         line, text = entry
+        if not text:
+            raise InputError("COMP_FILE names no file", expected="the name of a .comp file", file=inis[0], line=line)
         axis = axis_named(name, machine, inis[0], line)
         file = given.pop(Path(text).name, None)
         if file is None:

@@ -43,7 +43,7 @@ UNCHECKED: Final = (
 )
 _FIELD: Final = re.compile(
     r"^\$AN_CEC(?:_(STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
-    r"\[\s*(\d+)\s*(?:,\s*(\d+)\s*)?\]\s*=\s*(.+)$",
+    r"\[\s*(\d{1,9})\s*(?:,\s*(\d{1,9})\s*)?\]\s*=\s*(.+)$",
     re.IGNORECASE,
 )
 _NEEDED: Final = ("STEP", "MIN", "MAX", "INPUT_AXIS", "OUTPUT_AXIS")
@@ -268,7 +268,7 @@ def _curve(index: int, path: Path, entry: _Entry, machine: Machine) -> tuple[Axi
 def _axis(text: str, machine: Machine, path: Path, line: int) -> Axis:
     """``(AX2)``: the second axis; ``(X1)``, ``(X)``: X."""
     name = text.strip("() ").upper()
-    general = re.fullmatch(r"AX(\d+)", name)
+    general = re.fullmatch(r"AX(\d{1,9})", name)
     if general is not None and 1 <= int(general[1]) <= len(machine.axes):
         return machine.axes[int(general[1]) - 1]
     shorter = name[:-1] if name.endswith("1") and name not in machine.by_name else name
