@@ -21,7 +21,7 @@ TOKEN = re.compile(
     | (?P<radius>R[ \t]*+({_VALUE}))
     | (?P<vector>([NT][XYZ])[ \t]*+({_VALUE}))
     | (?P<retract>MB[ \t]*+(?:MAX|{_VALUE}))
-    | (?P<misc>M(\d{1, 9}+)(?!\d))
+    | (?P<misc>M(\d{{1,9}})(?!\d))
     | (?P<ahead>LA[ \t]*+{_VALUE})
     | (?P<bad>\S)
     )""",
@@ -30,8 +30,8 @@ TOKEN = re.compile(
 
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(r"TOOL[ \t]+CALL[ \t]+(?:[^ \t]+[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE)
-CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9}+)(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
-FN = re.compile(r"FN[ \t]*+(\d{1,9}+)(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
+CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
