@@ -12,7 +12,7 @@ import numpy as np
 from twin.channels import TIME
 from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
-from twin.compensation.shortfalls import SHOWN, Shortfall, blocks, line_numbers
+from twin.compensation.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
 from twin.show import bar, card, note, pairs, several, table
 from twin.spatial import tilt
@@ -255,12 +255,12 @@ class Report:
         outside = self._lines_of(lambda one: one.lines if one.kind == "range" else ())
         hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
         if self.nothing_corrected:
-            return f"NOTHING CORRECTED: {outside:,} of {blocks(self.moves)} would leave the range of an axis{hint}"
+            return f"NOTHING CORRECTED: {outside:,} of {several(self.moves, 'block')} would leave the range of an axis{hint}"
         missed = self._lines_of(lambda one: one.missed)
         if missed:
             return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks stay off by more than the tolerance{hint}"
         left = self._lines_of(lambda one: one.lines)
-        return f"corrected, but for {left:,} of {blocks(self.moves)} (listed below)" if left else "corrected"
+        return f"corrected, but for {left:,} of {several(self.moves, 'block')} (listed below)" if left else "corrected"
 
     def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
         return len({line for one in self.not_corrected for line in lines(one)})

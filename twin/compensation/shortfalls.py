@@ -8,6 +8,8 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
+from twin.show import several
+
 SHOWN: Final = 8
 """Line numbers that a text shows before it counts the rest; JSON has them all."""
 SIGNS: Final = {"um": "µm", "urad": "µrad", "mm": "mm", "deg": "°"}
@@ -42,12 +44,8 @@ class Shortfall:
     @property
     def text(self) -> str:
         """In one line, for a person."""
-        size = (
-            f"{self.worst:.2f} {SIGNS[self.unit]}"
-            if self.unit in ("um", "urad")
-            else f"{self.worst:.4g} {SIGNS[self.unit]}"
-        )
-        return f"{blocks(len(self.lines))} ({line_numbers(self.lines)}): {self.reason}; worst {size} (line {self.worst_line})"
+        size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {SIGNS[self.unit]}"
+        return f"{several(len(self.lines), 'block')} ({line_numbers(self.lines)}): {self.reason}; worst {size} (line {self.worst_line})"
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
@@ -104,11 +102,6 @@ class ShortfallTally:
 
 def _unique(lines: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(np.unique(np.concatenate(lines)).tolist())
-
-
-def blocks(count: int) -> str:
-    """``1 block``, ``1,818 blocks``."""
-    return f"{count:,} block{'' if count == 1 else 's'}"
 
 
 def line_numbers(lines: Sequence[int]) -> str:

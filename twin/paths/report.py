@@ -124,18 +124,16 @@ class PathReport:
     @property
     def complete(self) -> bool:
         """Whether everything asked for was met (the exit status says so)."""
-        return not self.not_met and (self._not_asked if self.compensation is None else self.compensation.complete)
+        return not self.not_met and (
+            not self.compensation_asked if self.compensation is None else self.compensation.complete
+        )
 
     @property
     def strictly_complete(self) -> bool:
         """Whether everything was met and corrected: rapids and the orientation, too."""
         return not self.not_met and (
-            self._not_asked if self.compensation is None else self.compensation.strictly_complete
+            not self.compensation_asked if self.compensation is None else self.compensation.strictly_complete
         )
-
-    @property
-    def _not_asked(self) -> bool:
-        return not self.compensation_asked
 
     @property
     def headline(self) -> str | None:
