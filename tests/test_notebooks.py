@@ -14,6 +14,9 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.i
 SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
+LONG = {"03_plan_a_measurement"}
+"""A minute by itself; what it does is in the default run in parts (`test_plan.py`)."""
+
 
 def test_there_are_notebooks() -> None:
     assert NOTEBOOKS
@@ -25,7 +28,11 @@ def test_outputs_are_stripped(path: Path) -> None:
     assert [i for i, cell in enumerate(cells) if cell.get("outputs") or cell.get("execution_count")] == []
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else ()) for path in NOTEBOOKS],
+    ids=lambda path: path.stem,
+)
 def test_it_runs(path: Path, tmp_path: Path) -> None:
     """Without an error; a picture or words from every cell that ends in a call to draw or print."""
     notebook = nbformat.read(path, as_version=4)

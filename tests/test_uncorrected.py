@@ -171,6 +171,7 @@ def test_an_orientation_given_up_at_a_limit_is_listed_with_its_size(
     worst = max(found, key=lambda one: one.worst)
     assert worst.unit == "urad" and worst.worst >= 0.9 * left_urad
     assert "corrected, but for the blocks below" in result.report.to_text()
+    assert {share.left_rms_um for share in result.report.classes if share.corrected} == {None}
     assert result.report.complete is not any(one.missed for one in result.report.not_corrected)
     asked = compensate(text, dmu50, calibration, scope=Scope.parse(["L-VOL", "R-VOL", "FOR"]))
     assert {3, 4} <= {line for one in asked.report.not_corrected for line in one.missed}

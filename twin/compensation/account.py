@@ -124,6 +124,7 @@ class Account:
         notes = [LineNote(notice.line + 1, notice.text) for notice in notices]
         notes = [*self._unused_setup(), *self._of_channels(), *self._of_sides, *notes]
         unused = bench.options.conditions.unused(bench.calibration)
+        left = self._uncorrected.shortfalls()
         return Report(
             program=self.source,
             machine=bench.machine.name,
@@ -146,8 +147,8 @@ class Account:
             after=self._after.deviation(),
             rounding_um=self._left_um["rounding"],
             solver_um=self._left_um["solver"],
-            classes=self._classes(),
-            not_corrected=self._uncorrected.shortfalls(),
+            classes=self._classes(whole=not left),
+            not_corrected=left,
             cutting=self._cutting,
             idle=self.idle,
             notes=tuple(notes),
@@ -332,8 +333,8 @@ class Account:
         axes = tuple(dict.fromkeys(table.axis.name for table in self.bench.calibration.corrections))
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
-    def _classes(self) -> tuple[ClassShare, ...]:
-        """The shares of the classes."""
+    def _classes(self, whole: bool) -> tuple[ClassShare, ...]:
+        """The shares of the classes; ``whole`` where every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
         nominal = self.bench.space.nominal
         meant, reached = nominal.forward(before), nominal.forward(after)
@@ -351,7 +352,7 @@ class Account:
                     before_rms_um=_rms(share),
                     before_max_um=float(share.max(initial=0.0)),
                     before_max_urad=float(turn.max(initial=0.0)),
-                    left_rms_um=None if corrected is None else 0.0 if corrected else _rms(left),
+                    left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and whole else None,
                 )
             )
         return tuple(shares)

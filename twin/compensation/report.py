@@ -95,7 +95,7 @@ class ClassShare:
         corrected: whether the scope has it; None where the method does not work by class. Blocks that are not are in the account.
         before_rms_um, before_max_um: what its error motions alone do at the functional point.
         before_max_urad: what they do to the tool axis.
-        left_rms_um: what of it stays at the functional point; None as above.
+        left_rms_um: what of it stays at the functional point; None as above, and where blocks that are not corrected keep some of it.
     """
 
     name: str
