@@ -51,7 +51,7 @@ def at_targets_um(found: Identification) -> dict[str, float]:
     """
     network, setup, data = found.network, found.setup, found.data
     machine, unknowns = network.machine, network.unknowns
-    covariance = found.solution.spectrum.covariance()
+    covariance = found.solution.covariance()
     deviations = {}
     for column, axis in enumerate(LINEAR):
         run = (data.approach[:, column] != 0.0) & (data.round == data.round[0])

@@ -31,6 +31,8 @@ NAMED: Final = 0.01
 """A direction in words leaves out what alone would change the readings by less than this share of the largest such change."""
 MOST_NAMED: Final = 6
 """What one sentence names at most; the rest is counted."""
+LARGE: Final = 20_000
+"""Entries of a null space beyond which its vector nearest to an unknown is shown, not the one with the fewest moves (seconds each)."""
 
 
 @final
@@ -307,6 +309,8 @@ class Determinability:
         silent = self.spectrum.silent
         if float(np.linalg.norm(silent[index])) < NAMED:
             return None
+        if silent.size > LARGE:
+            return self._direction(silent @ silent[index], first=index)
         effect = self.spectrum.effect
         # What no reading shows alone may move freely, but not for nothing: the answer is to be one.
         weight = np.maximum(effect, 1e-9 * max(float(effect.max(initial=0.0)), 1.0))

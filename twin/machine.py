@@ -144,6 +144,7 @@ class Machine:
         self.path = path
         self.urdf = _beside(path, entries.urdf)
         self.tool_length_mm = entries.programs.tool_length
+        self._plausible = entries.plausible
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
         self.default_calibration = None if entries.calibration is None else _beside(path, entries.calibration)
@@ -241,6 +242,15 @@ class Machine:
         """ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
         mark = "" if frame.role == "motion" else "0"
         return tuple(f"E_{direction}{mark}{frame.axis}" for direction in DIRECTIONS)
+
+    def plausible(self, name: str) -> float:
+        """Return how large an error can be before anything is measured (one standard deviation), µm or µrad.
+
+        Args:
+            name: ISO 230-1 name.
+        """
+        kind = self._plausible.location if name[3] == "0" else self._plausible.motion
+        return kind.um if name[2] in "XYZ" else kind.urad
 
     @cached_property
     def motion_names(self) -> tuple[str, ...]:

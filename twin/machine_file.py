@@ -62,6 +62,22 @@ class Programs(BaseModel):
 
 
 @final
+class Magnitudes(BaseModel):
+    """How large errors of one kind can be before anything is measured: one standard deviation, µm and µrad."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    um: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
+    urad: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
+
+
+class Plausible(BaseModel):
+    """The same of all kinds: error motions, and squareness with the locations of rotary axes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    motion: Magnitudes = Magnitudes()
+    location: Magnitudes = Magnitudes()
+
+
 class MachineFile(BaseModel):
     """All of the file."""
 
@@ -73,6 +89,7 @@ class MachineFile(BaseModel):
     axes: Annotated[tuple[AxisEntry, ...], Field(min_length=1, max_length=MOST_AXES)]
     frames: Frames
     programs: Programs = Programs()
+    plausible: Plausible = Plausible()
 
 
 def load_urdf(path: Path) -> pin.Model:

@@ -67,13 +67,19 @@ class Observation:
         errors = self.errors(calibration, data)
         return self.points(np.asarray(data.positions) * self.machine.scale, errors, data.carrier, places_mm * MM) / MM
 
-    def errors(self, calibration: Calibration, data: Measurements) -> np.ndarray:
+    def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
         """(n, 6·frames) every error frame at the rows of a table, metres and radians.
+
+        Args:
+            calibration: the machine's errors.
+            data: commands and channels.
+            check: whether a position that no curve covers is refused; else its curve is continued (overtravel).
 
         Raises:
             InputError: as `points_mm`.
         """
-        calibration.check(data.positions)
+        if check:
+            calibration.check(data.positions)
         rows = assemble(calibration.effects, self.machine.frames, state_of(data, self.machine))
         found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
         return np.stack(found, axis=1)

@@ -23,7 +23,7 @@ from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, pr
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.surrogates import EFFECT, surrogates
 from twin.effects import PitchError, ThermalDrift
-from twin.identification.screen import outliers
+from twin.identification.outliers import outliers
 from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements, state_of
@@ -141,7 +141,7 @@ def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np
         return placed.bad
     forms = glimpse(pool.on(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
-    return outliers(placed.network, part.following(left).reshape(-1, 3))[0]
+    return outliers(placed.network, part.following(left).reshape(-1, 3))
 
 
 class Searcher:

@@ -16,7 +16,8 @@ from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
 from twin.distributions import chi2_isf
 from twin.identification.network import Network, stated_covariance
-from twin.identification.screen import explained, fitting, instrument_of, outliers
+from twin.identification.outliers import explained, outliers
+from twin.identification.screen import fitting, instrument_of
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.spread import repeats
@@ -164,7 +165,7 @@ def _settled(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:
     bad = np.zeros(len(network.data), dtype=bool)
     for _ in range(ROBUST):
         setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
-        found, _ = outliers(network, network.residual(np.zeros(0), setup))
+        found = outliers(network, network.residual(np.zeros(0), setup))
         if np.array_equal(found, bad):
             break
         bad = found

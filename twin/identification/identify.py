@@ -15,10 +15,11 @@ from twin.determinability import UNSEEN, Determinability
 from twin.effects import split_name
 from twin.errors import InputError
 from twin.identification.network import Network
+from twin.identification.outliers import Judged, explained, judged, model_is_wrong
 from twin.identification.orders import Choice, Folds, choose
 from twin.identification.remainder import remainder_precision
-from twin.identification.result import Identification, Unidentified
-from twin.identification.screen import explained, fitting, instrument_of, outliers, robust_weights
+from twin.identification.result import Identification, Unidentified, residuals_of
+from twin.identification.screen import fitting, instrument_of
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
@@ -107,9 +108,7 @@ def _identify(
         whole = whole if seen is every else network(seen)
         solution, weight = _robust(whole, setup, drawn.triangle[:, kept])
         choice = choose(whole, solution, weight, Folds.of(data), together)
-        return _Attempt(
-            choice, whole.unknowns, solution, weight, lost, together, _why(every, drawn, whole, [*lost, *together])
-        )
+        return _Attempt(choice, whole.unknowns, solution, weight, lost, together, every, drawn)
 
     say("choosing the curves", 0.1)
     best, *others = map(attempt, _families(machine, data, wanted))
@@ -119,9 +118,9 @@ def _identify(
     say("estimating", 0.75)
     final = network(best.unknowns)
     precision = remainder_precision(best.unknowns, best.solution, best.choice)
-    solution, bad = _without_outliers(final, best.solution, best.weight, precision)
+    solution, rows = _without_outliers(final, best.solution, best.weight, precision)
     say("uncertainty", 0.9)
-    return _result(final, solution, ~bad, best, spread, wanted)
+    return _result(final, solution, rows, best, spread, wanted)
 
 
 @final
@@ -135,7 +134,8 @@ class _Attempt:
     weight: np.ndarray
     lost: list[str]
     together: list[str]
-    why: dict[str, str]
+    every: Unknowns
+    drawn: Solution
 
 
 def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool]) -> list[dict[str, Basis]]:
@@ -154,27 +154,31 @@ def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool
 def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solution, np.ndarray]:
     """An estimate that a few wrong points do not pull, and (n,) the weights it ended with.
 
+    It begins with the misfit of the machine as drawn as its noise, so that a machine far from its drawing is first fitted where the
+    readings say most, and goes on with what each estimate leaves.
+
     Args:
         network: data and model.
         setup: to start from, the machine as drawn.
         triangle: factor of [J | r] there.
     """
     weight = np.ones(len(network.data))
-    solution = solve(network, np.zeros(len(network.unknowns)), setup, weight, triangle=triangle)
+    found = judged(network, network.residual(np.zeros(len(network.unknowns)), setup))
+    solution = solve(network, np.zeros(len(network.unknowns)), setup, weight, noise=found.noise, triangle=triangle)
     for _ in range(ROBUST_ROUNDS):
-        whitened = network.residual(solution.theta, solution.setup)
-        bad, _ = outliers(network, whitened)
-        if not np.any(bad) and np.all(weight == 1.0):
+        found = judged(network, network.residual(solution.theta, solution.setup))
+        fits = found.noise >= 0.9 * solution.noise
+        if not np.any(found.bad) and np.all(weight == 1.0) and fits:
             return solution, weight
-        fresh = robust_weights(network, whitened)
-        still = float(np.abs(fresh - weight).max()) < 0.01
+        fresh = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
+        still = float(np.abs(fresh - weight).max()) < 0.01 and fits
         weight = fresh
         if still:
             break
-        solution = solve(network, solution.theta, solution.setup, weight, steps=3)
-    bad, _ = outliers(network, network.residual(solution.theta, solution.setup))
-    weight = (~bad).astype(float)
-    return solve(network, solution.theta, solution.setup, weight), weight
+        solution = solve(network, solution.theta, solution.setup, weight, noise=found.noise, steps=3)
+    found = judged(network, network.residual(solution.theta, solution.setup))
+    weight = (~found.bad).astype(float)
+    return solve(network, solution.theta, solution.setup, weight, noise=found.noise), weight
 
 
 def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
@@ -249,7 +253,7 @@ def _group(name: str, entity: np.ndarray, shared: np.ndarray, touched: np.ndarra
 
 def _without_outliers(
     network: Network, solution: Solution, weight: np.ndarray, precision: np.ndarray
-) -> tuple[Solution, np.ndarray]:
+) -> tuple[Solution, Judged]:
     """Least squares on all points that are no outliers of it: one is let back in when it fits after all."""
     bad = weight == 0.0
     seen: set[bytes] = set()
@@ -261,63 +265,69 @@ def _without_outliers(
             solution.setup,
             (~bad).astype(float),
             precision=precision,
+            noise=solution.noise,
             triangle=triangle,
         )
         triangle = None
-        found, _ = outliers(network, network.residual(solution.theta, solution.setup))
-        if np.array_equal(found, bad) or found.tobytes() in seen:
-            return solution, bad
-        seen.add(found.tobytes())
-        bad = found
+        found = judged(network, network.residual(solution.theta, solution.setup))
+        if np.array_equal(found.bad, bad) or found.bad.tobytes() in seen:
+            return solution, replace(found, bad=bad)
+        seen.add(found.bad.tobytes())
+        bad = found.bad
 
 
 def _result(
     network: Network,
     solution: Solution,
-    used: np.ndarray,
+    rows: Judged,
     best: _Attempt,
     spread: Spread,
     wanted: Callable[[str], bool],
 ) -> Identification:
-    data, machine, unknowns = network.data, network.machine, network.unknowns
-    count = len(unknowns)
+    data, unknowns = network.data, network.unknowns
+    count, used = len(unknowns), ~rows.bad
     weight = used.astype(float)
     if spread == "between poses":
         whole = between_poses(network, solution, weight)
     elif spread == "between rounds":
         whole = between_rounds(network, solution, weight)
     else:
-        whole = solution.spectrum.covariance()
-    covariance = whole[:count, :count]
+        whole = solution.covariance()
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
-    kept = [
-        i for i, column in enumerate(unknowns.columns) if column.entity.removesuffix(" constant") not in best.together
-    ]
-    estimate, _ = unknowns.calibration(solution.theta, kept, source, covariance)
+    estimate, _ = unknowns.calibration(solution.theta, range(count), source, whole[:count, :count])
     calibration = replace(estimate, settled=solution.converged, simulated=data.simulated)
-    rows = np.arange(len(data))
-    difference = network.difference(solution.theta, solution.setup, rows)
-    whitened = network.residual(solution.theta, solution.setup)
-    names = solution.setup.names
     u = np.sqrt(np.maximum(np.diag(whole)[count:], 0.0))
+    held = _held_by_prior(unknowns, solution, best.together)
+    left, whitened = residuals_of(calibration, network, solution.setup)
     return Identification(
         calibration=calibration,
-        unidentified=_unidentified(machine, data, best, wanted, solution.setup),
+        unidentified=_unidentified(network.machine, data, best, wanted, solution.setup, held),
+        held_by_prior={name: float(network.machine.plausible(name)) for name in held},
         setup=solution.setup,
-        setup_u=dict(zip(names, (float(v) for v in u), strict=True)),
+        setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=misfit(whitened, network.read, data, solution.determined, used),
         choice=best.choice,
         spread=spread,
         data=data,
         used=locked(used),
-        residual_mm=locked(np.where(network.read, difference / MM, np.nan)),
+        residual_mm=locked(np.where(network.read, left / MM, np.nan)),
         whitened=locked(whitened),
-        set_aside=(*data.set_aside, *explained(network, difference, whitened, ~used)),
-        notices=(*data.notices, *_notices(solution, unknowns)),
+        set_aside=(*data.set_aside, *explained(network, left, whitened, rows.bad)),
+        notices=(
+            *data.notices,
+            *model_is_wrong(len(data), rows.bad, rows.misfit_um),
+            *_notices(solution, unknowns),
+        ),
         converged=solution.converged,
         network=network,
         solution=solution,
     )
+
+
+def _held_by_prior(unknowns: Unknowns, solution: Solution, together: list[str]) -> list[str]:
+    """Names of the errors in the estimate that the readings, with their noise, determine no better than was known before."""
+    unseen = solution.unseen[: len(unknowns)] > UNSEEN
+    return [name for name in unknowns.entities if name in together or _unseen_whole(unknowns, name, unseen)]
 
 
 def _unidentified(
@@ -326,9 +336,11 @@ def _unidentified(
     best: _Attempt,
     wanted: Callable[[str], bool],
     setup: SetUp,
+    held: list[str],
 ) -> tuple[Unidentified, ...]:
-    """What was asked for and is not reported, and why."""
+    """What was asked for and is not determined, and why."""
     found = []
+    seen = best.drawn.told(best.every, int(np.count_nonzero(np.isfinite(data.point_mm))))
     names = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
     for name in names:
         axis = split_name(name)[2]
@@ -338,19 +350,15 @@ def _unidentified(
         if not moved:
             found.append(Unidentified(name, f"{axis} was not moved"))
         elif name in best.together or name in best.lost:
-            found.append(
-                Unidentified(name, f"{best.why[name]}: {_remedy(name, machine, setup, name in best.together)}")
-            )
+            why = _direction(seen, best.every.of(name)[0])
+            found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in best.together)}"))
+        elif name in held:
+            found.append(Unidentified(name, "these data say less of it than is plausible beforehand"))
     return tuple(found)
 
 
-def _why(unknowns: Unknowns, drawn: Solution, network: Network, lost: list[str]) -> dict[str, str]:
-    """What moves together with an error, a curve's lowest order, and changes no reading: for each that is lost."""
-    told = drawn.told(unknowns, int(np.count_nonzero(network.read)))
-    return {name: _direction(told, unknowns.of(name)[0]) for name in lost}
-
-
 def _direction(told: Determinability, column: int) -> str:
+    """What moves together with an unknown and changes no reading."""
     found = told.moving(told.names[column])
     if found is None:
         return "these data say less of it than is plausible beforehand"

@@ -102,6 +102,7 @@ class Network:
         unknowns: of the machine.
         base: errors taken as known; none if None.
         covariance: (n, 3, 3) of the readings, m²; the table's and the instrument's if None.
+        check: whether positions that a curve of ``base`` does not cover are refused.
     """
 
     def __init__(
@@ -112,6 +113,8 @@ class Network:
         unknowns: Unknowns,
         base: Calibration | None = None,
         covariance: np.ndarray | None = None,
+        *,
+        check: bool = True,
     ) -> None:
         self.machine = machine
         self.data = data
@@ -124,7 +127,7 @@ class Network:
         self._observation = Observation(machine)
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
-        self._base = self._observation.errors(known, data)
+        self._base = self._observation.errors(known, data, check=check)
         self._shapes = unknowns.shapes(data.positions)
         self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[np.ndarray, np.ndarray]] = {}
 

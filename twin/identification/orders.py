@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dpstrf
 from twin.arrays import locked
 from twin.identification.network import Network, pieces_of
 from twin.identification.solve import Solution, free_directions
-from twin.identification.unknowns import PLAUSIBLE, CurveSpace
+from twin.identification.unknowns import CurveSpace
 from twin.measurement import Measurements
 from twin.shares import side_by_side
 
@@ -270,16 +270,16 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
 def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
     machine = len(network.unknowns)
     free = free_directions(network.unknowns.datum, machine, len(solution.setup))
-    origin = np.concatenate([solution.theta / PLAUSIBLE, np.zeros(len(solution.setup))])
-    total = normal.sum(axis=(0, 1))
+    origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
+    total, variance = normal.sum(axis=(0, 1)), solution.noise**2
     found = []
     for mask in folds.held_out():
         held = normal[mask].sum(axis=0)
         train = total - held
-        inner = free.T @ train[:-1, :-1] @ free
+        inner = free.T @ train[:-1, :-1] @ free / variance
         # The plausible sizes as a prior: it decides nothing but what the rest of the data leave open.
         inverse = np.linalg.inv(inner + np.eye(len(inner)))
         covariance = free @ inverse @ free.T
-        theta = origin + covariance @ train[:-1, -1]
+        theta = origin + covariance @ train[:-1, -1] / variance
         found.append(_Fold(theta, covariance, held, origin))
     return found

@@ -225,7 +225,7 @@ def correlation(found: Identification) -> tuple[tuple[str, ...], np.ndarray]:
         Names, and (n, n) values from 0 to 1.
     """
     unknowns = found.network.unknowns
-    covariance = found.solution.spectrum.covariance()[: len(unknowns), : len(unknowns)]
+    covariance = found.solution.covariance()[: len(unknowns), : len(unknowns)]
     names = (*found.calibration.curves, *found.calibration.squareness, *found.calibration.location)
     roots = {name: _inverse_root(covariance[np.ix_(unknowns.of(name), unknowns.of(name))]) for name in names}
     values = np.eye(len(names))
@@ -485,7 +485,7 @@ def _fitted(found: Identification, masks: Sequence[np.ndarray]) -> tuple[np.ndar
         sum of its squares is.
     """
     solution = found.solution
-    by_direction = solution.spectrum.scale[:, None] * solution.spectrum.directions / solution.spectrum.strength
+    by_direction = solution.spectrum.scale[:, None] * solution.basis / np.sqrt(solution.stiffness)
     total, trace = np.zeros((len(masks), by_direction.shape[1])), np.zeros(len(masks))
     for piece in found.network.pieces(solution.theta, solution.setup):
         taken = piece.jacobian @ by_direction

@@ -19,6 +19,7 @@ from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.spread import Misfit
 from twin.identification.table import TableTilt
+from twin.identification.unknowns import Unknowns
 from twin.measurement import SHOWN_ASIDE, Measurements, RowNote
 from twin.provenance import texts, to_json
 from twin.show import card, note, pairs, table
@@ -56,6 +57,8 @@ class Identification:
     Attributes:
         calibration: what the data determine, with its joint covariance.
         unidentified: what they do not.
+        held_by_prior: of these, the errors that are in the calibration all the same, since others refer to them, with the standard
+            deviation of the prior that holds them, µm or µrad.
         setup: stations and targets as found.
         setup_u: standard uncertainty of each of its numbers, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
@@ -72,6 +75,7 @@ class Identification:
 
     calibration: Calibration
     unidentified: tuple[Unidentified, ...]
+    held_by_prior: Mapping[str, float]
     setup: SetUp
     setup_u: Mapping[str, float]
     misfit: Misfit
@@ -286,6 +290,25 @@ class Identification:
         for one in self.unidentified:
             found.setdefault(one.reason, []).append(one.name)
         return found
+
+
+def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate a calibration on the rows of an estimate.
+
+    Args:
+        calibration: as a program will be compensated with it, whatever the estimate's own unknowns are.
+        network: the estimate's data, instrument and covariance.
+        setup: its stations and targets.
+
+    Returns:
+        (n, 3) read less predicted, metres, zero where nothing was read; (n, 3) the same over the stated standard deviations.
+    """
+    nothing = Unknowns(network.machine, (), ())
+    alone = Network(
+        network.machine, network.data, network.instrument, nothing, calibration, network.covariance, check=False
+    )
+    left = alone.difference(np.zeros(0), setup, np.arange(len(network.data)))
+    return left, np.einsum("nij,nj->ni", network.whitening, left)
 
 
 def _row_text(row: Mapping[str, Any]) -> str:

@@ -9,11 +9,8 @@ from typing import Final
 import numpy as np
 
 from twin.arrays import locked
-from twin.distributions import chi2_isf
 from twin.errors import InputError
-from twin.identification.network import Network
 from twin.identification.setup import SetUp
-from twin.identification.spread import repeats
 from twin.identification.start import FITS, first_setup
 from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.machine import Machine
@@ -28,8 +25,6 @@ DRAWN: Final = 0.01
 """Share of the measured motion that a machine may differ from its drawing by."""
 STANDS_OUT: Final = 10.0
 """Times the typical miss beyond which a row does not belong."""
-FALSE_ALARM: Final = 0.01
-"""Chance that a data set without any outlier has a point called one."""
 
 
 def instrument_of(machine: Machine, data: Measurements, given: Instrument | None) -> Instrument:
@@ -194,54 +189,3 @@ def _where(machine: Machine, data: Measurements, miss: np.ndarray, limit: float)
 
 def _moving(data: Measurements) -> list[int]:
     return [i for i in range(data.positions.shape[1]) if np.ptp(data.positions[:, i]) > 0.0]
-
-
-def outliers(network: Network, whitened: np.ndarray) -> tuple[np.ndarray, float]:
-    """(n,) points too far off to be chance, and the scale of the others.
-
-    A point's squared whitened distance is judged by its chi² quantile at a false-alarm rate of one data set in a hundred, times the
-    robust scale of all points where that is above one: a model that misses everywhere has misfit, not outliers.
-
-    Args:
-        network: data and model.
-        whitened: (n, 3) residuals of a robust estimate.
-    """
-    size = np.count_nonzero(network.read, axis=1)
-    squared = np.sum(whitened**2, axis=1)
-    share = np.array([chi2_isf(0.5, k) if k else 1.0 for k in range(4)])[size]
-    scale = max(1.0, float(np.sqrt(np.median(squared / share))))
-    limit = np.array([chi2_isf(FALSE_ALARM / len(size), k) if k else np.inf for k in range(4)])[size]
-    return squared > limit * scale**2, scale
-
-
-def robust_weights(network: Network, whitened: np.ndarray) -> np.ndarray:
-    """(n,) Geman-McClure weights: one for a good point, falling with the fourth power of its distance far out."""
-    size = np.maximum(np.count_nonzero(network.read, axis=1), 1)
-    squared = np.sum(whitened**2, axis=1) / size
-    scale = max(1.0, float(np.median(squared)))
-    return np.asarray((1.0 + squared / (9.0 * scale)) ** -2)
-
-
-def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, bad: np.ndarray) -> tuple[RowNote, ...]:
-    """Each outlier in words: how far, in which direction, and what the repeats of the same point say."""
-    data = network.data
-    group = repeats(data)
-    notes = []
-    for row in np.flatnonzero(bad):
-        off = difference[row]
-        size = float(np.linalg.norm(off)) / MM
-        sigmas = float(np.linalg.norm(whitened[row]))
-        mates = np.flatnonzero((group == group[row]) & ~bad)
-        text = (
-            f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
-        )
-        if not network.instrument.lengths_only and size > 0.0:
-            beam = network.readings[row] / np.linalg.norm(network.readings[row])
-            along = float(off @ beam) / MM
-            text += f", {abs(along) * 1e3:.1f} of it along the beam"
-        text += f" ({sigmas:.1f} standard deviations)"
-        if len(mates):
-            others = float(np.median(np.linalg.norm(difference[mates], axis=1))) / MM
-            text += f"; its {len(mates)} repeats are {others * 1e3:.1f} µm off"
-        notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}"))
-    return tuple(notes)

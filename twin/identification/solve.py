@@ -1,27 +1,38 @@
-"""Whitened nonlinear least squares, its rank judged by what is plausible, its covariance honest where the data are silent.
+"""Whitened nonlinear least squares with a weak prior, which acts only where the readings say little.
 
-Every unknown is counted in its plausible size (a millimetre or milliradian for an error, `setup` for the rest). In these units a
-direction in which the data say less than that is no finding: it is left where it was, and the covariance carries the plausible size
-itself. That is the limit of a Gaussian prior that never pulls on what is measured (so that no residual is regularised away).
+Every unknown is counted in its plausible size: an error in that of its kind (`Machine.plausible`: one standard deviation before anything
+is measured), a station or a target in that of `setup`. In these units each singular direction of the derivatives has a strength σ, the
+ratio of signal to noise. The noise s is one where the model fits within the stated uncertainty; where the model leaves something out, it
+is the size of the whitened residuals, because a direction that is weaker than the misfit would be fitted to the misfit.
+
+Every error has a Gaussian prior about zero with its plausible size. Where the model fits, s = 1, only directions weaker than `FIRMLY` have
+it, (1 − (σ/`FIRMLY`)²) of it, so that nothing that the readings determine is pulled: readings without noise give the errors to the last
+digits. The covariance is that of this estimator: of the readings' scatter and of the prior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
 
+from twin.arrays import locked
 from twin.determinability import WEAKEST, Determinability, Spectrum, Unknown, decompose
 from twin.effects import unit_of
 from twin.identification.network import Network
 from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
-from twin.identification.unknowns import PLAUSIBLE, Column, Unknowns
+from twin.identification.unknowns import Column, Unknowns
 from twin.units import MM, URAD
 
+FIRMLY: Final = 10.0
+"""Strength from which a direction of a model that fits has no prior: one of this strength would be pulled by a hundredth."""
+FAINT: Final = 1e-6
+"""Precision, in units of the noise, that keeps a station or target where it is along what no reading shows."""
 FIRM: Final = 1e9
 """Weight of a condition of the datum where it stands as one more reading."""
 STEPS: Final = 50
@@ -49,6 +60,8 @@ class Solution:
         determined: how many numbers the readings settle: the trace of their share in the estimate.
         converged: whether the last step was still.
         steps: how many were taken.
+        noise: size of the whitened residuals that the prior was weighed against; one where the model fits.
+        precision: (columns,) of the machine's unknowns about zero beside the weak prior, one over µm² or µrad².
     """
 
     theta: np.ndarray
@@ -58,6 +71,41 @@ class Solution:
     determined: float
     converged: bool
     steps: int
+    noise: float
+    precision: np.ndarray
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """(p, f) all directions that the datum allows, plausible units, strongest first."""
+        return locked(np.concatenate([self.spectrum.directions, self.spectrum.silent], axis=1))
+
+    @cached_property
+    def stiffness(self) -> np.ndarray:
+        """(f,) precision of the estimate along each direction, prior included."""
+        return locked(self.spectrum.values**2 + self.noise**2 * _share_of_prior(self.spectrum.values, self.noise))
+
+    @property
+    def unseen(self) -> np.ndarray:
+        """(p,) share of each unknown's plausible variance that readings with this noise leave."""
+        return np.asarray(self.basis**2 @ (self.noise**2 / (self.spectrum.values**2 + self.noise**2)))
+
+    def covariance(self, scatter: np.ndarray | None = None) -> np.ndarray:
+        """Return the (p, p) covariance of the estimate: that of the readings carried through, and that of the priors.
+
+        A⁻¹ (M + P) A⁻¹ with the estimator's own A, the scatter M of the normal equations' right side and the priors' share P of it.
+
+        Args:
+            scatter: (p, p) M in the derivatives' units, if not that of the stated uncertainty, JᵀJ (`twin.identification.spread`).
+        """
+        scale = self.spectrum.scale
+        j = self.triangle[:, :-1]
+        middle = (j.T @ j if scatter is None else scatter) * np.outer(scale, scale)
+        held = np.zeros(len(scale))
+        held[: len(self.precision)] = self.noise**2 * self.precision * scale[: len(self.precision)] ** 2
+        inner = self.basis.T @ (middle + np.diag(held)) @ self.basis
+        inner += np.diag(self.noise**4 * _share_of_prior(self.spectrum.values, self.noise))
+        root = self.basis * scale[:, None] / self.stiffness
+        return np.asarray(root @ inner @ root.T)
 
     @property
     def chi2(self) -> float:
@@ -91,7 +139,10 @@ def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
         unknowns: the machine's: µm and µrad.
         setup: stations and targets: metres and radians inside, mm and µrad outside.
     """
-    found = [Unknown(_name(column, unknowns), unit_of(column.entity), PLAUSIBLE) for column in unknowns.columns]
+    found = [
+        Unknown(_name(column, unknowns), unit_of(column.entity), size)
+        for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True)
+    ]
     return (*found, *named_setup(setup))
 
 
@@ -116,6 +167,7 @@ def solve(
     weight: np.ndarray,
     *,
     precision: np.ndarray | None = None,
+    noise: float = 1.0,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
 ) -> Solution:
@@ -128,15 +180,16 @@ def solve(
         weight: (n,) of each point.
         precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.remainder`); none
             if None.
+        noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.
         triangle: factor of [J | r] at the start, for whoever has it; found if None.
     """
     machine = len(network.unknowns)
-    scale = np.concatenate([np.full(machine, PLAUSIBLE), setup.plausible])
+    scale = np.concatenate([network.unknowns.plausible, setup.plausible])
     free = free_directions(network.unknowns.datum, machine, len(setup))
+    held = np.zeros(machine) if precision is None else precision
     root = np.zeros((machine, len(scale)))
-    if precision is not None:
-        root[:, :machine] = np.diag(np.sqrt(precision))
+    root[:, :machine] = np.diag(noise * np.sqrt(held))
     taken, converged = 0, False
     wanted: list[np.ndarray] = []
     gone: list[np.ndarray] = []
@@ -146,8 +199,8 @@ def solve(
         left, spectrum = decompose(np.concatenate([found[:, :-1], root]) * scale, scale, free=free)
         if taken < steps:
             along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
-            step = spectrum.directions @ (along / spectrum.strength)
-            converged = bool(np.linalg.norm(along) <= STILL) or bool(np.abs(step).max(initial=0.0) < 1e-14)
+            step, change = _newton(spectrum, along, theta / scale[:machine], noise)
+            converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
             wanted.append(step)
             if taken >= PLAIN and not converged:
                 step = _ahead(wanted, gone, spectrum)
@@ -160,8 +213,42 @@ def solve(
             # The last step is too small to change the derivatives: only what is left of the readings moves.
             found = np.array(found)
             found[:, -1] -= found[:, :-1] @ step
-        determined = float(np.sum((found[:, :-1] * scale @ (spectrum.directions / spectrum.strength)) ** 2))
-        return Solution(theta, setup, found, spectrum, determined, converged, taken)
+        solution = Solution(theta, setup, found, spectrum, 0.0, converged, taken, noise, held)
+        share = np.sum((found[:, :-1] * scale @ solution.basis) ** 2 / solution.stiffness)
+        return replace(solution, determined=float(share))
+
+
+def _share_of_prior(strength: np.ndarray, noise: float) -> np.ndarray:
+    """(f,) how much of the weak prior acts on directions of some strength: where the model fits, none on the firm."""
+    if noise > 1.0:
+        return np.ones_like(strength)
+    return np.asarray(np.clip(1.0 - (strength / FIRMLY) ** 2, 0.0, 1.0))
+
+
+def _newton(spectrum: Spectrum, along: np.ndarray, theta: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
+    """The step to the least sum of squares of readings and prior, and how much it changes them, root of the sum of squares.
+
+    Args:
+        spectrum: of the derivatives, with the directions that are not seen.
+        along: (d,) residuals along the directions that are seen.
+        theta: (machine,) the machine's unknowns, plausible units; stations and targets have no prior place.
+        noise: see `solve`.
+    """
+    basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
+    values = spectrum.values
+    pull = noise * np.sqrt(_share_of_prior(values, noise))
+    right = np.zeros(len(values))
+    right[: len(along)] = values[: len(along)] * along
+    held = np.flatnonzero(pull > 0.0)
+    coefficients = right / np.maximum(values**2, WEAKEST**2)
+    if len(held):
+        own = basis[: len(theta), held] * pull[held]
+        right[held] -= pull[held] * (own.T @ theta)
+        matrix = own.T @ own + np.diag(values[held] ** 2 + FAINT * pull[held] ** 2)
+        coefficients[held] = np.linalg.solve(matrix, right[held])
+    return basis @ coefficients, float(
+        np.hypot(np.linalg.norm(values * coefficients), np.linalg.norm(pull * coefficients))
+    )
 
 
 def _ahead(wanted: Sequence[np.ndarray], gone: Sequence[np.ndarray], spectrum: Spectrum) -> np.ndarray:

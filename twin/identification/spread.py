@@ -177,9 +177,5 @@ def _sandwich(network: Network, solution: Solution, weight: np.ndarray, group: n
     for piece in network.pieces(solution.theta, solution.setup):
         own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
         np.add.at(scores, group[piece.rows], own)
-    seen = solution.spectrum
-    bread = seen.scale[:, None] * (seen.directions / seen.strength**2) @ seen.directions.T
-    flat = (scores * seen.scale) @ bread.T
     count = len(scores)
-    silent = seen.silent * seen.scale[:, None]
-    return np.asarray(flat.T @ flat * (count / max(count - 1, 1)) + silent @ silent.T)
+    return solution.covariance(scores.T @ scores * (count / max(count - 1, 1)))

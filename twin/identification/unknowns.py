@@ -32,8 +32,6 @@ from twin.units import UM
 
 NODES: Final = 400
 """Points of the Gauss-Legendre rule that defines "orthonormal": exact far beyond any order used."""
-PLAUSIBLE: Final = 1000.0
-"""µm or µrad: what an error can be at most before anything is measured. A datum weaker than this is none."""
 
 
 @final
@@ -125,6 +123,9 @@ class Unknowns:
         told: axes next to a carrier whose targets' places are all known. There nothing else takes up a constant or a turning pattern:
             their curves have one.
         offsets: names of the curves that do; all of those axes' if None.
+
+    Attributes:
+        plausible: (columns,) how large each can be before anything is measured, µm or µrad (`Machine.plausible`).
     """
 
     def __init__(
@@ -153,6 +154,9 @@ class Unknowns:
             + [Column(offset_name(name), 0) for name in self.offsets]
         )
         self.index = {column: i for i, column in enumerate(self.columns)}
+        self.plausible = locked(
+            np.array([machine.plausible(column.entity) for column in self.columns], dtype=float).reshape(-1)
+        )
         self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
 
     def __len__(self) -> int:

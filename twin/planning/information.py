@@ -23,7 +23,7 @@ from twin.identification.network import PIECE, Network
 from twin.identification.remainder import FALL
 from twin.identification.setup import SetUp
 from twin.identification.solve import free_directions
-from twin.identification.unknowns import PLAUSIBLE, CurveSpace, Unknowns, axes_told, spaces_for
+from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, spaces_for
 from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -101,13 +101,13 @@ class Model:
             machine, spaces, constants, axes_told(machine, told), None if offsets is None else sorted(offsets)
         )
         setup = setup_of(told, setting, instrument)
-        plausible = np.concatenate([np.full(len(unknowns), PLAUSIBLE), setup.plausible])
+        plausible = np.concatenate([unknowns.plausible, setup.plausible])
         free = free_directions(unknowns.datum, len(unknowns), len(setup))
         precision = np.ones(len(plausible))
         about = np.zeros(len(unknowns))
         for space in spaces:
             columns = unknowns.of(space.name)
-            precision[columns] = PLAUSIBLE**2 / _sizes(space, expected) ** 2
+            precision[columns] = unknowns.plausible[columns] ** 2 / _sizes(space, expected) ** 2
             if space.name in expected.curves:
                 about[columns] = _parts(space, expected.curves[space.name])
         for name, value in (*expected.squareness.items(), *expected.location.items()):
@@ -199,7 +199,7 @@ def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
     # What an estimate does not resolve says nothing of the size either, and the expected curve left it out.
     size = max(float(np.sum(own[:has] ** 2 / fall[:has])) / max(has - 1, 1), LEAST_UM**2)
     open_ = np.arange(count) < has
-    return np.asarray(np.where(open_, PLAUSIBLE, np.sqrt(size * fall)))
+    return np.asarray(np.where(open_, expected.machine.plausible(space.name), np.sqrt(size * fall)))
 
 
 def _parts(space: CurveSpace, curve: Curve) -> np.ndarray:

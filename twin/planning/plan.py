@@ -14,7 +14,6 @@ from twin.arrays import locked
 from twin.budget import volume
 from twin.calibration import Calibration
 from twin.errors import InputError, nearest
-from twin.identification.unknowns import PLAUSIBLE
 from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
 from twin.measurement import Measurements
@@ -174,7 +173,7 @@ def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float
         if names == ["weakest"]:
             # What is held to be small anyway stays as it is held, however much is read.
             reach = np.einsum("ki,ij,kj->k", own, np.linalg.inv(model.prior), own)
-            own = own[reach > OPEN * PLAUSIBLE**2] @ seen
+            own = own[reach > OPEN * model.plausible[columns] ** 2] @ seen
         basis = np.linalg.svd(own, full_matrices=False)
         machine = basis.Vh[basis.S > 1e-9 * basis.S[0]]
         return Everything(machine) if names == ["everything"] else Weakest(machine, model.prior)
