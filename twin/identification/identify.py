@@ -15,8 +15,8 @@ from twin.determinability import UNSEEN, Determinability
 from twin.effects import split_name
 from twin.errors import InputError
 from twin.identification.network import Network
-from twin.identification.outliers import Judged, explained, judged, model_is_wrong
 from twin.identification.orders import Choice, Folds, choose
+from twin.identification.outliers import Judged, explained, judged, model_is_wrong
 from twin.identification.remainder import remainder_precision
 from twin.identification.result import Identification, Unidentified, residuals_of
 from twin.identification.screen import fitting, instrument_of
@@ -154,8 +154,8 @@ def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool
 def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solution, np.ndarray]:
     """An estimate that a few wrong points do not pull, and (n,) the weights it ended with.
 
-    It begins with the misfit of the machine as drawn as its noise, so that a machine far from its drawing is first fitted where the
-    readings say most, and goes on with what each estimate leaves.
+    It begins with the misfit of the machine as drawn as its noise, so that what the readings say most of is fitted first, and goes on
+    with what each estimate leaves.
 
     Args:
         network: data and model.
@@ -175,10 +175,15 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
         weight = fresh
         if still:
             break
-        solution = solve(network, solution.theta, solution.setup, weight, noise=found.noise, steps=3)
+        pulled = solution.noise > found.noise == 1.0
+        solution = solve(network, solution.theta, solution.setup, weight, noise=found.noise, moved=solution.moved)
+        if pulled:
+            # From where a prior held it, one step more than to a still one: readings without noise give the errors to the last digits.
+            solution = solve(network, solution.theta, solution.setup, weight, moved=solution.moved, steps=1)
     found = judged(network, network.residual(solution.theta, solution.setup))
     weight = (~found.bad).astype(float)
-    return solve(network, solution.theta, solution.setup, weight, noise=found.noise), weight
+    moved = solution.moved
+    return solve(network, solution.theta, solution.setup, weight, noise=found.noise, moved=moved), weight
 
 
 def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
@@ -267,6 +272,7 @@ def _without_outliers(
             precision=precision,
             noise=solution.noise,
             triangle=triangle,
+            moved=solution.moved,
         )
         triangle = None
         found = judged(network, network.residual(solution.theta, solution.setup))

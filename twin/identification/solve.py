@@ -5,9 +5,9 @@ is measured), a station or a target in that of `setup`. In these units each sing
 ratio of signal to noise. The noise s is one where the model fits within the stated uncertainty; where the model leaves something out, it
 is the size of the whitened residuals, because a direction that is weaker than the misfit would be fitted to the misfit.
 
-Every error has a Gaussian prior about zero with its plausible size. Where the model fits, s = 1, only directions weaker than `FIRMLY` have
-it, (1 − (σ/`FIRMLY`)²) of it, so that nothing that the readings determine is pulled: readings without noise give the errors to the last
-digits. The covariance is that of this estimator: of the readings' scatter and of the prior.
+Every error has a Gaussian prior about zero with its plausible size, stations and targets one about where the estimate begins. Where the
+model fits, s = 1, only directions with σ ≤ 1 have it, and stay where they are: nothing that the readings determine is pulled, and readings
+without noise give the errors to the last digits. The covariance is that of this estimator: of the readings' scatter and of the prior.
 """
 
 from __future__ import annotations
@@ -29,10 +29,6 @@ from twin.identification.setup import SetUp
 from twin.identification.unknowns import Column, Unknowns
 from twin.units import MM, URAD
 
-FIRMLY: Final = 10.0
-"""Strength from which a direction of a model that fits has no prior: one of this strength would be pulled by a hundredth."""
-FAINT: Final = 1e-6
-"""Precision, in units of the noise, that keeps a station or target where it is along what no reading shows."""
 FIRM: Final = 1e9
 """Weight of a condition of the datum where it stands as one more reading."""
 STEPS: Final = 50
@@ -41,6 +37,12 @@ PLAIN: Final = 6
 known hardly better than beforehand, the derivatives change over that uncertainty and such steps shrink by a tenth each, some to and
 fro: from here on the last few say how."""
 MEMORY: Final = 4
+WORSE: Final = 1e-6
+"""Share by which the sum of squares may grow in a step: rounding."""
+HALVINGS: Final = 6
+NEAR: Final = 5e-3
+"""Share of its plausible size that a station or target is held within where the model leaves something out: they were fitted to the
+machine as drawn. Else one plane of points, or a place that no rotation shows, would move by decimetres to make an error smaller."""
 STILL: Final = 1e-4
 """A step that changes the whitened residuals by no more than this (root of the sum of squares) is the last: the errors of a machine
 are small, the next step is a thousandth of it or less, and what is left 1e-7 of a standard uncertainty."""
@@ -62,6 +64,7 @@ class Solution:
         steps: how many were taken.
         noise: size of the whitened residuals that the prior was weighed against; one where the model fits.
         precision: (columns,) of the machine's unknowns about zero beside the weak prior, one over µm² or µrad².
+        moved: (set-up's unknowns,) how far each is from its prior place, metres and radians.
     """
 
     theta: np.ndarray
@@ -73,6 +76,7 @@ class Solution:
     steps: int
     noise: float
     precision: np.ndarray
+    moved: np.ndarray
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -82,7 +86,7 @@ class Solution:
     @cached_property
     def stiffness(self) -> np.ndarray:
         """(f,) precision of the estimate along each direction, prior included."""
-        return locked(self.spectrum.values**2 + self.noise**2 * _share_of_prior(self.spectrum.values, self.noise))
+        return locked(self.spectrum.values**2 + self.noise**2 * _with_prior(self.spectrum.values, self.noise))
 
     @property
     def unseen(self) -> np.ndarray:
@@ -103,7 +107,7 @@ class Solution:
         held = np.zeros(len(scale))
         held[: len(self.precision)] = self.noise**2 * self.precision * scale[: len(self.precision)] ** 2
         inner = self.basis.T @ (middle + np.diag(held)) @ self.basis
-        inner += np.diag(self.noise**4 * _share_of_prior(self.spectrum.values, self.noise))
+        inner += np.diag(self.noise**4 * _with_prior(self.spectrum.values, self.noise))
         root = self.basis * scale[:, None] / self.stiffness
         return np.asarray(root @ inner @ root.T)
 
@@ -170,6 +174,7 @@ def solve(
     noise: float = 1.0,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
+    moved: np.ndarray | None = None,
 ) -> Solution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
@@ -183,6 +188,7 @@ def solve(
         noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.
         triangle: factor of [J | r] at the start, for whoever has it; found if None.
+        moved: (set-up's unknowns,) how far the set-up is from its prior place already (`Solution.moved`); not at all if None.
     """
     machine = len(network.unknowns)
     scale = np.concatenate([network.unknowns.plausible, setup.plausible])
@@ -190,65 +196,109 @@ def solve(
     held = np.zeros(machine) if precision is None else precision
     root = np.zeros((machine, len(scale)))
     root[:, :machine] = np.diag(noise * np.sqrt(held))
-    taken, converged = 0, False
+    near = np.array(scale)
+    near[machine:] *= NEAR if noise > 1.0 else 1.0
+    here = _Place(theta, setup, np.zeros(len(setup)) if moved is None else moved)
+    taken, converged, halved, before, last = 0, False, 0, np.inf, here
     wanted: list[np.ndarray] = []
     gone: list[np.ndarray] = []
     while True:
-        found = factor(network, theta, setup, weight) if triangle is None else triangle
+        found = factor(network, here.theta, here.setup, weight) if triangle is None else triangle
         triangle = None
-        left, spectrum = decompose(np.concatenate([found[:, :-1], root]) * scale, scale, free=free)
+        off = np.concatenate([here.theta, here.moved]) / near
+        cost = float(np.sum(found[:, -1] ** 2) + np.sum((root[:, :machine] @ here.theta) ** 2))
+        cost += float(noise**2 * np.sum(off**2)) if noise > 1.0 else 0.0
+        if cost > before * (1.0 + WORSE) and taken < steps:
+            # The derivatives do not hold as far as the step: the plain one, then half of it. What was learnt of how steps change does
+            # not hold either.
+            wanted = wanted[-1:]
+            gone = [wanted[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(wanted[0])]
+            here, halved, taken = last.after(gone[0] * near), halved + 1, taken + 1
+            continue
+        left, spectrum = _decomposed(np.concatenate([found[:, :-1], root]), near, free, noise)
         if taken < steps:
-            along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ theta])
-            step, change = _newton(spectrum, along, theta / scale[:machine], noise)
+            along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ here.theta])
+            step, change = _newton(spectrum, along, off, noise)
             converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
             wanted.append(step)
             if taken >= PLAIN and not converged:
                 step = _ahead(wanted, gone, spectrum)
             gone.append(step)
-            step = step * scale
-            theta, setup = theta + step[:machine], setup.moved(step[machine:])
+            last, before, halved = here, cost, 0
+            here = here.after(step * near)
             taken += 1
             if not converged:
                 continue
             # The last step is too small to change the derivatives: only what is left of the readings moves.
             found = np.array(found)
-            found[:, -1] -= found[:, :-1] @ step
-        solution = Solution(theta, setup, found, spectrum, 0.0, converged, taken, noise, held)
+            found[:, -1] -= found[:, :-1] @ (step * near)
+        if noise > 1.0:
+            _, spectrum = _decomposed(np.concatenate([found[:, :-1], root]), scale, free, noise)
+        solution = Solution(
+            here.theta, here.setup, found, spectrum, 0.0, converged, taken, noise, held, locked(here.moved)
+        )
         share = np.sum((found[:, :-1] * scale @ solution.basis) ** 2 / solution.stiffness)
         return replace(solution, determined=float(share))
 
 
-def _share_of_prior(strength: np.ndarray, noise: float) -> np.ndarray:
-    """(f,) how much of the weak prior acts on directions of some strength: where the model fits, none on the firm."""
-    if noise > 1.0:
-        return np.ones_like(strength)
-    return np.asarray(np.clip(1.0 - (strength / FIRMLY) ** 2, 0.0, 1.0))
+@final
+@dataclass(frozen=True)
+class _Place:
+    """Where a search stands: the machine's unknowns, the set-up, and how far its numbers are from where they began."""
+
+    theta: np.ndarray
+    setup: SetUp
+    moved: np.ndarray
+
+    def after(self, step: np.ndarray) -> _Place:
+        """After a step of all unknowns."""
+        machine = len(self.theta)
+        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]), self.moved + step[machine:])
 
 
-def _newton(spectrum: Spectrum, along: np.ndarray, theta: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
+def _decomposed(
+    matrix: np.ndarray, scale: np.ndarray, free: np.ndarray, noise: float
+) -> tuple[np.ndarray, Spectrum]:
+    """Left singular vectors of all directions that have a say in the step, and the spectrum: seen is what is stronger than the noise.
+
+    Args:
+        matrix: derivatives, in their own units.
+        scale: (p,) sizes of the priors.
+        free: see `free_directions`.
+        noise: see `solve`.
+    """
+    matrix = matrix * scale
+    if noise <= 1.0:
+        return decompose(matrix, scale, free=free)
+    # The prior is what holds here: the readings have their say along every direction, however weak, or no step would reach the least.
+    left, every = decompose(matrix, scale, free=free, tolerance=0.0)
+    basis, seen = np.concatenate([every.directions, every.silent], axis=1), int(np.count_nonzero(every.values > noise))
+    return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
+
+
+def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
+    """(f,) one for each direction that has the prior: where the model fits, those that the readings do not see."""
+    return np.ones_like(strength) if noise > 1.0 else (strength <= WEAKEST).astype(float)
+
+
+def _newton(spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
     """The step to the least sum of squares of readings and prior, and how much it changes them, root of the sum of squares.
 
     Args:
         spectrum: of the derivatives, with the directions that are not seen.
-        along: (d,) residuals along the directions that are seen.
-        theta: (machine,) the machine's unknowns, plausible units; stations and targets have no prior place.
+        along: (d,) residuals along the directions that have a say, strongest first.
+        off: (p,) how far every unknown is from its prior place, plausible units.
         noise: see `solve`.
     """
     basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
     values = spectrum.values
-    pull = noise * np.sqrt(_share_of_prior(values, noise))
-    right = np.zeros(len(values))
-    right[: len(along)] = values[: len(along)] * along
-    held = np.flatnonzero(pull > 0.0)
-    coefficients = right / np.maximum(values**2, WEAKEST**2)
-    if len(held):
-        own = basis[: len(theta), held] * pull[held]
-        right[held] -= pull[held] * (own.T @ theta)
-        matrix = own.T @ own + np.diag(values[held] ** 2 + FAINT * pull[held] ** 2)
-        coefficients[held] = np.linalg.solve(matrix, right[held])
-    return basis @ coefficients, float(
-        np.hypot(np.linalg.norm(values * coefficients), np.linalg.norm(pull * coefficients))
-    )
+    prior = noise**2 * _with_prior(values, noise)
+    # Where the model fits, what no reading shows stays where it is: derivatives across a plane of points do not hold for long.
+    right = -prior * (basis.T @ off) if noise > 1.0 else np.zeros(len(values))
+    right[: len(along)] += values[: len(along)] * along
+    stiffness = values**2 + prior
+    coefficients = right / stiffness
+    return basis @ coefficients, float(np.linalg.norm(np.sqrt(stiffness) * coefficients))
 
 
 def _ahead(wanted: Sequence[np.ndarray], gone: Sequence[np.ndarray], spectrum: Spectrum) -> np.ndarray:
