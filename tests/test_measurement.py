@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.measurement import Measurements, joined, load, load_export
+from twin.measurement_checks import RowNote, grouped_notes
 
 HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm"
 ROW = "{x},100,-50,0,0,K,tool,{x}.01,1.5,2.5"
@@ -97,6 +98,18 @@ def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason
     (note,) = found.set_aside
     assert note.line == 6
     assert reason in note.text
+
+
+def test_notes_are_grouped_by_reason() -> None:
+    """One line a reason: count, first lines, the worst row; a single row as it is."""
+    off = [RowNote(line, f"{line} µm off", kind="too far off", size=float(line)) for line in (4, 9, 7)]
+    alike = [RowNote(line, "no coordinate was measured") for line in range(10, 1010)]
+    assert grouped_notes([off[0], *alike, RowNote(3, "12 mm off", kind="off", size=12.0), *off[1:]]) == [
+        "3 rows (lines 4, 9, 7): too far off; worst, line 9: 9 µm off",
+        "1,000 rows (lines 10, 11, 12, 13, 14 and 995 more): no coordinate was measured",
+        "line 3: 12 mm off",
+    ]
+    assert grouped_notes([]) == []
 
 
 def test_a_station_with_too_few_points(dmu50: Machine, tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ from twin.arrays import locked
 from twin.errors import InputError, nearest
 from twin.files import read_lines, write_whole
 from twin.machine import Axis, Machine
+from twin.measurement_checks import RowNote as RowNote
+from twin.measurement_checks import grouped_notes
 from twin.show import Cell, card, note, pairs, several, spans
 from twin.tables import Cells, not_understood, read_table
 
@@ -41,15 +43,6 @@ LARGEST_MM: Final = 1e6
 """Coordinate beyond which a row is set aside: no instrument reads a machine from a kilometre away."""
 RANGE_SLACK: Final = 0.5
 """mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
-
-
-@final
-@dataclass(frozen=True)
-class RowNote:
-    """Something about one line of the file."""
-
-    line: int
-    text: str
 
 
 @final
@@ -119,9 +112,7 @@ class Measurements:
             ("commanded, in command order (mm, °)", reach),
             ("temperatures (°C)", ", ".join(self.temperature_degC)),
         ]
-        aside = [note(f"set aside, line {one.line}: {one.text}", loud=True) for one in self.set_aside[:SHOWN_ASIDE]]
-        if len(self.set_aside) > SHOWN_ASIDE:
-            aside.append(note(f"… and {len(self.set_aside) - SHOWN_ASIDE} more set aside", loud=True))
+        aside = [note(f"set aside, {text}", loud=True) for text in grouped_notes(self.set_aside)]
         said = [note(notice) for notice in self.notices]
         return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
 

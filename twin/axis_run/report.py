@@ -9,6 +9,7 @@ import numpy as np
 from twin.axis_run.layout import AxisLayout
 from twin.axis_run.motions import NAMES, AxisCurves, Motions
 from twin.axis_run.readings import Readings
+from twin.measurement_checks import grouped_notes
 from twin.provenance import texts, to_json
 from twin.show import finite
 
@@ -112,5 +113,5 @@ def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
             + ("" if turned is None else f"{turned[0]:+.4f} ± {turned[1]:.4f}")
         )
     lines += ["", *(f"note: {text}" for text in (*readings.notices, *notices(motions, curves)))]
-    lines += [f"line {note.line} set aside: {note.text}" for note in readings.set_aside]
+    lines += [f"set aside, {text}" for text in grouped_notes(readings.set_aside)]
     return "\n".join(lines).rstrip() + "\n"

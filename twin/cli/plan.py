@@ -23,6 +23,7 @@ from twin.files import write_json
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
+from twin.measurement_checks import grouped_notes
 from twin.options import instrument_named, plan_file, positive
 from twin.planning import Kit, duration, judge, separate
 from twin.planning import plan as make_plan
@@ -133,8 +134,8 @@ def plan(
         report = {"schema": "twin.plan/1", "judged": str(judged), "minutes": seconds / 60.0, "forecast": told.to_dict()}
         report["warnings"] = to_json(errors.warnings)
         incomplete = bool(table.set_aside)
-        for note in table.set_aside:
-            echo(f"  line {note.line} set aside: {note.text}")
+        for text in grouped_notes(table.set_aside):
+            echo(f"  set aside, {text}")
     else:
         with progress() as say:
             if causes is not None:

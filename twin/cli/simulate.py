@@ -24,6 +24,7 @@ from twin.files import write_json
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
 from twin.measurement import load as load_measurements
+from twin.measurement_checks import grouped_notes
 from twin.options import instrument_named, plan_file, surroundings
 from twin.provenance import SIMULATED, merged, to_json
 from twin.simulate import simulate as run_simulation
@@ -107,8 +108,8 @@ def simulate(
         }
         write_json(json_file, told)
     echo(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
-    for note in planned.set_aside:
-        echo(f"  line {note.line} set aside: {note.text}")
+    for text in grouped_notes(planned.set_aside):
+        echo(f"  set aside, {text}")
     for notice in planned.notices:
         echo(f"  {notice}")
     if planned.set_aside:

@@ -37,6 +37,7 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
+from twin.measurement_checks import grouped_notes
 from twin.page import bullets as _list
 from twin.page import document
 from twin.page import embedded as _embedded
@@ -46,8 +47,6 @@ from twin.provenance import texts
 
 LIKELY: Final = 0.5
 """Chance above which a cause is not worth a line."""
-LISTED: Final = 20
-"""Readings set aside that are listed."""
 ONCE: Final = ("frame_shift", "target_shift", "station_drift", "thermal_drift")
 """Causes that belong to one time of the measurement."""
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
@@ -327,9 +326,7 @@ def _small_print(diagnosis: Diagnosis) -> str:
     ]
     aside = diagnosis.data.set_aside
     if aside:
-        rows = [f"line {note.line}: {_e(note.text)}" for note in aside[:LISTED]]
-        if len(aside) > LISTED:
-            rows.append(f"and {len(aside) - LISTED} more, all in --json")
+        rows = [_e(text) for text in grouped_notes(aside)]
         items.append(f"Readings that were not used: {len(aside)}.{_list(rows)}")
     return f"<div class=small>{_list(items)}</div>"
 

@@ -26,12 +26,11 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
+from twin.measurement_checks import grouped_notes
 from twin.provenance import texts
 
 WIDTH: Final = 100
 HARD: Final = "\u00a0"
-ASIDE: Final = 8
-"""Rows set aside that are listed."""
 
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:
@@ -77,9 +76,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     lines += _listing("Not tried, for want of a column:", missing(diagnosis.not_evaluated))
     aside = diagnosis.data.set_aside
     if aside:
-        told = [f"line {note.line}: {note.text}" for note in aside[:ASIDE]]
-        rest = [f"and {len(aside) - ASIDE} more (all in --json)"] if len(aside) > ASIDE else []
-        lines += _listing(f"Readings not used ({len(aside)}):", [*told, *rest])
+        lines += _listing(f"Readings not used ({len(aside)}):", grouped_notes(aside))
     lines += _listing("Notes:", diagnosis.data.notices)
     return "\n".join(lines) + "\n"
 

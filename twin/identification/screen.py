@@ -111,6 +111,8 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
             int(data.lines[row]),
             f"the commanded position misses the measured motion by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
             f"round {data.round[row]}): another position, another target or a lost beam",
+            kind="the commanded position misses the measured motion: another position, another target or a lost beam",
+            size=float(miss[row]),
         )
         for row in np.flatnonzero(bad)
     )
