@@ -145,7 +145,7 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
         ([*rows(0), ROW.format(x=50).replace("1.5", "1.5mm")], HEADER, 4, "1.5mm"),
         ([*rows(0), ROW.format(x=50).replace("K", "")], HEADER, 4, "reflector"),
         ([row + ",2" for row in rows(0, 50)], HEADER + ",approach_X", 3, "+1, -1 or 0"),
-        (["50,100,-50,0,0,K,tool,,,"], HEADER, 3, "no usable row"),
+        (["50,100,-50,0,0,K,tool,,,"], HEADER, 3, "no usable row of station 1"),
     ],
 )
 def test_bad_tables_say_where(

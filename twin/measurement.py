@@ -21,7 +21,7 @@ from twin.errors import InputError, nearest
 from twin.files import read_lines, write_whole
 from twin.machine import Axis, Machine
 from twin.measurement_checks import RowNote as RowNote
-from twin.measurement_checks import grouped_notes
+from twin.measurement_checks import check_ranges, copied_rows, grouped_notes, lost_names, missing_rounds, outside
 from twin.show import Cell, card, note, pairs, several, spans
 from twin.tables import Cells, not_understood, read_table
 
@@ -41,8 +41,6 @@ SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
 LARGEST_MM: Final = 1e6
 """Coordinate beyond which a row is set aside: no instrument reads a machine from a kilometre away."""
-RANGE_SLACK: Final = 0.5
-"""mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
 
 
 @final
@@ -186,7 +184,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     Raises:
         InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
             number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
-            pose given in part.
+            pose given in part, positions that a constant or a unit keeps from an axis's range.
     """
     path = Path(path)
     header, rows, said = read_table(path)
@@ -236,7 +234,8 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     if n == 0:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
     _check_names(table, path)
-    return _usable(_known(table), machine)
+    unread = ["\0".join(row[columns[name]] for name in strange) for _, row in rows] if strange else ()
+    return _usable(_known(table), machine, unread)
 
 
 def says_simulated(comments: Sequence[str]) -> list[str]:
@@ -446,13 +445,23 @@ def _told(table: Measurements, what: str, names: np.ndarray, columns: Sequence[s
     return locked(found)
 
 
-def _usable(table: Measurements, machine: Machine) -> Measurements:
-    """Set aside what cannot be used, with its reason."""
-    reasons: dict[int, str] = {}
+def _usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) -> Measurements:
+    """Set aside what cannot be used, with its reason.
+
+    Args:
+        table: all rows.
+        machine: the machine.
+        unread: of each row, the cells of columns that are not understood; empty if there are none.
+
+    Raises:
+        InputError: no row can be used; commands outside the range by a constant.
+    """
+    check_ranges(machine.axes, table.positions, table.lines, table.source)
+    reasons: dict[int, RowNote] = {}
 
     def aside(rows: np.ndarray, reason: str) -> None:
         for row in np.flatnonzero(rows):
-            reasons.setdefault(int(row), reason)
+            reasons.setdefault(int(row), RowNote(int(table.lines[row]), reason))
 
     finite = np.isfinite(table.positions)
     aside(~finite.all(axis=1), "a commanded position that is no finite number")
@@ -460,56 +469,45 @@ def _usable(table: Measurements, machine: Machine) -> Measurements:
     aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate beyond {LARGEST_MM:g} mm")
     aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
     aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty below {SMALLEST_U_MM:g} mm")
-    for i, axis in enumerate(machine.axes):
+    for axis, q in zip(machine.axes, table.positions.T, strict=True):
         if axis.lower is not None and axis.upper is not None:
-            q = table.positions[:, i]
-            beyond = (q < axis.lower - RANGE_SLACK) | (q > axis.upper + RANGE_SLACK)
-            aside(beyond, f"{axis.name} is commanded outside its range {axis.lower:g} … {axis.upper:g} {axis.unit}")
-    seen: dict[bytes, int] = {}
-    for row in range(len(table)):
-        if row in reasons:
-            continue
-        names = f"{table.target[row]}|{table.station[row]}|{table.round[row]}".encode()
-        state = (table.positions, table.approach, table.point_mm, table.time_s)
-        key = names + b"".join(column[row].tobytes() for column in state)
-        if key in seen:
-            reasons[row] = f"the same as line {table.lines[seen[key]]}, to the last digit"
-        else:
-            seen[key] = row
+            reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
+            aside(outside(axis, q), f"{axis.name} is commanded outside its range {reach}")
+    left = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
+    for row, before in _copies(table, left, unread).items():
+        text = f"the same as line {table.lines[before]} in every column"
+        reasons[row] = RowNote(int(table.lines[row]), text, kind="the same as an earlier line in every column")
     keep = np.array([row not in reasons for row in range(len(table))])
     for station in dict.fromkeys(table.station):
         of = keep & (table.station == station)
         if 0 < np.count_nonzero(of) < FEWEST_POINTS:
             aside(of, f"station {station} has fewer than {FEWEST_POINTS} usable points")
     keep = np.array([row not in reasons for row in range(len(table))])
-    notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
+    notes = tuple(note for _, note in sorted(reasons.items()))
     if not np.any(keep):
         first = notes[0]
-        raise InputError(f"no usable row: {first.text}", expected="measured points", file=table.source, line=first.line)
-    left = replace(table.select(keep), set_aside=notes)
-    return replace(left, notices=(*left.notices, *_missing_rounds(left)))
+        what = f"no usable row of station {table.station[table.lines == first.line][0]}: {first.text}"
+        raise InputError(what, expected="measured points", file=table.source, line=first.line)
+    why = {row: note.kind or note.text for row, note in reasons.items()}
+    lost = [*lost_names("station", table.station, why), *lost_names("target", table.target, why)]
+    used = replace(table.select(keep), set_aside=notes)
+    return replace(used, notices=(*used.notices, *lost, *missing_rounds(used.target, used.round, used.positions)))
 
 
-def _missing_rounds(table: Measurements) -> list[str]:
-    """Rounds that lack points the other rounds of the same target have."""
-    points: dict[tuple[str, str], set[bytes]] = {}
-    for row in range(len(table)):
-        points.setdefault((table.target[row], table.round[row]), set()).add(table.positions[row].tobytes())
-    notices = []
-    for target in dict.fromkeys(table.target):
-        of = {name: found for (other, name), found in points.items() if other == target}
-        if len(of) < 2:
-            continue
-        everything = set.union(*of.values())
-        for name, found in of.items():
-            missing = len(everything) - len(found)
-            if missing and all(len(found & other) > len(everything) // 2 for other in of.values()):
-                notices.append(f"target {target}: round {name} lacks {missing} of {len(everything)} positions")
-    for name in dict.fromkeys(table.round):
-        absent = [target for target in dict.fromkeys(table.target) if (target, name) not in points]
-        if absent and len(dict.fromkeys(table.round)) > 1:
-            notices.append(f"round {name} has no target {', '.join(absent)}")
-    return notices
+def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dict[int, int]:
+    """Copies among some rows, each with the row that it repeats."""
+    part = table.select(rows)
+    names = zip(part.station, part.target, strict=True)
+    series = [f"{station}\0{target}\0".encode() for station, target in names]
+    command = (part.positions + 0.0, part.approach + 0.0)
+    point_of = [name + b"".join(column[i].tobytes() for column in command) for i, name in enumerate(series)]
+    rest = np.column_stack([part.readback, part.u_mm, part.time_s, *part.temperature_degC.values()]) + 0.0
+    words = [
+        f"{name}\0{unread[row] if len(unread) else ''}".encode() for name, row in zip(part.round, rows, strict=True)
+    ]
+    state = [point_of[i] + words[i] + rest[i].tobytes() for i in range(len(part))]
+    found = copied_rows(part.point_mm, state, series, point_of, part.time_s)
+    return {int(rows[row]): int(rows[before]) for row, before in found.items()}
 
 
 def _column(axis: Axis) -> str:

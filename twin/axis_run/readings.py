@@ -19,7 +19,8 @@ from twin.arrays import locked
 from twin.axis_run.layout import AxisLayout
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.measurement import LARGEST_MM, RANGE_SLACK, RowNote, comments_of, says_simulated
+from twin.measurement import LARGEST_MM, comments_of, says_simulated
+from twin.measurement_checks import RowNote, outside
 from twin.tables import Cells, not_understood, read_table
 from twin.units import MM
 
@@ -140,7 +141,7 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
     aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:
-        beyond = (table.position_mm < lower - RANGE_SLACK) | (table.position_mm > upper + RANGE_SLACK)
+        beyond = outside(layout.axis, table.position_mm)
         aside(beyond, f"{layout.axis.name} is commanded outside its range {lower:g} … {upper:g} mm")
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
