@@ -17,6 +17,8 @@ from twin.machine import Axis
 
 FIRST_LINES: Final = 5
 """Line numbers of a group of notes that a text lists; the JSON has all."""
+ASSUMED: Final = "assumed: "
+"""What a notice begins with that a text shows before any result: what was assumed of the data, and how to say otherwise."""
 RANGE_SLACK: Final = 0.5
 """mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
 FALSE_ALARM: Final = 0.01
@@ -47,6 +49,11 @@ class RowNote:
     text: str
     kind: str = ""
     size: float | None = None
+
+
+def assumptions(notices: Iterable[str]) -> list[str]:
+    """Return the notices that say what was assumed of the data; a text shows them before any result."""
+    return [notice for notice in notices if notice.startswith(ASSUMED)]
 
 
 def grouped_notes(notes: Iterable[RowNote]) -> list[str]:

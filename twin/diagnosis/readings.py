@@ -15,9 +15,9 @@ from twin.diagnosis.misplaced import misplaced
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
 from twin.distributions import chi2_isf
+from twin.identification.inputs import prepared
 from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import explained, outliers
-from twin.identification.screen import fitting, instrument_of
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.spread import repeats
@@ -109,9 +109,7 @@ def readings(
     Raises:
         InputError: data that cannot be a measurement of this machine.
     """
-    reader = instrument_of(machine, data, instrument)
-    lengths = reader.lengths_only
-    data, setup = fitting(machine, data, lengths_only=lengths)
+    reader, data, setup = prepared(machine, data, instrument)
     nothing = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)
     given = bool(np.isfinite(data.u_mm).any())

@@ -37,7 +37,7 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
-from twin.measurement_checks import grouped_notes
+from twin.measurement_checks import assumptions, grouped_notes
 from twin.page import bullets as _list
 from twin.page import document
 from twin.page import embedded as _embedded
@@ -83,8 +83,11 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
 
 
 def _drawn(diagnosis: Diagnosis) -> str:
-    """Badges of what is not measured on a machine."""
-    return " ".join(f"<span class=badge>{_e(text)}</span>" for text in texts(diagnosis.warnings))
+    """Badges of what is not measured on a machine, or was assumed of the readings."""
+    return " ".join(
+        f"<span class=badge>{_e(text)}</span>"
+        for text in (*texts(diagnosis.warnings), *assumptions(diagnosis.data.notices))
+    )
 
 
 def _first_screen(diagnosis: Diagnosis) -> str:

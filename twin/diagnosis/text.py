@@ -26,7 +26,7 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
-from twin.measurement_checks import grouped_notes
+from twin.measurement_checks import assumptions, grouped_notes
 from twin.provenance import texts
 
 WIDTH: Final = 100
@@ -42,7 +42,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
     )
-    for text in texts(diagnosis.warnings):
+    for text in (*texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
         lines += _wrapped(text, hang=2)
     for cause in diagnosis.causes:
         lines += ["", *_cause(cause)]
@@ -77,7 +77,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     aside = diagnosis.data.set_aside
     if aside:
         lines += _listing(f"Readings not used ({len(aside)}):", grouped_notes(aside))
-    lines += _listing("Notes:", diagnosis.data.notices)
+    assumed = assumptions(diagnosis.data.notices)
+    lines += _listing("Notes:", [notice for notice in diagnosis.data.notices if notice not in assumed])
     return "\n".join(lines) + "\n"
 
 

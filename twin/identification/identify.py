@@ -14,12 +14,12 @@ from twin.curves import FOURIER, POWER, Basis
 from twin.determinability import UNSEEN, Determinability
 from twin.effects import split_name
 from twin.errors import InputError
+from twin.identification.inputs import prepared
 from twin.identification.network import Network
 from twin.identification.orders import Choice, Folds, choose
 from twin.identification.outliers import Judged, explained, judged, model_is_wrong
 from twin.identification.remainder import remainder_precision
 from twin.identification.result import Identification, Unidentified, residuals_of
-from twin.identification.screen import fitting, instrument_of
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
@@ -79,10 +79,8 @@ def _identify(
     spread: Spread,
     say: Say,
 ) -> Identification:
-    reader = instrument_of(machine, data, instrument)
-    lengths_only = reader.lengths_only
     say("placing the stations", 0.0)
-    data, setup = fitting(machine, data, lengths_only=lengths_only)
+    reader, data, setup = prepared(machine, data, instrument)
     covariance = covariance_from_repeats(data, reader)[0] if spread == "repeats" else None
 
     def network(unknowns: Unknowns) -> Network:

@@ -21,6 +21,7 @@ from twin.identification.spread import Misfit
 from twin.identification.table import TableTilt
 from twin.identification.unknowns import Unknowns
 from twin.measurement import SHOWN_ASIDE, Measurements, RowNote
+from twin.measurement_checks import ASSUMED, assumptions
 from twin.provenance import texts, to_json
 from twin.show import card, note, pairs, table
 from twin.strips import errors_html, standard_uncertainty
@@ -237,7 +238,7 @@ class Identification:
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
         aside = [note(f"set aside, line {one.line}: {one.text}", loud=True) for one in self.set_aside[:SHOWN_ASIDE]]
-        notes = [*aside, *(note(notice) for notice in self.notices)]
+        notes = [*aside, *(note(notice, loud=notice.startswith(ASSUMED)) for notice in self.notices)]
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT SETTLE: do not use it", loud=True))
         unseen = table(("not identifiable, unknown", "why"), hidden)
@@ -254,6 +255,7 @@ class Identification:
             f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
             f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} numbers determined",
             *texts(self.calibration.warnings),
+            *assumptions(self.notices),
             "",
             f"what is left: {self.rms_um:.3g} µm RMS a coordinate; {_fit_text(fit)}",
         ]
@@ -280,7 +282,7 @@ class Identification:
         if self.set_aside:
             lines += ["", f"set aside ({len(self.set_aside)}):"]
             lines += [f"  line {note.line}: {note.text}" for note in self.set_aside]
-        lines += [f"note: {notice}" for notice in self.notices]
+        lines += [f"note: {notice}" for notice in self.notices if not notice.startswith(ASSUMED)]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT SETTLE: do not use it")
         return "\n".join(lines) + "\n"

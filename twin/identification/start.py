@@ -8,6 +8,7 @@ lengths (eq. 26 of the thesis, multilateration) are linear in the station once s
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from twin.errors import InputError
 from twin.identification.setup import SetUp
 from twin.machine import Machine
 from twin.measurement import Measurements
-from twin.observation import Observation
+from twin.observation import Carried, Observation
 from twin.spatial import cross_matrix, rotation_exp
 from twin.units import MM
 
@@ -45,16 +46,27 @@ def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> 
         The set-up, and (n,) how far each reading is from it, metres.
     """
     told = SetUp.told(data, lengths_only=lengths_only)
-    q = np.asarray(data.positions) * machine.scale
-    carried = Observation(machine).carried(
-        q, np.zeros((len(q), 6 * len(machine.frames))), data.carrier, np.zeros((len(q), 3))
-    )
+    carried = nominal(machine, data)
     station = np.array([told.stations.index(name) for name in data.station])
     target = np.array([told.targets.index(name) for name in data.target])
     readings = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     if lengths_only:
         return _by_lengths(told, carried.points, carried.rotation, readings[:, 0], station, target)
     return _by_points(told, carried.points, carried.rotation, data, station, target)
+
+
+def nominal(machine: Machine, data: Measurements) -> Carried:
+    """Return the origin of each row's carrier as the machine is drawn, and how the carrier is turned; base frame, metres."""
+    q = np.asarray(data.positions) * machine.scale
+    return _observation(machine).carried(
+        q, np.zeros((len(q), 6 * len(machine.frames))), data.carrier, np.zeros((len(q), 3))
+    )
+
+
+@lru_cache(maxsize=2)
+def _observation(machine: Machine) -> Observation:
+    """The same for all calls: building its graph takes longer than a set-up of some hundred rows."""
+    return Observation(machine)
 
 
 def _by_points(

@@ -23,8 +23,8 @@ from twin.calibration import Calibration
 from twin.diagnosis.catalogue import Candidate, Cell, catalogue
 from twin.diagnosis.problem import TOLD_APART, Problem
 from twin.errors import InputError, nearest
+from twin.identification.fitting import fitting
 from twin.identification.network import Network
-from twin.identification.screen import fitting
 from twin.identification.unknowns import Unknowns
 from twin.instruments import Instrument, LaserTracker
 from twin.machine import Machine
