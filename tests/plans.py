@@ -72,6 +72,20 @@ def volumetric(machine: Machine, rng: np.random.Generator, points: int, stations
     )
 
 
+def four_stations(machine: Machine, rng: np.random.Generator, poses: int) -> Measurements:
+    """Multilateration: every pose on one target of each side, seen from all four stations."""
+    positions = np.round(rng.uniform(LOW, HIGH, (poses, 5)), 3)
+    sides = [[name for name, (side, _) in PLACES.items() if side == carrier] for carrier in ("tool", "work")]
+    targets = np.array([rng.choice(side, poses) for side in sides])
+    each = len(STATIONS)
+    return table(
+        machine,
+        np.tile(positions, (2 * each, 1)),
+        np.repeat(targets, each, axis=0).reshape(-1),
+        np.tile(np.repeat(list(STATIONS), poses), 2),
+    )
+
+
 def read_by_truth(plan: Measurements, truth: TruthMachine, *, dead_mm: float | None = None) -> Measurements:
     """What stands in the table when the truth machine is measured without noise.
 

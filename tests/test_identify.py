@@ -14,7 +14,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tests.plans import HIGH, LOW, PLACES, STATIONS, read_by_truth, table, volumetric, with_places
+from tests.plans import PLACES, STATIONS, four_stations, read_by_truth, table, volumetric, with_places
 from tests.truth import CONSTANTS, MOTIONS, RANGES, TruthMachine, in_datum, written
 from twin.calibration import Calibration
 from twin.identification import Identification, identify
@@ -89,20 +89,6 @@ def test_random_poses_and_two_stations(dmu50: Machine, tmp_path: Path, seed: int
     truth = written(tmp_path / "t.yaml", errors)
     found = identify(read_by_truth(volumetric(dmu50, rng, 700), truth), dmu50)
     check_exact(found, truth, errors)
-
-
-def four_stations(machine: Machine, rng: np.random.Generator, poses: int) -> Measurements:
-    """Multilateration: every pose on one target of each side, seen from all four stations."""
-    positions = np.round(rng.uniform(LOW, HIGH, (poses, 5)), 3)
-    sides = [[name for name, (side, _) in PLACES.items() if side == carrier] for carrier in ("tool", "work")]
-    targets = np.array([rng.choice(side, poses) for side in sides])
-    each = len(STATIONS)
-    return table(
-        machine,
-        np.tile(positions, (2 * each, 1)),
-        np.repeat(targets, each, axis=0).reshape(-1),
-        np.tile(np.repeat(list(STATIONS), poses), 2),
-    )
 
 
 @pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.slow)])

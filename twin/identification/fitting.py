@@ -30,8 +30,10 @@ DOUBTED: Final = 0.1
 """Misfit over motion beyond which it is asked whether a column is in another unit."""
 UNRELATED: Final = 0.5
 """Misfit over motion beyond which readings do not follow the commands at all."""
-SEEN: Final = 1e-3
+SEEN: Final = 5e-4
 """m: motion below which drifts and noise may be as large, so that readings may differ from the commands altogether."""
+STILL: Final = 1e-5
+"""m: motion below which nothing is asked of the readings."""
 CLOSE: Final = 0.05
 """Misfit over motion below which a change of unit explains the readings."""
 LESS: Final = 5.0
@@ -122,7 +124,7 @@ def miss_limit(data: Measurements, miss: np.ndarray) -> float:
 def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.ndarray) -> tuple[float, float]:
     """Return the mean misfit over the mean commanded motion of the targets (of lengths, over their own change), and the largest motion.
 
-    A single row counts with the whole motion at most: a lost beam is no misfit of the others. Zero where nothing moves. Metres.
+    A single row counts with the whole motion at most: a lost beam is no misfit of the others. Zero where hardly anything moves. Metres.
     """
     carried = nominal(machine, data)
     index = {name: i for i, name in enumerate(setup.targets)}
@@ -137,8 +139,8 @@ def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.nd
             if np.any(rows):
                 moved[rows] = np.linalg.norm(points[rows] - np.median(points[rows], axis=0), axis=1)
     largest = float(moved.max())
-    if largest <= 0.0:
-        return 0.0, 0.0
+    if largest <= STILL:
+        return 0.0, largest
     return float(np.minimum(miss, largest).sum() / moved.sum()), largest
 
 
@@ -194,12 +196,15 @@ def _in_units(
 
 
 def _after(machine: Machine, changed: Measurements, lengths_only: bool) -> tuple[float, float] | None:
-    """Return misfit over motion and the share of rows that miss; None where no station can be placed."""
+    """Return misfit over motion and the share of rows that miss; None where no station can be placed, or nothing moves."""
     try:
         setup, miss = first_setup(machine, changed, lengths_only=lengths_only)
     except InputError:
         return None
-    return misfit_ratio(machine, changed, setup, miss)[0], float(np.mean(miss > miss_limit(changed, miss)))
+    ratio, motion = misfit_ratio(machine, changed, setup, miss)
+    if motion <= STILL:
+        return None  # a swap with an axis that stood still: without motion anything fits
+    return ratio, float(np.mean(miss > miss_limit(changed, miss)))
 
 
 def _few(data: Measurements) -> Measurements:

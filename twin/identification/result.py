@@ -32,6 +32,11 @@ COVERAGE = float(normal_isf(0.025))
 """Of the 95 % intervals."""
 DOUBT = 1e-3
 """A misfit that chance makes less often than this is one."""
+CONSISTENT = "consistent with the stated uncertainty of the readings"
+FEWEST_DOF = 10
+"""Degrees of freedom below which a chi² says little: at ten, a model that leaves out as much as the noise has p = 0.03."""
+POOR_PREDICTION = 2.0
+"""Held-out RMS over that of the fit beyond which a fit says nothing of other places: three quarters of each reading went into it."""
 THESIS_FUNCTIONS = 9
 """Functions of the thesis's degree 8."""
 
@@ -96,6 +101,11 @@ class Identification:
     def complete(self) -> bool:
         """Whether every row was used and the estimate settled."""
         return self.converged and not self.set_aside
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model fits the readings, or too few of them are there to say so."""
+        return _verdict(self.misfit, self.choice.held_out)
 
     @cached_property
     def rms_um(self) -> float:
@@ -187,6 +197,7 @@ class Identification:
             "machine": self.calibration.machine.name,
             "data": self.data.source,
             "points": {"used": int(self.used.sum()), "set_aside": len(self.set_aside)},
+            "verdict": self.verdict,
             "uncertainty": self.spread,
             "errors": self.rows(),
             "table": None
@@ -242,9 +253,9 @@ class Identification:
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT SETTLE: do not use it", loud=True))
         unseen = table(("not identifiable, unknown", "why"), hidden)
-        doubted = not self.complete or fit.dof <= 0 or fit.p_value < DOUBT or fit.lack_p_value < DOUBT
+        doubted = not self.complete or self.verdict != CONSISTENT
         title = f"Identification of {self.calibration.machine.name}"
-        parts = (note(_verdict(fit), loud=doubted), pairs(rows), errors, unseen, *notes)
+        parts = (note(self.verdict, loud=doubted), pairs(rows), errors, unseen, *notes)
         return card(title, *parts, wrong=doubted).text
 
     def to_text(self) -> str:
@@ -264,7 +275,7 @@ class Identification:
                 f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
                 + ("cannot be tested" if _number(fit.lack_p_value) is None else f"p = {fit.lack_p_value:.2g}")
             )
-        lines += [_verdict(fit), "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
+        lines += [self.verdict, "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE)}"]
@@ -324,14 +335,27 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return text
 
 
-def _verdict(fit: Misfit) -> str:
-    if fit.dof <= 0:
+def _verdict(fit: Misfit, held_out: float) -> str:
+    """Return whether the model fits, in words.
+
+    Args:
+        fit: misfit of the rows used.
+        held_out: RMS of the residuals at held-out places, in standard deviations.
+    """
+    if fit.dof < 1:
         return "as many numbers as readings: nothing left to judge the model by"
     if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < DOUBT:
         return "THE MODEL LEAVES SOMETHING OUT that repeats: the intervals below do not cover it. `twin diagnose` says what."
     if fit.p_value < DOUBT:
         return "MORE SCATTER THAN THE INSTRUMENT'S: the intervals below rest on its stated uncertainty, which the data exceed."
-    return "consistent with the stated uncertainty of the readings"
+    if fit.dof < FEWEST_DOF:
+        return f"TOO FEW DATA to judge the model: {fit.dof:.0f} degrees of freedom are left. Measure more positions or rounds."
+    if held_out > POOR_PREDICTION * max(1.0, float(np.sqrt(fit.reduced))):
+        return (
+            f"TOO FEW POSITIONS to judge the model: the readings used fit, but those at held-out places are off by {held_out:.1f} "
+            "standard deviations RMS (about 1 if the model holds there). Measure more positions."
+        )
+    return CONSISTENT
 
 
 def _whose(spread: str) -> str:
