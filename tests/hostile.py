@@ -20,12 +20,12 @@ from twin.control import Curve, Term, grid, heidenhain, isg, linuxcnc, read_tabl
 from twin.control.geometry import Geometry
 from twin.machine import bundled_folder
 from twin.measurement import load as load_table
-from twin.measurement import load_export
 from twin.nc import DIALECTS, dialect_of
 from twin.nc.blocks import AxisWords
 from twin.paths.points import points_program
 from twin.planning import Kit
 from twin.report.identified import Identified
+from twin.thesis_export import load_export
 
 LONG = 131_100
 """Characters of a cell beyond the default limit of `csv`."""

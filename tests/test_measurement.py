@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from twin.errors import InputError
 from twin.machine import Machine
-from twin.measurement import Measurements, joined, load, load_export
+from twin.measurement import Measurements, joined, load
 from twin.measurement_checks import RowNote, grouped_notes
+from twin.thesis_export import load_export
 
 HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm"
 ROW = "{x},100,-50,0,0,K,tool,{x}.01,1.5,2.5"

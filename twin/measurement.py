@@ -18,10 +18,19 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.errors import InputError, nearest
-from twin.files import read_lines, write_whole
+from twin.files import write_whole
 from twin.machine import Axis, Machine
+from twin.measurement_checks import (
+    LARGEST_MM,
+    check_ranges,
+    copied_rows,
+    grouped_notes,
+    lost_names,
+    missing_rounds,
+    one_place,
+    outside,
+)
 from twin.measurement_checks import RowNote as RowNote
-from twin.measurement_checks import check_ranges, copied_rows, grouped_notes, lost_names, missing_rounds, outside
 from twin.show import Cell, card, note, pairs, several, spans
 from twin.tables import Cells, not_understood, read_table
 
@@ -39,8 +48,6 @@ SHOWN_ASIDE: Final = 5
 """Rows set aside that a display lists."""
 SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
-LARGEST_MM: Final = 1e6
-"""Coordinate beyond which a row is set aside: no instrument reads a machine from a kilometre away."""
 
 
 @final
@@ -235,7 +242,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
         raise InputError("no measured point", expected="one row a point below the header", file=path)
     _check_names(table, path)
     unread = ["\0".join(row[columns[name]] for name in strange) for _, row in rows] if strange else ()
-    return _usable(_known(table), machine, unread)
+    return usable(_known(table), machine, unread)
 
 
 def says_simulated(comments: Sequence[str]) -> list[str]:
@@ -263,75 +270,6 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
         return found
     meant = _stacked([reader.numbers(f"{PLANNED}{name}") for name in names])
     return locked(np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant))
-
-
-def load_export(
-    path: str | Path,
-    machine: Machine,
-    positions: Any,
-    *,
-    targets: Sequence[str],
-    carrier: str = "tool",
-    round_name: str = "1",
-) -> Measurements:
-    """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines a target, one line a position.
-
-    Args:
-        path: the file; mm, no header.
-        machine: the machine.
-        positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
-        targets: names of the targets in the order of the blocks.
-        carrier: the side they sit on.
-        round_name: the round this file is.
-
-    Raises:
-        InputError: another number of lines than blocks times positions, or a line that is not a name and three numbers.
-    """
-    path = Path(path)
-    commands = np.atleast_2d(np.asarray(positions, dtype=float))
-    if commands.shape[1] != len(machine.axes):
-        raise InputError("positions of the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
-    if carrier not in CARRIERS:
-        raise InputError("no such carrier", expected=" or ".join(CARRIERS), value=carrier)
-    lines, points = [], []
-    for number, text in enumerate(read_lines(path), start=1):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        cells = [cell.strip() for cell in text.split(",")]
-        try:
-            points.append([float(cell) for cell in cells[1:]])
-        except ValueError:
-            points.append([])
-        if len(cells) != 4 or len(points[-1]) != 3:
-            raise InputError("not a measured point", expected="name, x, y, z", file=path, line=number, value=text)
-        lines.append(number)
-    wanted = len(commands) * len(targets)
-    if len(points) != wanted:
-        raise InputError(
-            f"{len(points)} points",
-            expected=f"{wanted}: {len(targets)} targets at {len(commands)} positions",
-            file=path,
-        )
-    n = len(points)
-    nothing = np.full((n, len(machine.axes)), np.nan)
-    table = Measurements(
-        source=str(path),
-        lines=locked(np.array(lines)),
-        positions=locked(np.tile(commands, (len(targets), 1))),
-        readback=locked(nothing),
-        target=locked(np.repeat(np.array(targets, dtype=object), len(commands))),
-        carrier=locked(np.full(n, carrier, dtype=object)),
-        station=locked(np.full(n, "1", dtype=object)),
-        round=locked(np.full(n, round_name, dtype=object)),
-        point_mm=locked(np.array(points)),
-        u_mm=locked(np.full((n, 3), np.nan)),
-        time_s=locked(np.full(n, np.nan)),
-        approach=locked(np.zeros((n, len(machine.axes)))),
-        place_mm=locked(np.full((n, 3), np.nan)),
-        station_pose=locked(np.full((n, 6), np.nan)),
-        temperature_degC=MappingProxyType({}),
-    )
-    return _usable(table, machine)
 
 
 def joined(tables: Sequence[Measurements]) -> Measurements:
@@ -412,40 +350,14 @@ def _known(table: Measurements) -> Measurements:
     """
     return replace(
         table,
-        place_mm=_told(table, "target", table.target, PLACE_COLUMNS, table.place_mm),
-        station_pose=_told(table, "station", table.station, STATION_COLUMNS, table.station_pose),
+        place_mm=one_place("target", table.target, PLACE_COLUMNS, table.place_mm, table.lines, table.source),
+        station_pose=one_place(
+            "station", table.station, STATION_COLUMNS, table.station_pose, table.lines, table.source
+        ),
     )
 
 
-def _told(table: Measurements, what: str, names: np.ndarray, columns: Sequence[str], values: np.ndarray) -> np.ndarray:
-    given = ~np.isnan(values)
-    for row in np.flatnonzero(given.any(axis=1) & ~(np.abs(values) <= LARGEST_MM).all(axis=1)):
-        raise InputError(
-            f"{what} {names[row]}: its place is given in part",
-            expected=f"numbers of at most {LARGEST_MM:g} in {', '.join(columns)}, or nothing",
-            file=table.source,
-            line=int(table.lines[row]),
-        )
-    found = np.array(values)
-    for name in dict.fromkeys(names):
-        of = names == name
-        told = np.flatnonzero(of & given.any(axis=1))
-        if len(told) == 0:
-            continue
-        other = told[np.any(values[told] != values[told[0]], axis=1)]
-        if len(other):
-            raise InputError(
-                f"{what} {name} at two places",
-                expected=f"the same {', '.join(columns)} as in line {table.lines[told[0]]}",
-                file=table.source,
-                line=int(table.lines[other[0]]),
-                value=", ".join(f"{value:g}" for value in values[other[0]]),
-            )
-        found[of] = values[told[0]]
-    return locked(found)
-
-
-def _usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) -> Measurements:
+def usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) -> Measurements:
     """Set aside what cannot be used, with its reason.
 
     Args:

@@ -12,6 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.arrays import locked
 from twin.errors import InputError
 from twin.machine import Axis
 
@@ -19,6 +20,8 @@ FIRST_LINES: Final = 5
 """Line numbers of a group of notes that a text lists; the JSON has all."""
 ASSUMED: Final = "assumed: "
 """What a notice begins with that a text shows before any result: what was assumed of the data, and how to say otherwise."""
+LARGEST_MM: Final = 1e6
+"""Coordinate beyond which a row is set aside: no instrument reads a machine from a kilometre away."""
 RANGE_SLACK: Final = 0.5
 """mm or degrees a command may lie outside an axis's range (overtravel) before its row is set aside."""
 FALSE_ALARM: Final = 0.01
@@ -274,3 +277,46 @@ def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray)
         if absent and len(dict.fromkeys(names)) > 1:
             notices.append(f"round {name} has no target {', '.join(absent)}")
     return notices
+
+
+def one_place(
+    what: str, names: np.ndarray, columns: Sequence[str], values: np.ndarray, lines: np.ndarray, source: str
+) -> np.ndarray:
+    """Return (n, k) the place of each row's target or station, from whichever row gives it; NaN where none does.
+
+    Args:
+        what: ``target`` or ``station``.
+        names: (n,) of every row.
+        columns: (k) that give the place.
+        values: (n, k) as written.
+        lines: (n,) of the rows.
+        source: the file.
+
+    Raises:
+        InputError: a place given in part, no finite number, or one thing at two places.
+    """
+    given = ~np.isnan(values)
+    for row in np.flatnonzero(given.any(axis=1) & ~(np.abs(values) <= LARGEST_MM).all(axis=1)):
+        raise InputError(
+            f"{what} {names[row]}: its place is given in part",
+            expected=f"numbers of at most {LARGEST_MM:g} in {', '.join(columns)}, or nothing",
+            file=source,
+            line=int(lines[row]),
+        )
+    found = np.array(values)
+    for name in dict.fromkeys(names):
+        of = names == name
+        stated = np.flatnonzero(of & given.any(axis=1))
+        if len(stated) == 0:
+            continue
+        other = stated[np.any(values[stated] != values[stated[0]], axis=1)]
+        if len(other):
+            raise InputError(
+                f"{what} {name} at two places",
+                expected=f"the same {', '.join(columns)} as in line {lines[stated[0]]}",
+                file=source,
+                line=int(lines[other[0]]),
+                value=", ".join(f"{value:g}" for value in values[other[0]]),
+            )
+        found[of] = values[stated[0]]
+    return locked(found)

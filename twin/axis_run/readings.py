@@ -19,8 +19,8 @@ from twin.arrays import locked
 from twin.axis_run.layout import AxisLayout
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.measurement import LARGEST_MM, comments_of, says_simulated
-from twin.measurement_checks import RowNote, outside
+from twin.measurement import comments_of, says_simulated
+from twin.measurement_checks import LARGEST_MM, RowNote, outside
 from twin.tables import Cells, not_understood, read_table
 from twin.units import MM
 
