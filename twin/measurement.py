@@ -44,8 +44,6 @@ SIMULATED: Final = "simulated"
 """What the comment of a simulated table begins with."""
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
-SHOWN_ASIDE: Final = 5
-"""Rows set aside that a display lists."""
 SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
 

@@ -3,8 +3,9 @@
     python -m tests.real                (some minutes; needs the folder of real measurements beside the project)
     python -m tests.real ur10-c plates  (only these)
 
-Stations and the targets' places are fitted to the rows for each calibration alike, by a robust loss, with SciPy. "Before" is the machine
-as drawn. "Held out" is the residual of the other half of the positions, with calibration, stations and places from the first half.
+Stations and the targets' places are fitted to the rows for each calibration alike, by a robust loss, with SciPy. "Before" is the
+machine as drawn. "Held out" is the residual of the other half of the positions, with calibration, stations and places from the first
+half.
 """
 
 from __future__ import annotations
@@ -135,7 +136,12 @@ class SetUpFit:
             first[:3] = start if self.turns else 0.0
             for loss in ("linear", "soft_l1"):
                 found = least_squares(
-                    lambda w: self._left(w, table, poses)[read], first, loss=loss, f_scale=0.3, x_scale="jac", max_nfev=100
+                    lambda w: self._left(w, table, poses)[read],
+                    first,
+                    loss=loss,
+                    f_scale=0.3,
+                    x_scale="jac",
+                    max_nfev=100,
                 )
                 first = found.x
             best = found if best is None or found.cost < best.cost else best
@@ -150,7 +156,7 @@ class SetUpFit:
 
     @staticmethod
     def _nearest_turn(points: np.ndarray, read: np.ndarray) -> np.ndarray:
-        """The rotation vector that turns points, mean taken off, nearest to what was read (Kabsch 1976); what was not read counts zero."""
+        """The rotation vector that turns points, mean taken off, nearest to the readings (Kabsch 1976); what was not read counts zero."""
         seen = np.where(np.isfinite(read), read, 0.0)
         u, _, v = np.linalg.svd((seen - seen.mean(axis=0)).T @ (points - points.mean(axis=0)))
         return np.asarray(Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v).as_rotvec())
@@ -204,7 +210,7 @@ def half_of(path: Path, table: Table, machine: Machine, folder: Path) -> tuple[P
     chosen[ends] = True
     mask = chosen[pose]
     lines = path.read_text(encoding="utf-8-sig").splitlines()
-    head = [i for i, line in enumerate(lines) if not line.startswith("#")][0]
+    head = next(i for i, line in enumerate(lines) if not line.startswith("#"))
     body = [line for line in lines[head + 1 :] if line.strip() and not line.startswith("#")]
     half = folder / "half.csv"
     half.write_text("\n".join([*lines[: head + 1], *(line for line, kept in zip(body, mask, strict=True) if kept), ""]))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fnmatch
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from twin.calibration import Calibration
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -18,7 +20,7 @@ from twin.cli.app import (
 from twin.cli.outputs import CALIBRATION, JsonOption, command
 from twin.cli.terminal import echo
 from twin.errors import InputError, nearest
-from twin.files import write_json
+from twin.files import scratch_folder, write_json
 from twin.identification import identify as run_identification
 from twin.instruments import INSTRUMENTS
 from twin.machine import DEFAULT, Machine
@@ -104,7 +106,12 @@ def identify(
             spread=spread.value,
             say=say,
         )
-    found.calibration.with_control(tables).save(output)
+    calibration = found.calibration.with_control(tables)
+    with scratch_folder() as folder:
+        # What is reported is what the file does: written, read back and evaluated on the rows before it takes its place.
+        calibration.save(folder / output.name)
+        found = found.as_written(replace(Calibration.load(folder / output.name, loaded), path=None))
+    calibration.save(output)
     if json_file is not None:
         write_json(json_file, found.to_dict())
     echo(found.to_text(), end="")

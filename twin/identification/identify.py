@@ -319,7 +319,7 @@ def _result(
         set_aside=(*data.set_aside, *explained(network, left, whitened, rows.bad)),
         notices=(
             *data.notices,
-            *model_is_wrong(len(data), rows.bad, rows.misfit_um),
+            *model_is_wrong(rows),
             *_notices(solution, unknowns),
         ),
         converged=solution.converged,

@@ -1,16 +1,15 @@
 """Readings too far off to be chance, where the model itself may be what is far off.
 
-A row is judged by its residual against the covariance that is stated for it and, where the readings of its target from its station miss by
-more than that, against a misfit of the model: an isotropic standard deviation in space, one for each target and station, that makes the
-median of the squared distances the median of chi². A target whose model is wrong, or a robot that is not calibrated yet, so has a misfit
-and not thousands of outliers. A misfit is a smooth function of the positions and no normal noise, so its limit is wider (`TAIL`), and its
-robust weights are those of a convex loss (Huber 1964): a loss that lets far rows go (Geman and McClure 1985) would let the estimate settle
-on some of the readings and call the others outliers.
+A row is judged by its residual against the covariance that is stated for it. Where the readings of its target from its station miss by
+more than that, the model's misfit is added: an isotropic standard deviation in space, one for each target and station, that makes the
+median of the squared distances the median of chi². So a target whose model is wrong, or a robot that is not calibrated yet, has a
+misfit and not thousands of outliers. A misfit is a smooth function of the positions and no normal noise, so its limit is wider
+(`TAIL`). Its robust weights are those of a convex loss (Huber 1964): a loss that lets far rows go (Geman and McClure 1985) would let
+the estimate settle on some of the readings and call the others outliers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -20,7 +19,7 @@ from twin.arrays import locked
 from twin.distributions import chi2_isf
 from twin.identification.network import Network
 from twin.identification.spread import repeats
-from twin.measurement import RowNote
+from twin.measurement_checks import RowNote
 from twin.units import MM
 
 FALSE_ALARM: Final = 0.01
@@ -33,6 +32,7 @@ HUBER: Final = 2.0
 """Distance, in standard deviations of a coordinate, from which a row of a model that is far off pulls no harder."""
 FITS: Final = 1.1
 """Size of the whitened residuals up to which the model is taken to fit: what chance makes of some hundred readings."""
+OUTLIER: Final = "outlier, not used"
 MANY: Final = 0.02
 """Share of the rows beyond which outliers are a sign that the model is wrong."""
 
@@ -74,7 +74,8 @@ def judged(network: Network, whitened: np.ndarray) -> Judged:
     squares = np.einsum("nij,ni->nj", vectors, whitened) ** 2
     groups, names = _groups(network)
     size = np.zeros(len(count))
-    noise, misfit = np.ones(len(count)), {}
+    noise = np.ones(len(count))
+    misfit: dict[tuple[str, str], float] = {}
     for k, members in enumerate(names):
         of = (groups == k) & (count > 0)
         if not np.any(of):
@@ -151,15 +152,23 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
         if len(mates):
             others = float(np.median(np.linalg.norm(difference[mates], axis=1))) / MM
             text += f"; its {len(mates)} repeats are {others * 1e3:.1f} µm off"
-        notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}"))
+        notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}", OUTLIER, sigmas))
     return tuple(notes)
 
 
-def model_is_wrong(data_rows: int, bad: np.ndarray, misfit_um: dict[tuple[str, str], float]) -> Sequence[str]:
-    """Sentences for the reader where so many rows are outliers, or so much is misfit, that the model is what is wrong."""
-    share = float(np.mean(bad)) if data_rows else 0.0
+def model_is_wrong(rows: Judged) -> tuple[str, ...]:
+    """Return a sentence for the reader where so many rows are outliers that the model is what is wrong, and not the readings."""
+    share = float(np.mean(rows.bad)) if len(rows.bad) else 0.0
     if share <= MANY:
         return ()
-    far = max(misfit_um.values(), default=0.0)
-    text = f"{int(np.sum(bad))} of {data_rows} rows ({100 * share:.1f} %) are outliers of this model. So many are not bad readings: the model is wrong"
-    return (f"{text}, by {far:.3g} µm a coordinate or more" if far else text,)
+    text = (
+        f"{int(np.sum(rows.bad)):,} of {len(rows.bad):,} rows ({100.0 * share:.1f} %) are outliers of this model. "
+        "So many are rarely bad readings: suspect the model (`twin diagnose`)"
+    )
+    far = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
+    if far is None:
+        return (text,)
+    target, station = far
+    return (
+        f"{text}. The other rows of target {target} from station {station} miss by {rows.misfit_um[far]:.3g} µm a coordinate",
+    )

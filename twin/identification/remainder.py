@@ -1,11 +1,11 @@
 """What a curve may still hold beyond the orders chosen for it.
 
-Held-out error says which functions pay; it does not say that the others are zero. Intervals that take them as zero miss: on the thesis's
-plan 95 % intervals then cover 68 %. So the functions beyond keep a Gaussian prior with mean zero, whose variance falls from one
-orthonormal function to the next. How large it begins and how fast it falls is not known, least of all for a curve given no order:
-both are integrated over. On a grid of sizes (uniform in the standard deviation, as Gelman 2006 recommends where few numbers show it) and
-falls, every pair is weighted by the likelihood of the curve's own coefficients, all other unknowns integrated out, and the prior has the
-mean variance. The chosen functions themselves are free: nothing pulls on what the data show.
+Held-out error says which functions pay; it does not say that the others are zero. Intervals that take them as zero miss: on the
+thesis's plan 95 % intervals then cover 68 %. So the functions beyond keep a Gaussian prior with mean zero, whose variance falls from
+one orthonormal function to the next. How large it begins and how fast it falls is not known, least of all for a curve given no order:
+both are integrated over. On a grid of sizes (uniform in the standard deviation, as Gelman 2006 recommends where few numbers show it)
+and falls, every pair is weighted by the likelihood of the curve's own coefficients, all other unknowns integrated out, and the prior
+has the mean variance. The chosen functions themselves are free: nothing pulls on what the data show.
 
 A. Gelman: Prior distributions for variance parameters in hierarchical models, Bayesian Analysis 1 (2006) 515-534.
 """

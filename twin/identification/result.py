@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -17,11 +17,11 @@ from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
-from twin.identification.spread import Misfit
+from twin.identification.spread import Misfit, misfit
 from twin.identification.table import TableTilt
 from twin.identification.unknowns import Unknowns
-from twin.measurement import SHOWN_ASIDE, Measurements, RowNote
-from twin.measurement_checks import ASSUMED, assumptions
+from twin.measurement import Measurements, RowNote
+from twin.measurement_checks import ASSUMED, assumptions, grouped_notes
 from twin.provenance import texts, to_json
 from twin.show import card, note, pairs, table
 from twin.strips import errors_html, standard_uncertainty
@@ -110,8 +110,24 @@ class Identification:
     @cached_property
     def rms_um(self) -> float:
         """RMS of the residuals of the coordinates read and used."""
-        left = self.residual_mm[self.used]
-        return float(np.sqrt(np.nanmean(left**2))) * 1e3
+        return _rms_um(self.residual_mm[self.used])
+
+    @cached_property
+    def rms_all_um(self) -> float:
+        """RMS of the residuals of all coordinates read, outliers included."""
+        return _rms_um(self.residual_mm)
+
+    def as_written(self, calibration: Calibration) -> Identification:
+        """The same with every figure of the residuals computed anew from a calibration, as it was read back from its file."""
+        left, whitened = residuals_of(calibration, self.network, self.setup)
+        read = self.network.read
+        return replace(
+            self,
+            calibration=calibration,
+            residual_mm=locked(np.where(read, left / MM, np.nan)),
+            whitened=locked(whitened),
+            misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
+        )
 
     def predicted_mm(self, data: Measurements) -> np.ndarray:
         """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
@@ -208,7 +224,10 @@ class Identification:
                 "u_urad": [_number(float(v)) for v in table.u_urad],
                 "missing": list(table.missing),
             },
-            "not_identifiable": [{"name": one.name, "reason": one.reason} for one in self.unidentified],
+            "not_identifiable": [
+                {"name": one.name, "reason": one.reason, "prior": self.held_by_prior.get(one.name)}
+                for one in self.unidentified
+            ],
             "stations": stations,
             "targets": {
                 name: {"place_mm": _list(self.setup.place[i] / MM), "known": bool(self.setup.target_known[i])}
@@ -216,6 +235,7 @@ class Identification:
             },
             "misfit": {
                 "rms_um": self.rms_um,
+                "rms_all_um": self.rms_all_um,
                 "chi2": fit.chi2,
                 "dof": fit.dof,
                 "reduced_chi2": _number(fit.reduced),
@@ -236,11 +256,11 @@ class Identification:
 
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
-        left = f"{self.rms_um:.3g} µm RMS a coordinate; {_fit_text(fit)}"
+        left = f"{self._rms_text()}; {_fit_text(fit)}"
         rows = [
             ("data", self.data.source),
             ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
-            ("what is left", left),
+            ("residuals", left),
             ("intervals from", _whose(self.spread)),
             ("stations", ", ".join(self.setup.stations)),
             ("targets", ", ".join(self.setup.targets)),
@@ -248,11 +268,13 @@ class Identification:
         ]
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
-        aside = [note(f"set aside, line {one.line}: {one.text}", loud=True) for one in self.set_aside[:SHOWN_ASIDE]]
+        aside = [note(f"set aside: {one}", loud=True) for one in grouped_notes(self.set_aside)]
         notes = [*aside, *(note(notice, loud=notice.startswith(ASSUMED)) for notice in self.notices)]
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT SETTLE: do not use it", loud=True))
-        unseen = table(("not identifiable, unknown", "why"), hidden)
+        if self.held_by_prior:
+            notes.append(note(self._prior_text()))
+        unseen = table(("not identifiable", "why"), hidden)
         doubted = not self.complete or self.verdict != CONSISTENT
         title = f"Identification of {self.calibration.machine.name}"
         parts = (note(self.verdict, loud=doubted), pairs(rows), errors, unseen, *notes)
@@ -268,7 +290,7 @@ class Identification:
             *texts(self.calibration.warnings),
             *assumptions(self.notices),
             "",
-            f"what is left: {self.rms_um:.3g} µm RMS a coordinate; {_fit_text(fit)}",
+            f"residuals: {self._rms_text()}; {_fit_text(fit)}",
         ]
         if fit.pure_dof:
             lines.append(
@@ -284,25 +306,44 @@ class Identification:
             "  the intervals allow for it.",
         ]
         if self.unidentified:
-            lines += ["", "not identifiable from these data, not reported:"]
+            lines += ["", "not identifiable from these data:"]
             lines += [f"  {', '.join(names)}: {reason}" for reason, names in self._by_reason().items()]
+        if self.held_by_prior:
+            lines += [f"  {self._prior_text()}"]
         degree8 = _nearest(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
             lines += ["", f"held-out readings, RMS in their standard deviations: {text}"]
         if self.set_aside:
             lines += ["", f"set aside ({len(self.set_aside)}):"]
-            lines += [f"  line {note.line}: {note.text}" for note in self.set_aside]
+            lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
         lines += [f"note: {notice}" for notice in self.notices if not notice.startswith(ASSUMED)]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT SETTLE: do not use it")
         return "\n".join(lines) + "\n"
+
+    def _rms_text(self) -> str:
+        """The RMS of the rows used, and of all where that differs."""
+        text = f"{self.rms_um:.3g} µm RMS a coordinate"
+        return text if self.used.all() else f"{text} over the rows used, {self.rms_all_um:.3g} µm over all"
+
+    def _prior_text(self) -> str:
+        """Which of them are in the calibration all the same, and what holds them."""
+        sizes: dict[str, list[str]] = {}
+        for name, size in self.held_by_prior.items():
+            sizes.setdefault(f"{size:g} {'µm' if unit_of(name) == 'um' else 'µrad'}", []).append(name)
+        each = "; ".join(f"{', '.join(names)} with ± {size}" for size, names in sizes.items())
+        return f"in the calibration all the same, held by a prior (k = 1), because other errors refer to them: {each}"
 
     def _by_reason(self) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
         for one in self.unidentified:
             found.setdefault(one.reason, []).append(one.name)
         return found
+
+
+def _rms_um(left_mm: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(left_mm**2))) * 1e3
 
 
 def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:

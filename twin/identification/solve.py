@@ -1,13 +1,15 @@
 """Whitened nonlinear least squares with a weak prior, which acts only where the readings say little.
 
-Every unknown is counted in its plausible size: an error in that of its kind (`Machine.plausible`: one standard deviation before anything
-is measured), a station or a target in that of `setup`. In these units each singular direction of the derivatives has a strength σ, the
-ratio of signal to noise. The noise s is one where the model fits within the stated uncertainty; where the model leaves something out, it
-is the size of the whitened residuals, because a direction that is weaker than the misfit would be fitted to the misfit.
+Every unknown is counted in its plausible size: an error in that of its kind (`Machine.plausible`: one standard deviation before
+anything is measured), a station or a target in that of `setup`. In these units each singular direction of the derivatives has a
+strength σ, the ratio of signal to noise. The noise s is one where the model fits within the stated uncertainty; where the model leaves
+something out, it is the size of the whitened residuals, because a direction that is weaker than the misfit would be fitted to the
+misfit.
 
 Every error has a Gaussian prior about zero with its plausible size, stations and targets one about where the estimate begins. Where the
-model fits, s = 1, only directions with σ ≤ 1 have it, and stay where they are: nothing that the readings determine is pulled, and readings
-without noise give the errors to the last digits. The covariance is that of this estimator: of the readings' scatter and of the prior.
+model fits, s = 1, only directions with σ ≤ 1 have it, and stay where they are: nothing that the readings determine is pulled, and
+readings without noise give the errors to the last digits. The covariance is that of this estimator: of the readings' scatter and of the
+prior.
 """
 
 from __future__ import annotations
@@ -256,9 +258,7 @@ class _Place:
         return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]), self.moved + step[machine:])
 
 
-def _decomposed(
-    matrix: np.ndarray, scale: np.ndarray, free: np.ndarray, noise: float
-) -> tuple[np.ndarray, Spectrum]:
+def _decomposed(matrix: np.ndarray, scale: np.ndarray, free: np.ndarray, noise: float) -> tuple[np.ndarray, Spectrum]:
     """Left singular vectors of all directions that have a say in the step, and the spectrum: seen is what is stronger than the noise.
 
     Args:
