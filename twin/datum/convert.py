@@ -1,0 +1,368 @@
+"""The numbers of a calibration in another datum: the same poses of the tool in the work frame, other curves, squareness and locations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin.arrays import locked
+from twin.covariance import Covariance
+from twin.curves import FOURIER, POWER, Basis, of_legendre
+from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, Condition, Datum, conditions_of
+from twin.datum.links import Link, Numbers, links_of
+from twin.effects import split_name, unit_of
+from twin.errors import InputError
+from twin.machine import DIRECTIONS
+from twin.motion_curve import Curve, basis_of, conversion_of
+
+KEPT: Final = 1e-3
+"""µm or µrad: what rounded coefficients may differ from a datum that a file states."""
+FITTED: Final = 3e-5
+"""µm or µrad: what the curve of a converted error may differ from it, 0.03 nm."""
+SETTLED: Final = 1e-7
+"""µm or µrad: a step of this size ends the iteration."""
+STEPS: Final = 20
+MOST: Final = 60
+"""Coefficients of a converted curve at most."""
+RANK: Final = 1e-9
+"""Singular values below this part of the largest are zero."""
+
+
+@final
+@dataclass(frozen=True)
+class Converted:
+    """A calibration's numbers in a datum.
+
+    Attributes:
+        numbers: curves without covariance, squareness, locations.
+        names: of the new parameters.
+        matrix: (new, old) first derivative of the new parameters by the old ones.
+        old: names of the old parameters.
+    """
+
+    numbers: Numbers
+    names: tuple[str, ...]
+    matrix: np.ndarray
+    old: tuple[str, ...]
+
+    def covariance(self, known: Covariance) -> Covariance:
+        """The covariance of the new parameters; without those that depend on an old one of unknown uncertainty."""
+        index = {name: i for i, name in enumerate(known.names)}
+        through = np.zeros((len(self.names), len(index)))
+        open_ = np.zeros(len(self.names), dtype=bool)
+        for column, name in enumerate(self.old):
+            if name in index:
+                through[:, index[name]] = self.matrix[:, column]
+            else:
+                open_ |= np.abs(self.matrix[:, column]) > RANK
+        entity = np.array([name.partition("[")[0] for name in self.names])
+        without = {name for name, row in zip(entity, open_, strict=True) if row}
+        without |= {name for name in set(entity) if not np.any(through[entity == name])}
+        keep = [i for i, name in enumerate(entity) if name not in without]
+        matrix = through[keep] @ known.matrix @ through[keep].T
+        return Covariance(tuple(self.names[i] for i in keep), locked((matrix + matrix.T) / 2.0))
+
+
+def datum_of(numbers: Numbers) -> Datum:
+    """The datum that the numbers fulfil: mean lines before end points; as given if neither."""
+    return next((datum for datum in (MEAN_LINES, END_POINTS) if violation(numbers, datum) is None), AS_GIVEN)
+
+
+def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
+    """The curve, what it has against a datum (``mean``, ``slope``, …) and how much, µm or µrad; None if nothing beyond rounding."""
+    if datum == AS_GIVEN:
+        return None
+    gauge = _Gauge(numbers, datum)
+    change = gauge.change(gauge.amounts(numbers))
+    if not len(change) or np.abs(change).max() <= KEPT:
+        return None
+    worst = int(np.argmax(np.abs(change)))
+    condition = gauge.conditions[worst]
+    return condition.curve, condition.what, -float(change[worst])
+
+
+def convert(numbers: Numbers, datum: Datum) -> Converted:
+    """The same machine in a datum.
+
+    Raises:
+        InputError: ``as given``, which is no rule; a curve that its basis cannot hold in the other datum.
+    """
+    if datum not in (MEAN_LINES, END_POINTS):
+        raise InputError("no datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
+    gauge = _Gauge(numbers, datum)
+    new = _settled(gauge, numbers)
+    return _linear(gauge, numbers, new)
+
+
+def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
+    """The converted numbers: steps of first order, each carried out exactly, until nothing is left to do."""
+    values = [link.values(numbers) for link in gauge.links]
+    start = [np.array(one) for one in values]
+    constants = gauge.constants(numbers)
+    for _ in range(STEPS):
+        step = gauge.step @ np.concatenate([gauge.measured(values), constants])
+        if np.abs(step).max(initial=0.0) <= SETTLED:
+            break
+        inserted, changed = step[: 6 * gauge.gaps], constants + step[6 * gauge.gaps :]
+        values = [
+            gauge.moved(i, one, inserted, constants, changed)
+            for i, one in enumerate(values)
+        ]  # fmt: skip
+        constants = changed
+    else:
+        raise InputError(
+            "a calibration that cannot be converted to another datum",
+            expected="error motions small enough for the conversion to converge",
+            value=f"a step of {np.abs(step).max():.2g} µm or µrad",
+        )
+    curves = dict(numbers.curves)
+    for link, before, after in zip(gauge.links, start, values, strict=True):
+        for c, letter in enumerate(DIRECTIONS):
+            name = f"E_{letter}{link.axis.name}"
+            difference = after[c] - before[c]
+            if np.any(difference):
+                curve = _fitted(numbers.curves.get(name), name, link, difference, numbers)
+                if curve is not None:
+                    curves[name] = curve
+    ordered = {name: curves[name] for name in sorted(curves, key=numbers.machine.motion_names.index)}
+    named = dict(zip(gauge.names, (float(v) for v in constants), strict=True))
+    groups = []
+    for given, allowed in (
+        (numbers.squareness, numbers.machine.squareness_names),
+        (numbers.location, numbers.machine.location_names),
+    ):
+        kept = {name: named.get(name, given.get(name, 0.0)) for name in allowed}
+        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FITTED})
+    return Numbers(numbers.machine, MappingProxyType(ordered), *(MappingProxyType(group) for group in groups))
+
+
+def _fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, numbers: Numbers) -> Curve | None:
+    """A curve with values at the nodes added, in as few coefficients as hold them; None for a new curve of nothing.
+
+    Raises:
+        InputError: no number of coefficients holds them.
+    """
+    if curve is None:
+        if np.abs(difference).max() <= FITTED:
+            return None
+        basis = FOURIER if link.axis.lower is None else POWER
+        drawn = any(one.illustrative for one in numbers.curves.values())
+        curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
+    if curve.domain != link.domain and link.axis.lower is not None:
+        curve = _over(curve, link)
+    basis, own = basis_of(curve.basis), len(curve.coefficients)
+    for count in range(own, max(MOST, own) + 1):
+        if basis.misfit(count, rotary=not link.axis.linear) is not None:
+            continue
+        added = _fit(basis, curve.domain, link, count) @ difference
+        if np.abs(_functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
+            total = conversion_of(name, basis, basis, own, count) @ curve.coefficients + added
+            return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
+    raise InputError(
+        f"{name} cannot be written in this datum in basis {basis.name}",
+        expected="a curve over the whole range of its axis, in a basis that holds the constants and waves of the datum",
+        value=f"domain {curve.domain[0]:g} to {curve.domain[1]:g}",
+    )
+
+
+def _over(curve: Curve, link: Link) -> Curve:
+    """The same curve over the range that all curves of its axis cover.
+
+    Raises:
+        InputError: the basis cannot hold it.
+    """
+    basis, count = basis_of(curve.basis), len(curve.coefficients)
+    values = _functions(basis, curve.domain, link, count) @ curve.coefficients
+    found = _fit(basis, link.domain, link, count) @ values
+    return replace(curve, domain=link.domain, coefficients=tuple(float(v) for v in found), covariance=None)
+
+
+def _functions(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+    """(n, count) the functions of a basis at a link's nodes, an axis without limits wrapped."""
+    lo, hi = domain
+    q = link.nodes
+    if link.axis.lower is None and not basis.periodic:
+        q = np.where(q == link.nodes[-1], hi, lo + np.mod(q - lo, hi - lo)) if domain == link.domain else (
+            lo + np.mod(q - lo, hi - lo)
+        )  # fmt: skip
+    return np.stack(basis.functions(q, domain, count), axis=1)
+
+
+def _fit(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+    """(count, n) what makes coefficients of values at the nodes, least squares over the range."""
+    legendre = of_legendre(basis, count) if domain == link.domain else None
+    if legendre is not None:
+        polynomials = np.polynomial.legendre.legvander(link.u, count - 1) * (2.0 * np.arange(count) + 1.0)
+        return np.asarray(legendre @ (polynomials * link.weights[:, None]).T)
+    root = np.sqrt(link.weights)
+    return np.asarray(np.linalg.pinv(_functions(basis, domain, link, count) * root[:, None], rcond=1e-13) * root)
+
+
+def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
+    """The first derivative of the new parameters by the old ones."""
+    names = [f"{name}[{k}]" for name, c in old.curves.items() for k in range(len(c.coefficients))]
+    names += [*old.squareness, *old.location]
+    column = {name: i for i, name in enumerate(names)}
+    amounts = np.zeros((len(gauge.conditions) + len(gauge.names), len(names)))
+    for i, link in enumerate(gauge.links):
+        for c, letter in enumerate(DIRECTIONS):
+            curve = old.curves.get(f"E_{letter}{link.axis.name}")
+            if curve is not None:
+                count = len(curve.coefficients)
+                start = column[f"{curve.name}[0]"]
+                functions = _functions(basis_of(curve.basis), curve.domain, link, count)
+                amounts[: len(gauge.conditions), start : start + count] = (
+                    amounts[: len(gauge.conditions), start : start + count] + gauge.weights[i][:, c] @ functions
+                )
+    for k, name in enumerate(gauge.names):
+        if name in column:
+            amounts[len(gauge.conditions) + k, column[name]] = 1.0
+    steps = gauge.step @ amounts
+    rows, into = [], []
+    for i, link in enumerate(gauge.links):
+        for c, letter in enumerate(DIRECTIONS):
+            name = f"E_{letter}{link.axis.name}"
+            if name not in new.curves:
+                continue
+            curve, count = new.curves[name], len(new.curves[name].coefficients)
+            block = _fit(basis_of(curve.basis), curve.domain, link, count) @ (gauge.rates[i][c] @ steps)
+            was = old.curves.get(name)
+            if was is not None:
+                start, basis = column[f"{name}[0]"], basis_of(curve.basis)
+                size = len(was.coefficients)
+                if was.domain == curve.domain:
+                    own = conversion_of(name, basis, basis, size, count)
+                else:
+                    own = _fit(basis, curve.domain, link, count) @ _functions(basis, was.domain, link, size)
+                block[:, start : start + size] += own
+            rows.append(block)
+            into += [f"{name}[{k}]" for k in range(count)]
+    moved = {name: k for k, name in enumerate(gauge.names)}
+    for name in (*new.squareness, *new.location):
+        row = np.zeros(len(names))
+        if name in moved:
+            row += steps[6 * gauge.gaps + moved[name]]
+        if name in column:
+            row[column[name]] += 1.0
+        rows.append(row[None])
+        into.append(name)
+    untouched = [name for name in new.curves if f"{name}[0]" not in into]
+    for name in untouched:
+        for k in range(len(new.curves[name].coefficients)):
+            row = np.zeros((1, len(names)))
+            row[0, column[f"{name}[{k}]"]] = 1.0
+            rows.append(row)
+            into.append(f"{name}[{k}]")
+    return Converted(new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names))
+
+
+@final
+class _Gauge:
+    """What can be moved without changing a pose, and the step that moves it to a datum.
+
+    Args:
+        numbers: a calibration's.
+        datum: the rule.
+    """
+
+    def __init__(self, numbers: Numbers, datum: Datum) -> None:
+        self.links, self.gaps = links_of(numbers)
+        self.conditions: tuple[Condition, ...] = conditions_of(self.links, datum)
+        own = {link.axis.name for link in self.links}
+        machine = numbers.machine
+        self.names = tuple(
+            name for name in (*machine.squareness_names, *machine.location_names) if split_name(name)[2] in own
+        )
+
+    @cached_property
+    def weights(self) -> list[np.ndarray]:
+        """By link (conditions, 6, n): the conditions' weights."""
+        found = [np.zeros((len(self.conditions), 6, len(link.nodes))) for link in self.links]
+        for row, condition in enumerate(self.conditions):
+            for i, c, values in condition.weights:
+                found[i][row, c] += values
+        return found
+
+    @cached_property
+    def rates(self) -> list[np.ndarray]:
+        """By link (6, n, unknowns): change of its curves by the motions at the gaps and by the constants, to first order."""
+        found = []
+        for link in self.links:
+            own = np.zeros((6, len(link.nodes), len(self.names)))
+            for k, name in enumerate(self.names):
+                if split_name(name)[2] == link.axis.name:
+                    own[:, :, k] = -link.shape(name)
+            found.append(np.concatenate([link.rates(self.gaps), own], axis=2))
+        return found
+
+    @cached_property
+    def derivative(self) -> np.ndarray:
+        """(conditions, unknowns)."""
+        size = 6 * self.gaps + len(self.names)
+        total = np.zeros((len(self.conditions), size))
+        for weights, rates in zip(self.weights, self.rates, strict=True):
+            total += np.tensordot(weights, rates, axes=([1, 2], [0, 1]))
+        return total
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """(unknowns, conditions + constants) what to move for each amount that is not zero; group after group."""
+        size, count = self.derivative.shape[1], len(self.conditions)
+        amounts = np.eye(count + len(self.names))
+        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in (1, 2, 3, 4)]
+        whole = np.concatenate([self.derivative, np.eye(size)[6 * self.gaps :]])
+        step, free = np.zeros((size, count + len(self.names))), np.eye(size)
+        for rows in (*groups, list(range(count, count + len(self.names)))):
+            if not rows or not free.shape[1]:
+                continue
+            left, values, right = np.linalg.svd(whole[rows] @ free, full_matrices=True)
+            rank = int(np.count_nonzero(values > RANK * max(values.max(initial=0.0), 1e-3)))
+            want = amounts[rows] + whole[rows] @ step
+            step = step - free @ (right[:rank].T / values[:rank]) @ left[:, :rank].T @ want
+            free = free @ right[rank:].T
+        return step
+
+    def measured(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """(conditions,) the amounts that curves at the nodes have, µm and µrad."""
+        total = np.zeros(len(self.conditions))
+        for weights, one in zip(self.weights, values, strict=True):
+            total += np.tensordot(weights, one, axes=([1, 2], [0, 1]))
+        return total
+
+    def amounts(self, numbers: Numbers) -> np.ndarray:
+        """(conditions + constants,) the amounts of a calibration."""
+        values = [link.values(numbers) for link in self.links]
+        return np.concatenate([self.measured(values), self.constants(numbers)])
+
+    def constants(self, numbers: Numbers) -> np.ndarray:
+        """(names,) squareness and locations, zero where a calibration has none."""
+        named: Mapping[str, float] = {**numbers.squareness, **numbers.location}
+        return np.array([named.get(name, 0.0) for name in self.names])
+
+    def change(self, amounts: np.ndarray) -> np.ndarray:
+        """(conditions,) how the datum changes the amounts of the curves."""
+        if not self.derivative.size:
+            return np.zeros(len(self.conditions))
+        # Which of two locations has a shift is no matter of the lines: their own amounts are left out.
+        only = np.concatenate([amounts[: len(self.conditions)], np.zeros(len(self.names))])
+        return np.asarray(self.derivative @ (self.step @ only))
+
+    def moved(
+        self, i: int, values: np.ndarray, inserted: np.ndarray, before: np.ndarray, after: np.ndarray
+    ) -> np.ndarray:
+        """(6, n) the curves of a link after a step: constants ``before`` and ``after``, motions inserted at the gaps."""
+        link = self.links[i]
+        shapes: Callable[[np.ndarray], np.ndarray] = lambda amounts: sum(  # noqa: E731
+            (amount * link.shape(name) for name, amount in zip(self.names, amounts, strict=True)
+             if split_name(name)[2] == link.axis.name),
+            start=np.zeros_like(values),
+        )  # fmt: skip
+        was, shall = shapes(before), shapes(after)
+        if link.axis.linear:
+            return link.moved(values + was, np.zeros(6), np.zeros(6), inserted) - shall
+        return link.moved(values, was[:, 0], shall[:, 0], inserted)
