@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, final
@@ -16,6 +17,7 @@ from twin.arrays import locked
 from twin.control import BasicClass, ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
+from twin.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
 from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name
 from twin.errors import InputError, nearest
 from twin.extension import effect_named, entry_of
@@ -75,6 +77,7 @@ class _CalibrationFile(BaseModel):
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
     machine: str
     source: str
+    datum: str | None = None
     settled: bool = True
     simulated: bool = False
     curves: dict[str, _CurveEntry] = {}
@@ -163,6 +166,7 @@ class Calibration:
             settled=entries.settled,
             simulated=entries.simulated,
         )
+        check.datum(entries.datum, loaded)
         if entries.covariance is not None:
             loaded = replace(loaded, joint=check.joint(entries.covariance, loaded))
         return loaded if entries.control is None else loaded.with_control(check.control(entries.control))
@@ -188,6 +192,7 @@ class Calibration:
             "schema": SCHEMA,
             "machine": self.machine.name,
             "source": self.source,
+            "datum": self.datum,
             **({} if self.settled else {"settled": False}),
             **({"simulated": True} if self.simulated else {}),
             "curves": {name: _entry(curve) for name, curve in self.curves.items()},
@@ -206,6 +211,40 @@ class Calibration:
             rows = "".join(f"    {row}\n" for row in self.joint.to_text().splitlines())
             text += f"covariance:\n  parameters: {names}\n  lower: |\n{rows}"
         return text
+
+    @cached_property
+    def datum(self) -> Datum:
+        """The datum that its numbers fulfil (`twin.datum`)."""
+        return datum_of(self._numbers)
+
+    def in_datum(self, datum: Datum) -> Calibration:
+        """The same machine in a datum, with its covariance; itself if it is in that datum already.
+
+        Raises:
+            InputError: ``as given``, which is no rule; a curve that its basis cannot hold in that datum.
+        """
+        if violation(self._numbers, datum) is None and datum != AS_GIVEN:
+            return self
+        found = convert(self._numbers, datum)
+        joint = found.covariance(self.covariance)
+        names = set(joint.names)
+        curves = {}
+        for name, curve in found.numbers.curves.items():
+            own = [f"{name}[{k}]" for k in range(len(curve.coefficients))]
+            curves[name] = replace(curve, covariance=joint.of(own).matrix if own[0] in names else None)
+        return replace(
+            self,
+            source=f"{self.source} Datum changed to {datum}.",
+            curves=MappingProxyType(curves),
+            squareness=found.numbers.squareness,
+            location=found.numbers.location,
+            joint=joint if names else None,
+            path=None,
+        )
+
+    @property
+    def _numbers(self) -> Numbers:
+        return Numbers(self.machine, self.curves, self.squareness, self.location)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -417,6 +456,19 @@ class _Check:
         if name not in allowed:
             what = f"{self.machine.name} has no such entry under {place[0]}"
             raise self.fail(place, what, f"one of {', '.join(allowed)}", name, nearest(name, allowed))
+
+    def datum(self, stated: str | None, calibration: Calibration) -> None:
+        if stated is None:
+            return
+        known = next((datum for datum in DATUMS if datum == stated), None)
+        if known is None:
+            raise self.fail(("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, nearest(stated, DATUMS))
+        against = violation(calibration._numbers, known)
+        if against is not None:
+            curve, what, amount = against
+            unit = "µm" if split_name(curve)[0] < 3 else "µrad"
+            expected = f"no {what} of {curve}; or no `datum:` here, and a conversion by `twin info --datum '{known}'`"
+            raise self.fail(("datum",), "the numbers contradict the datum", expected, f"{amount:+.4g} {unit}")
 
     def effect(self, index: int, entry: _EffectEntry) -> Effect:
         try:

@@ -2,9 +2,9 @@
 
 An earlier group is never given up for a later one; within a group that cannot be fulfilled whole, the sum of squares is the least.
 
-1. No mean and no slope where a neighbour or a squareness always takes it over: the mean of a straightness and of an angular error motion
-   of an axis that is not next to the tool or the workpiece, the means of a rotary axis across its line, its fixed shifts and tilts,
-   and slopes that are no common turn of all lines.
+1. No mean and no slope where a neighbour or a squareness always takes it over: the mean of a straightness and of an angular error
+   motion of an axis that is not next to the tool or the workpiece, the means of a rotary axis across its line, its fixed shifts and
+   tilts, and slopes that are no common turn of all lines.
 2. A common turn of all lines (the direction of the machine frame), and the mean of a straightness of an axis next to the tool or the
    workpiece.
 3. The mean of a positioning error: the zero of the scale.

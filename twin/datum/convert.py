@@ -1,4 +1,4 @@
-"""The numbers of a calibration in another datum: the same poses of the tool in the work frame, other curves, squareness and locations."""
+"""The numbers of a calibration in another datum: the same poses of the tool, other curves, squareness and locations."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ class Converted:
     old: tuple[str, ...]
 
     def covariance(self, known: Covariance) -> Covariance:
-        """The covariance of the new parameters; without those that depend on an old one of unknown uncertainty."""
+        """The covariance of the new parameters.
+
+        Without those that depend on an old one of unknown uncertainty, and without errors that only the conversion named: the
+        calibration did not say that they are zero.
+        """
         index = {name: i for i, name in enumerate(known.names)}
         through = np.zeros((len(self.names), len(index)))
         open_ = np.zeros(len(self.names), dtype=bool)
@@ -62,10 +66,12 @@ class Converted:
                 open_ |= np.abs(self.matrix[:, column]) > RANK
         entity = np.array([name.partition("[")[0] for name in self.names])
         without = {name for name, row in zip(entity, open_, strict=True) if row}
-        without |= {name for name in set(entity) if not np.any(through[entity == name])}
+        without |= set(entity) - {name.partition("[")[0] for name in self.old}
         keep = [i for i, name in enumerate(entity) if name not in without]
-        matrix = through[keep] @ known.matrix @ through[keep].T
-        return Covariance(tuple(self.names[i] for i in keep), locked((matrix + matrix.T) / 2.0))
+        # By a root of the matrix: a variance cannot become negative by rounding.
+        values, vectors = np.linalg.eigh(known.matrix)
+        root = through[keep] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        return Covariance(tuple(self.names[i] for i in keep), locked(root @ root.T))
 
 
 def datum_of(numbers: Numbers) -> Datum:
@@ -150,7 +156,7 @@ def _fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, 
     if curve is None:
         if np.abs(difference).max() <= FITTED:
             return None
-        basis = FOURIER if link.axis.lower is None else POWER
+        basis: Basis = FOURIER if link.axis.lower is None else POWER
         drawn = any(one.illustrative for one in numbers.curves.values())
         curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
     if curve.domain != link.domain and link.axis.lower is not None:
@@ -258,7 +264,9 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
             row[0, column[f"{name}[{k}]"]] = 1.0
             rows.append(row)
             into.append(f"{name}[{k}]")
-    return Converted(new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names))
+    return Converted(
+        new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names)
+    )
 
 
 @final

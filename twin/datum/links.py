@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, final
 
 import numpy as np
 import pinocchio as pin
 
+from twin.arrays import locked
 from twin.effects import AxisLocation, ErrorMotion, Squareness, split_name
 from twin.effects.base import Effect
 from twin.machine import DIRECTIONS, Axis, Machine
@@ -21,7 +23,7 @@ from twin.motion_curve import Curve, basis_of
 from twin.spatial import cross_matrix, rotation_exp, rotation_log
 from twin.units import UM, URAD
 
-NODES: Final = 120
+NODES: Final = 80
 """Points of the Gauss-Legendre rule over an axis's range: exact beyond any order of a curve."""
 SI: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
 
@@ -197,10 +199,17 @@ def _link(
     numbers: Numbers, axis: Axis, gaps: tuple[int | None, int | None], rotation: np.ndarray, translation: np.ndarray
 ) -> Link:
     lo, hi = numbers.domain(axis)
-    x, w = np.polynomial.legendre.leggauss(NODES)
+    x, w = _rule()
     nodes = np.concatenate([[lo], (lo + hi) / 2.0 + x * (hi - lo) / 2.0, [hi]])
     weights = np.concatenate([[0.0], w / 2.0, [0.0]])
     return Link(axis, *gaps, rotation, translation, gaps[1] is None, (lo, hi), nodes, weights)
+
+
+@cache
+def _rule() -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights of the Gauss-Legendre rule from −1 to 1."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return locked(x), locked(w)
 
 
 def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:

@@ -18,12 +18,12 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
+from twin.datum.conditions import turning_patterns
 from twin.distributions import chi2_isf
 from twin.effects import split_name
 from twin.errors import InputError
 from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, SIGNS, THIRD
 from twin.identification.result import COVERAGE, THESIS_FUNCTIONS, Identification
-from twin.identification.unknowns import turning_patterns
 from twin.machine import Axis
 from twin.motion_curve import Curve
 from twin.thesis_identification import ThesisIdentification

@@ -23,6 +23,7 @@ from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.curves import Basis, of_legendre
+from twin.datum.conditions import along, turning_patterns
 from twin.effects import AxisLocation, Squareness, split_name, unit_of
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
@@ -314,7 +315,7 @@ def spaces_for(
             count -= 1 - count % 2
         for letter in "XYZABC":
             name = f"E_{letter}{axis.name}"
-            straightness = axis.linear and letter in "XYZ" and not _along(axis, letter)
+            straightness = axis.linear and letter in "XYZ" and not along(axis, letter)
             first = 2 if straightness else 1
             if count > first and wanted(name):
                 curves.append(CurveSpace(name, basis, domain, first, count))
@@ -365,31 +366,6 @@ def distinct_positions(q: np.ndarray) -> np.ndarray:
 def wrapped(q: np.ndarray, axis: Axis, domain: tuple[float, float]) -> np.ndarray:
     """Positions of an unlimited axis in one turn; those of another as they are."""
     return q if axis.lower is not None else domain[0] + np.mod(q - domain[0], domain[1] - domain[0])
-
-
-def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray], ...]]:
-    """What a fixed vector on the turning side is, component by component, in the fixed frame: two patterns, θ in degrees.
-
-    For u across the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
-    """
-    d = np.array(axis.direction)
-    along = int(np.argmax(np.abs(d)))
-    found = []
-    for i in range(3):
-        if i == along:
-            continue
-        u = np.eye(3)[i] - d[i] * d
-        v = np.cross(d, u)
-        found.append(tuple(_wave(float(a), float(b)) for a, b in zip(u, v, strict=True)))
-    return found
-
-
-def _wave(a: float, b: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda theta: a * np.cos(np.radians(theta)) + b * np.sin(np.radians(theta))
-
-
-def _along(axis: Axis, letter: str) -> bool:
-    return "XYZ".index(letter) == int(np.argmax(np.abs(axis.direction)))
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

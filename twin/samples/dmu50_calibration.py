@@ -3,12 +3,16 @@
 Three curves are published numbers: the translational error motions of X, recovered from the compensated NC data that figure
 3.11 of Ellingsdalen (2021) prints. Everything else of that machine was published as pictures and words only; the other 27
 curves and the squareness errors are drawn here, by a seeded generator, to the magnitudes those words state.
+
+The file is in the datum `mean lines` (`twin.datum`): the same machine at the tool, with the constants and lines of the drawn curves in
+squareness and locations.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -16,6 +20,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from twin.calibration import Calibration
+from twin.datum import MEAN_LINES
 from twin.machine import Machine
 from twin.motion_curve import Curve
 
@@ -92,7 +97,25 @@ SOURCE: Final = (
 
 
 def calibration(machine: Machine) -> Calibration:
-    """The default calibration of the DMU 50."""
+    """The default calibration of the DMU 50: `as_drawn`, in mean lines; coefficients are rounded to 1e-6 µm or µrad."""
+    drawn = as_drawn(machine)
+    found = drawn.in_datum(MEAN_LINES)
+    curves = {}
+    for name, curve in found.curves.items():
+        moved = " Datum changed to mean lines: constant and line moved to other errors." if name in PUBLISHED else ""
+        coefficients = tuple(round(c, 6) + 0.0 for c in curve.coefficients)
+        curves[name] = replace(
+            curve, coefficients=coefficients, source=f"{curve.source}.{moved}" if moved else curve.source
+        )
+    constants = [
+        MappingProxyType({name: round(value, 6) for name, value in group.items()})
+        for group in (found.squareness, found.location)
+    ]
+    return Calibration(machine, found.source, MappingProxyType(curves), *constants)
+
+
+def as_drawn(machine: Machine) -> Calibration:
+    """The same errors as they were recovered and drawn: the curves of the thesis with its own constants."""
     rng = np.random.default_rng(SEED)
     curves = {name: _recovered(name) for name in PUBLISHED}
     curves |= {name: _drawn(name, peak, source, machine, rng) for name, (peak, source) in SHAPES.items()}
