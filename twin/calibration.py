@@ -467,8 +467,9 @@ class _Check:
         if against is not None:
             curve, what, amount = against
             unit = "µm" if split_name(curve)[0] < 3 else "µrad"
-            expected = f"no {what} of {curve}; or no `datum:` here, and a conversion by `twin info --datum '{known}'`"
-            raise self.fail(("datum",), "the numbers contradict the datum", expected, f"{amount:+.4g} {unit}")
+            wrong = f"the numbers contradict the datum '{known}': {curve} has a {what}"
+            expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
+            raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
     def effect(self, index: int, entry: _EffectEntry) -> Effect:
         try:

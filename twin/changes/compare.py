@@ -17,6 +17,7 @@ from twin.changes.significance import SHARE, fewest, holm, simultaneous_factor, 
 from twin.changes.tool import POSES, Cause, at_tool
 from twin.changes.words import meaning_of
 from twin.channels import Conditions, options_of
+from twin.datum import MEAN_LINES
 from twin.effects import Effect, split_name
 from twin.errors import InputError
 from twin.provenance import merged
@@ -38,7 +39,7 @@ def compare(
 ) -> Changes:
     """What changed from one calibration of a machine to the next, and what of it is more than their uncertainty.
 
-    The two are taken as independent of each other, but for errors that have the very same numbers in both. An error only one of them
+    Both are converted to mean lines first (`twin.datum`). The two are taken as independent of each other, but for errors that have the very same numbers in both. An error only one of them
     gives is not compared: saying nothing is not the same as zero.
 
     Args:
@@ -64,6 +65,8 @@ def compare(
     at = Conditions() if conditions is None else conditions
     _checked(at, first, second)
     progress("comparing", 0.0)
+    names = _called(first, "the first"), _called(second, "the second")
+    first, second, datum = _in_one_datum(first, second, names)
     pairs, apart = paired(first, second)
     errors = [_change(pair, pair.change, pair.spread) for pair in pairs]
     known = [i for i, pair in enumerate(pairs) if pair.status == "known"]
@@ -86,8 +89,8 @@ def compare(
     found = Changes(
         machine=machine,
         warnings=merged(first.warnings, second.warnings),
-        first=_called(first, "the first"),
-        second=_called(second, "the second"),
+        first=names[0],
+        second=names[1],
         errors=tuple(errors),
         apart=apart,
         joint_p_value=joint_p,
@@ -110,10 +113,29 @@ def compare(
         ),
         tolerance_mm=tolerance_mm,
         left_out=left_out,
-        notices=(*notices, *_notices(first, second, pairs, apart)),
+        notices=(datum, *notices, *_notices(first, second, pairs, apart)),
     )
     progress("comparing", 1.0)
     return replace(found, meaning=meaning_of(found))
+
+
+def _in_one_datum(
+    first: Calibration, second: Calibration, names: tuple[str, str]
+) -> tuple[Calibration, Calibration, str]:
+    """Both calibrations in mean lines, and the sentence that says so; both as they are where one cannot be converted."""
+    given = first.datum, second.datum
+    try:
+        lines = first.in_datum(MEAN_LINES), second.in_datum(MEAN_LINES)
+    except InputError as error:
+        return (
+            first,
+            second,
+            f"not converted to mean lines, compared in the datum of each file: {error.what} (twin doc datum)",
+        )
+    converted = [f"{name} from {datum}" for name, datum in zip(names, given, strict=True) if datum != MEAN_LINES]
+    if not converted:
+        return *lines, "both are in mean lines (twin doc datum)"
+    return *lines, f"both converted to mean lines: {', '.join(converted)} (twin doc datum)"
 
 
 def _same_control(first: Calibration, second: Calibration) -> list[str]:

@@ -26,6 +26,7 @@ PAGES: Final = {
     "paths": "twin.paths",
     "many": "twin.parallel",
     "files": "twin.files",
+    "datum": "twin.datum",
     "curves": "twin.curves",
     "speed": "twin.native",
 }

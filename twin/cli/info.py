@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from importlib.metadata import version
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -22,8 +25,9 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
-from twin.cli.outputs import JsonOption, command
-from twin.errors import printable
+from twin.cli.outputs import CALIBRATION, JsonOption, command
+from twin.datum import MEANING
+from twin.errors import InputError, printable
 from twin.files import write_json
 from twin.kinematics import Kinematics
 from twin.machine import DEFAULT, Machine
@@ -35,10 +39,18 @@ from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
 SCHEMA = "twin.info/1"
 
 
+class DatumChoice(StrEnum):
+    """A datum to convert to."""
+
+    mean_lines = "mean lines"
+    end_points = "end points"
+
+
 @command(
     "twin info",
     "twin info --machine trunnion_ac",
     "twin info --calibration mine.yaml --tool-length 120 --json budget.json",
+    "twin info --calibration other.yaml --datum 'mean lines' -o mine.yaml",
 )
 def info(
     machine: MachineOption = DEFAULT,
@@ -46,12 +58,22 @@ def info(
     tool_length: ToolOption = None,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    datum: Annotated[
+        DatumChoice | None,
+        typer.Option("--datum", help="Convert the calibration to this datum first; the same machine (twin doc datum)."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the calibration in that datum."), CALIBRATION
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Axes, ranges, frames and the error budget of a machine."""
+    """Axes, ranges, frames and the error budget of a machine, and its calibration in another datum."""
     loaded = Machine.load(machine)
-    outputs = [] if json_file is None else [json_file]
-    errors = calibration_of(calibration, loaded)
+    outputs = [str(path) for path in (output, json_file) if path is not None]
+    if output is not None and datum is None:
+        raise InputError("nothing to convert to", expected="--datum beside --output", file=output)
+    given = calibration_of(calibration, loaded)
+    errors = given if datum is None else given.in_datum(datum.value)
     at = conditions(temperature, time)
     at.check(errors)
     known, missing = known_at(at, errors)
@@ -61,19 +83,24 @@ def info(
         rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
         say("uncertainty", 0.8)
         over, without = _uncertainty(kinematics)
+    if output is not None:
+        errors.save(output)
     if json_file is not None:
         told = _told(loaded, errors, kinematics, rows, classes)
         told["uncertainty"] = {
             **(over.to_dict() if over is not None else {"known": False}),
             "without_uncertainty": without,
         }
+        told["calibration"] = None if given.path is None else str(given.path)
+        told["datum"] = {"given": given.datum, "shown": errors.datum}
         told["left_out"] = {channel: list(by) for channel, by in missing.items()}
         write_json(json_file, told)
     console = Console(markup=False, emoji=False, highlight=False)  # names and sources of files are text as it stands
     console.print(loaded.name, style="bold", end="")
     console.print(f"   twin {version('twin')}")
-    files = f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {errors.path or 'none'}\n{errors.source}\n"
+    files = f"machine file  {loaded.path}\nURDF          {loaded.urdf}\ncalibration   {given.path or 'none'}\n{errors.source}\n"
     console.print(printable(files))
+    console.print(f"datum         {_datum_text(given, errors)}", soft_wrap=True)
     console.print(f"inverse       {in_use()}\n", soft_wrap=True)
     axes = Table(
         "axis",
@@ -109,6 +136,7 @@ def info(
     title = f"Error budget at the tool over the volume, tool length {kinematics.tool_length_mm:g} mm"
     console.print(_budget_table(title, rows, peak=True))
     console.print(_budget_table("By class (ISO/TR 16907)", classes, peak=False))
+    console.print(MEANING[errors.datum], soft_wrap=True)
     if any(row.illustrative for row in rows):
         console.print("* illustrative: drawn, not measured")
     for text in texts(errors.warnings):
@@ -124,13 +152,17 @@ def info(
         for line in _uncertainty_lines(over, without):
             console.print(line, soft_wrap=True)
     if outputs:
-        console.print(printable(f"\nwritten: {json_file}"), soft_wrap=True)
+        console.print(printable(f"\nwritten: {', '.join(outputs)}"), soft_wrap=True)
 
 
 def _uncertainty(kinematics: Kinematics) -> tuple[UncertaintyMap | None, list[str]]:
     """U over the volume, None if nothing has a covariance; and what has none."""
     found = ToolUncertainty(kinematics)
     return found.over_volume() if found.parameters else None, list(found.without_uncertainty)
+
+
+def _datum_text(given: Calibration, shown: Calibration) -> str:
+    return shown.datum if shown is given else f"{shown.datum}, converted from {given.datum}"
 
 
 def _told(
@@ -147,7 +179,6 @@ def _told(
         "machine": machine.name,
         "machine_file": str(machine.path),
         "urdf": str(machine.urdf),
-        "calibration": None if calibration.path is None else str(calibration.path),
         "source": calibration.source,
         "illustrative": calibration.illustrative,
         "warnings": to_json(calibration.warnings),

@@ -35,7 +35,7 @@ of the datum hold, in the order of `twin.datum.conditions`; the error frames are
 (`twin.datum.links`), and the curves are fitted to them (`twin.datum.convert`).
 """
 
-from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, Datum
+from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, MEANING, Datum
 from twin.datum.convert import Converted, convert, datum_of, violation
 from twin.datum.links import Numbers
 
@@ -43,6 +43,7 @@ __all__ = [
     "AS_GIVEN",
     "DATUMS",
     "END_POINTS",
+    "MEANING",
     "MEAN_LINES",
     "Converted",
     "Datum",

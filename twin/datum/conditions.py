@@ -14,7 +14,7 @@ An earlier group is never given up for a later one; within a group that cannot b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
@@ -29,6 +29,14 @@ MEAN_LINES: Final = "mean lines"
 END_POINTS: Final = "end points"
 AS_GIVEN: Final = "as given"
 DATUMS: Final[tuple[Datum, ...]] = (MEAN_LINES, END_POINTS, AS_GIVEN)
+MEANING: Final[Mapping[Datum, str]] = {
+    "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, where squareness or a location takes it over "
+    "(twin doc datum)",
+    "end points": "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)",
+    "as given": "datum as given: means and slopes of the curves act like squareness and locations; convert to mean lines before "
+    "numbers are compared (twin doc datum)",
+}
+"""One line about each, for below a table of errors."""
 Weights = tuple[tuple[int, int, np.ndarray], ...]
 """Link, component and (n,) weights at its nodes: a sum of curve values, µm or µrad."""
 
