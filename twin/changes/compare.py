@@ -39,8 +39,8 @@ def compare(
 ) -> Changes:
     """What changed from one calibration of a machine to the next, and what of it is more than their uncertainty.
 
-    Both are converted to mean lines first (`twin.datum`). The two are taken as independent of each other, but for errors that have the very same numbers in both. An error only one of them
-    gives is not compared: saying nothing is not the same as zero.
+    Both are converted to mean lines first (`twin.datum`). The two are taken as independent of each other, but for errors that have the
+    very same numbers in both. An error only one of them gives is not compared: saying nothing is not the same as zero.
 
     Args:
         first: the older.

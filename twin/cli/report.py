@@ -101,3 +101,4 @@ def _tell(found: MachineReport) -> None:
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     for step in found.advice.steps:
         echo(f"{names[step.kind]}: {step.title}. {step.text}")
+    echo(found.datum)

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.calibration import Calibration
+from twin.datum import MEANING
 from twin.distributions import normal_isf
 from twin.effects import unit_of
 from twin.identification.network import Network
@@ -211,6 +212,7 @@ class Identification:
         return {
             "schema": SCHEMA,
             "machine": self.calibration.machine.name,
+            "datum": self.calibration.datum,
             "data": self.data.source,
             "points": {"used": int(self.used.sum()), "set_aside": len(self.set_aside)},
             "verdict": self.verdict,
@@ -304,6 +306,7 @@ class Identification:
         lines += [
             "  degree 0: nothing beyond the noise on held-out data. What lies beyond the orders given is not taken as zero:",
             "  the intervals allow for it.",
+            f"  {MEANING[self.calibration.datum]}",
         ]
         if self.unidentified:
             lines += ["", "not identifiable from these data:"]

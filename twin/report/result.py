@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, final
@@ -14,7 +14,9 @@ from twin.budget import known_at
 from twin.calibration import Calibration
 from twin.channels import Conditions
 from twin.control import ControlSection
+from twin.datum import MEAN_LINES, MEANING
 from twin.effects import split_name, unit_of
+from twin.errors import InputError
 from twin.kinematics import Kinematics
 from twin.machine import Axis, Machine
 from twin.measurement import Measurements
@@ -119,7 +121,8 @@ class MachineReport:
 
     Attributes:
         machine: the machine.
-        calibration: as given.
+        calibration: in mean lines, where it can be converted.
+        datum: the sentence that says which datum the numbers are in.
         kinematics: with the errors that could be worked out under the conditions.
         budget, motions, constants, field, after: as their classes say.
         identified: what `identify` said, or None.
@@ -132,6 +135,7 @@ class MachineReport:
 
     machine: Machine
     calibration: Calibration
+    datum: str
     kinematics: Kinematics
     budget: Budget
     motions: tuple[Motion, ...]
@@ -189,6 +193,7 @@ class MachineReport:
             "calibration": {
                 "path": None if self.calibration.path is None else str(self.calibration.path),
                 "source": self.calibration.source,
+                "datum": self.calibration.datum,
                 "illustrative": list(self.illustrative),
                 "simulated_readings": self.simulated,
                 "warnings": to_json(self.warnings),
@@ -255,6 +260,7 @@ def machine_report(
     at = Conditions() if conditions is None else conditions
     at.check(calibration)
     told = None if identified is None else Identified.load(identified, calibration)
+    calibration, datum = _in_mean_lines(calibration)
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = known_at(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
@@ -278,6 +284,7 @@ def machine_report(
     return MachineReport(
         machine=machine,
         calibration=calibration,
+        datum=datum,
         kinematics=real,
         budget=shares,
         motions=curves,
@@ -291,6 +298,16 @@ def machine_report(
         advice=advise(calibration, shares, outcome, told, left_out, found, tables),
         sources=origin,
     )
+
+
+def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
+    """The calibration in mean lines, and one line about the datum; as it is where it cannot be converted."""
+    try:
+        found = replace(calibration.in_datum(MEAN_LINES), path=calibration.path)
+    except InputError as error:
+        return calibration, f"{MEANING[calibration.datum]}; not converted: {error.what}"
+    given = calibration.datum
+    return found, MEANING[MEAN_LINES] + ("" if given == MEAN_LINES else f"; converted from: {given}")
 
 
 def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:

@@ -225,6 +225,7 @@ def constants_part(report: MachineReport) -> str:
     return (
         text
         + f"<p class=small>Dots: values; bars: 95 % intervals.{hollow}</p>"
+        + f"<p class=small>{escaped(capital(report.datum))}</p>"
         + table(["", "value, 95 % interval", "at the end of the travel", AT_TOOL[0]], rows, numbers=(1, 2, 3))
     )
 

@@ -107,11 +107,11 @@ def calibration(machine: Machine) -> Calibration:
         curves[name] = replace(
             curve, coefficients=coefficients, source=f"{curve.source}.{moved}" if moved else curve.source
         )
-    constants = [
+    squareness, location = (
         MappingProxyType({name: round(value, 6) for name, value in group.items()})
         for group in (found.squareness, found.location)
-    ]
-    return Calibration(machine, found.source, MappingProxyType(curves), *constants)
+    )
+    return Calibration(machine, found.source, MappingProxyType(curves), squareness, location)
 
 
 def as_drawn(machine: Machine) -> Calibration:
