@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -217,15 +217,19 @@ class Calibration:
         """The datum that its numbers fulfil (`twin.datum`)."""
         return datum_of(self._numbers)
 
-    def in_datum(self, datum: Datum) -> Calibration:
+    def in_datum(self, datum: Datum, names: Collection[str] | None = None) -> Calibration:
         """The same machine in a datum, with its covariance; itself if it is in that datum already.
+
+        Args:
+            datum: the rule.
+            names: errors that may change; all of the machine if None (`twin.datum.convert`).
 
         Raises:
             InputError: ``as given``, which is no rule; a curve that its basis cannot hold in that datum.
         """
         if violation(self._numbers, datum) is None and datum != AS_GIVEN:
             return self
-        found = convert(self._numbers, datum)
+        found = convert(self._numbers, datum, names)
         joint = found.covariance(self.covariance)
         names = set(joint.names)
         curves = {}

@@ -66,8 +66,9 @@ def compare(
     _checked(at, first, second)
     progress("comparing", 0.0)
     names = _called(first, "the first"), _called(second, "the second")
-    first, second, datum = _in_one_datum(first, second, names)
+    first, second, datum, moved = _in_one_datum(first, second)
     pairs, apart = paired(first, second)
+    apart = tuple(one for one in apart if one.name not in moved)
     errors = [_change(pair, pair.change, pair.spread) for pair in pairs]
     known = [i for i, pair in enumerate(pairs) if pair.status == "known"]
     p_values = [whiten(pairs[i].change, pairs[i].spread, pairs[i].exact).p_value for i in known]
@@ -119,23 +120,36 @@ def compare(
     return replace(found, meaning=meaning_of(found))
 
 
-def _in_one_datum(
-    first: Calibration, second: Calibration, names: tuple[str, str]
-) -> tuple[Calibration, Calibration, str]:
-    """Both calibrations in mean lines, and the sentence that says so; both as they are where one cannot be converted."""
+def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
+    """Both calibrations in mean lines; as they are where one cannot be converted.
+
+    Where neither is in mean lines, only errors that one of them names may change: what only another one could take over stays in the
+    curves, in both alike.
+
+    Returns:
+        The two, the sentence that says so, and names of errors that neither named before.
+    """
     given = first.datum, second.datum
+    named = {name for side in (first, second) for name in (*side.curves, *side.squareness, *side.location)}
+    may_change = None if MEAN_LINES in given else named
     try:
-        lines = first.in_datum(MEAN_LINES), second.in_datum(MEAN_LINES)
+        one, two = (side.in_datum(MEAN_LINES, may_change) for side in (first, second))
     except InputError as error:
-        return (
-            first,
-            second,
-            f"not converted to mean lines, compared in the datum of each file: {error.what} (twin doc datum)",
-        )
-    converted = [f"{name} from {datum}" for name, datum in zip(names, given, strict=True) if datum != MEAN_LINES]
+        text = f"not converted to mean lines, compared in the datum of each file: {error.what} (twin doc datum)"
+        return first, second, text, set()
+    converted = [
+        f"{name} from {datum}"
+        for name, datum in zip((_called(first, "the first"), _called(second, "the second")), given, strict=True)
+        if datum != MEAN_LINES
+    ]
     if not converted:
-        return *lines, "both are in mean lines (twin doc datum)"
-    return *lines, f"both converted to mean lines: {', '.join(converted)} (twin doc datum)"
+        return one, two, "both are in mean lines (twin doc datum)", set()
+    text = f"both converted to mean lines: {', '.join(converted)} (twin doc datum)"
+    moved = {name: None for side in (one, two) for name in (*side.curves, *side.squareness, *side.location)}
+    only = [name for name in moved if name not in named]
+    if only:
+        text += f"; not compared error by error, since neither file names it: {', '.join(only)}"
+    return one, two, text, set(only)
 
 
 def _same_control(first: Calibration, second: Calibration) -> list[str]:

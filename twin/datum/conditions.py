@@ -2,14 +2,14 @@
 
 An earlier group is never given up for a later one; within a group that cannot be fulfilled whole, the sum of squares is the least.
 
-1. No mean and no slope where a neighbour or a squareness always takes it over: the mean of a straightness and of an angular error
-   motion of an axis that is not next to the tool or the workpiece, the means of a rotary axis across its line, its fixed shifts and
-   tilts, and slopes that are no common turn of all lines.
-2. A common turn of all lines (the direction of the machine frame), and the mean of a straightness of an axis next to the tool or the
-   workpiece.
-3. The mean of a positioning error: the zero of the scale.
-4. What only the workpiece or the tool could take over: the mean tilt of the spindle, the pattern of the last rotary axis.
-5. Of two locations that stand for the same shift, the smallest ones.
+1. No mean angle and no slope where a neighbour or a squareness always takes it over: angular error motions of a linear axis that is not
+   next to the tool or the workpiece, the tilt of a rotary axis, fixed tilts, and slopes that are no common turn of all lines.
+2. A common turn of all lines: the direction of the machine frame.
+3. The same for shifts: the mean of a straightness, of a rotary axis across its line, and fixed shifts.
+4. The mean of a straightness of an axis next to the tool or the workpiece.
+5. The mean of a positioning error: the zero of the scale.
+6. What only the workpiece or the tool could take over: the mean tilt of the spindle, the pattern of the last rotary axis.
+7. Of two locations that stand for the same shift, the smallest ones.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ MEANING: Final[Mapping[Datum, str]] = {
     "numbers are compared (twin doc datum)",
 }
 """One line about each, for below a table of errors."""
+LAST: Final = 6
+"""The group of what stays in the last axes."""
 Weights = tuple[tuple[int, int, np.ndarray], ...]
 """Link, component and (n,) weights at its nodes: a sum of curve values, µm or µrad."""
 
@@ -49,7 +51,7 @@ class Condition:
     Attributes:
         curve: name of the curve it is about; of a pair of curves the first.
         what: ``mean``, ``slope`` (over half the range), ``fixed shift``, ``fixed tilt``.
-        group: place in the order of this module's text, 1 to 4.
+        group: place in the order of this module's text, 1 to 6.
         weights: what is summed.
     """
 
@@ -72,12 +74,12 @@ def conditions_of(links: Sequence[Link], datum: Datum) -> tuple[Condition, ...]:
         for c, letter in enumerate(DIRECTIONS):
             curve, mean = f"E_{letter}{name}", link.weights
             if c >= 3:
-                found.append(Condition(curve, "mean", 4 if link.last else 1, ((i, c, mean),)))
+                found.append(Condition(curve, "mean", LAST if link.last else 1, ((i, c, mean),)))
             elif along(link.axis, letter):
-                found.append(Condition(curve, "mean", 3, ((i, c, mean),)))
+                found.append(Condition(curve, "mean", 5, ((i, c, mean),)))
             else:
                 mean, slope = _line(link, datum)
-                found.append(Condition(curve, "mean", 2 if link.last else 1, ((i, c, mean),)))
+                found.append(Condition(curve, "mean", 4 if link.last else 3, ((i, c, mean),)))
                 slopes.append(Condition(curve, "slope", 2, ((i, c, slope),)))
                 tilts.append(_tilt_of_turn(link, c))
     return (*found, *_intrinsic(slopes, np.array(tilts).reshape(-1, 3)), *slopes)
@@ -105,16 +107,18 @@ def along(axis: Axis, letter: str) -> bool:
 
 
 def _of_rotary(i: int, link: Link) -> list[Condition]:
-    name, end = link.axis.name, 4 if link.last else 1
+    name = link.axis.name
+    shift, tilt = (LAST, LAST) if link.last else (3, 1)
     found = []
     for c, letter in enumerate(DIRECTIONS):
-        group = end if along(link.axis, DIRECTIONS[c % 3]) else 1
+        own = along(link.axis, DIRECTIONS[c % 3])
+        group = (shift if own else 3) if c < 3 else (tilt if own else 1)
         found.append(Condition(f"E_{letter}{name}", "mean", group, ((i, c, link.weights),)))
-    for first, what in ((0, "fixed shift"), (3, "fixed tilt")):
+    for first, what, group in ((0, "fixed shift", shift), (3, "fixed tilt", tilt)):
         for k, pattern in enumerate(turning_patterns(link.axis)):
             weights = [(i, first + c, locked(link.weights * part(link.nodes))) for c, part in enumerate(pattern)]
             across = [c for c in range(3) if not along(link.axis, DIRECTIONS[c])]
-            found.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, end, tuple(weights)))
+            found.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, group, tuple(weights)))
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -13,7 +13,7 @@ import numpy as np
 from twin.arrays import locked
 from twin.covariance import Covariance
 from twin.curves import FOURIER, POWER, Basis, of_legendre
-from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, Condition, Datum, conditions_of
+from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, LAST, MEAN_LINES, Condition, Datum, conditions_of
 from twin.datum.links import Link, Numbers, links_of
 from twin.effects import split_name, unit_of
 from twin.errors import InputError
@@ -92,15 +92,21 @@ def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
     return condition.curve, condition.what, -float(change[worst])
 
 
-def convert(numbers: Numbers, datum: Datum) -> Converted:
+def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> Converted:
     """The same machine in a datum.
+
+    Args:
+        numbers: a calibration's.
+        datum: the rule.
+        names: errors that may change; all of the machine if None. The rule then holds as far as these can take anything over, and poses
+            agree to first order: to the product of two errors, some nanometres.
 
     Raises:
         InputError: ``as given``, which is no rule; a curve that its basis cannot hold in the other datum.
     """
     if datum not in (MEAN_LINES, END_POINTS):
         raise InputError("no datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
-    gauge = _Gauge(numbers, datum)
+    gauge = _Gauge(numbers, datum, names)
     new = _settled(gauge, numbers)
     return _linear(gauge, numbers, new)
 
@@ -131,7 +137,7 @@ def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
         for c, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{link.axis.name}"
             difference = after[c] - before[c]
-            if np.any(difference):
+            if np.any(difference) and gauge.may_change(name):
                 curve = _fitted(numbers.curves.get(name), name, link, difference, numbers)
                 if curve is not None:
                     curves[name] = curve
@@ -276,9 +282,11 @@ class _Gauge:
     Args:
         numbers: a calibration's.
         datum: the rule.
+        names: errors that may change; all if None.
     """
 
-    def __init__(self, numbers: Numbers, datum: Datum) -> None:
+    def __init__(self, numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> None:
+        self._allowed = names
         self.links, self.gaps = links_of(numbers)
         self.conditions: tuple[Condition, ...] = conditions_of(self.links, datum)
         own = {link.axis.name for link in self.links}
@@ -286,6 +294,24 @@ class _Gauge:
         self.names = tuple(
             name for name in (*machine.squareness_names, *machine.location_names) if split_name(name)[2] in own
         )
+
+    def may_change(self, name: str) -> bool:
+        """Whether an error may change."""
+        return self._allowed is None or name in self._allowed
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(unknowns, f) orthonormal directions that leave every error as it is that may not change."""
+        size = 6 * self.gaps + len(self.names)
+        fixed = [np.eye(size)[6 * self.gaps + k] for k, name in enumerate(self.names) if not self.may_change(name)]
+        for link, rates in zip(self.links, self.rates, strict=True):
+            for c, letter in enumerate(DIRECTIONS):
+                if not self.may_change(f"E_{letter}{link.axis.name}"):
+                    fixed += list(rates[c])
+        if not fixed:
+            return np.eye(size)
+        _, values, right = np.linalg.svd(np.array(fixed), full_matrices=True)
+        return np.asarray(right[int(np.count_nonzero(values > RANK * max(values[0], 1e-3))) :].T)
 
     @cached_property
     def weights(self) -> list[np.ndarray]:
@@ -322,9 +348,9 @@ class _Gauge:
         """(unknowns, conditions + constants) what to move for each amount that is not zero; group after group."""
         size, count = self.derivative.shape[1], len(self.conditions)
         amounts = np.eye(count + len(self.names))
-        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in (1, 2, 3, 4)]
+        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST + 1)]
         whole = np.concatenate([self.derivative, np.eye(size)[6 * self.gaps :]])
-        step, free = np.zeros((size, count + len(self.names))), np.eye(size)
+        step, free = np.zeros((size, count + len(self.names))), self.free
         for rows in (*groups, list(range(count, count + len(self.names)))):
             if not rows or not free.shape[1]:
                 continue
