@@ -311,6 +311,22 @@ def test_the_same_constant_under_another_name_is_no_change_of_the_machine() -> N
     curves = dict(CURVES)
     curves["E_XX"] = ((0.0, 500.0), "power", (10.0, 11.4, 2.0, -1.0))
     found = twin.compare(made(curves=curves), made(location={**LOCATIONS, "E_X0B": -10.0}), poses=40)
+    # In one datum both are the same numbers.
+    assert found.tool.everything.max_um < 1e-3
+    assert found.verdict == "unchanged"
+    assert {error.name: error.largest for error in found.errors}["E_X0B"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_other_numbers_with_the_same_effect_at_the_tool_are_no_change_of_the_machine() -> None:
+    """X's zero off by 10 µm as an effect, which no datum touches, and B's line moved with it: the tool stays where it was."""
+
+    def with_zero(offset: float, place: float) -> twin.Calibration:
+        base = made(location={**LOCATIONS, "E_X0B": place})
+        extra = (effect_named("zero_offset", "X", {"offset": offset}, MACHINE),)
+        own = Covariance((extra[0].parameters[0].name,), np.eye(1) * 0.25)
+        return replace(base, extra=extra, joint=Covariance.of_blocks([base.covariance, own]))
+
+    found = twin.compare(with_zero(0.0, 0.0), with_zero(10.0, 10.0), poses=40)
     assert found.tool.everything.max_um < 1e-3
     assert found.verdict == "reworded"
     assert "the tool did not" in found.meaning[0]

@@ -293,7 +293,11 @@ def test_unknown_is_never_zero(drawn: MachineReport, calibration: Calibration) -
     assert told["budget"]["total"]["U_rms_um"] is None and told["compensation"]["compensated"] is None
     assert set(told["field"]["U_um"]) == {None} and told["compensation"]["machines"] is None
     assert {half for one in told["motions"] for half in one["half_95"]} == {None}
-    assert set(told["gaps"]["without_uncertainty"]) == {*calibration.curves, *calibration.squareness}
+    assert set(told["gaps"]["without_uncertainty"]) == {
+        *calibration.curves,
+        *calibration.squareness,
+        *calibration.location,
+    }
     assert told["calibration"]["illustrative"] == [c.name for c in calibration.curves.values() if c.illustrative]
     said = [step["text"] for step in told["summary"]["steps"]]
     assert any("U at the tool is unknown" in text for text in said)

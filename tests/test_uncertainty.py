@@ -178,7 +178,8 @@ def test_no_covariance_is_unknown_and_not_zero(dmu50: Machine, calibration: Cali
     assert not found.known and not found.complete
     assert np.isnan(found.covariance).all() and np.isnan(found.expanded_um).all()
     assert np.isnan(found.axis_expanded_urad).all()
-    assert set(found.without_uncertainty) == {*calibration.curves, *calibration.squareness}
+    named = {*calibration.curves, *calibration.squareness, *calibration.location}
+    assert set(found.without_uncertainty) == named
     over = tool.over_volume(50).to_dict()
     assert over["known"] is False and over["rms_um"] is None and over["expanded_um"] is None
     assert json.loads(json.dumps(over, allow_nan=False)) == over

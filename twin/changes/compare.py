@@ -114,7 +114,7 @@ def compare(
         ),
         tolerance_mm=tolerance_mm,
         left_out=left_out,
-        notices=(datum, *notices, *_notices(first, second, pairs, apart)),
+        notices=(*notices, datum, *_notices(first, second, pairs, apart)),
     )
     progress("comparing", 1.0)
     return replace(found, meaning=meaning_of(found))

@@ -57,21 +57,23 @@ class Converted:
         calibration did not say that they are zero.
         """
         index = {name: i for i, name in enumerate(known.names)}
-        through = np.zeros((len(self.names), len(index)))
-        open_ = np.zeros(len(self.names), dtype=bool)
+        others = [name for name in known.names if name not in self.old]  # of effects: they stay as they are
+        names = (*self.names, *others)
+        through = np.zeros((len(names), len(index)))
+        through[range(len(self.names), len(names)), [index[name] for name in others]] = 1.0
+        open_ = np.zeros(len(names), dtype=bool)
         for column, name in enumerate(self.old):
             if name in index:
-                through[:, index[name]] = self.matrix[:, column]
+                through[: len(self.names), index[name]] = self.matrix[:, column]
             else:
-                open_ |= np.abs(self.matrix[:, column]) > RANK
-        entity = np.array([name.partition("[")[0] for name in self.names])
-        without = {name for name, row in zip(entity, open_, strict=True) if row}
-        without |= set(entity) - {name.partition("[")[0] for name in self.old}
+                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK
+        entity = np.array([name.partition("[")[0] for name in names])
+        without = set(entity[open_]) | set(entity) - {name.partition("[")[0] for name in (*self.old, *others)}
         keep = [i for i, name in enumerate(entity) if name not in without]
         # By a root of the matrix: a variance cannot become negative by rounding.
         values, vectors = np.linalg.eigh(known.matrix)
         root = through[keep] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        return Covariance(tuple(self.names[i] for i in keep), locked(root @ root.T))
+        return Covariance(tuple(names[i] for i in keep), locked(root @ root.T))
 
 
 def datum_of(numbers: Numbers) -> Datum:

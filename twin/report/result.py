@@ -301,13 +301,19 @@ def machine_report(
 
 
 def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
-    """The calibration in mean lines, and one line about the datum; as it is where it cannot be converted."""
-    try:
-        found = replace(calibration.in_datum(MEAN_LINES), path=calibration.path)
-    except InputError as error:
-        return calibration, f"{MEANING[calibration.datum]}; not converted: {error.what}"
+    """The calibration in mean lines as far as the errors it names can take it, and one line about the datum.
+
+    Errors that it does not name stay unnamed: nothing is known of their uncertainty.
+    """
     given = calibration.datum
-    return found, MEANING[MEAN_LINES] + ("" if given == MEAN_LINES else f"; converted from: {given}")
+    named = {*calibration.curves, *calibration.squareness, *calibration.location}
+    try:
+        found = calibration.in_datum(MEAN_LINES, named)
+    except InputError as error:
+        return calibration, f"{MEANING[given]}; not converted: {error.what}"
+    if found is calibration:
+        return calibration, MEANING[given]
+    return replace(found, path=calibration.path), f"{MEANING[MEAN_LINES]}; converted from: {given}"
 
 
 def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
