@@ -384,9 +384,7 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_illustrative_is_in_every_file(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert (
-        run(["control", "--to", "heidenhain", "-o", str(out), "--tool-length", "120", "--scope", "L-POS", "R-POS"]) == 0
-    )
+    assert run(["control", "--to", "heidenhain", "-o", str(out), "--tool-length", "120"]) == 0
     for file in out.iterdir():
         if file.suffix != ".CMA":
             assert "illustrative" in file.read_text().lower(), file.name

@@ -10,6 +10,7 @@ kinematics (`tcp_on`, `tcp_off`) and a default tool length.
     schema: twin.calibration/1
     machine: DMU 50 eVolution
     source: where the numbers come from, in words
+    datum: as given                  # or mean lines, end points; computed where it is missing (twin doc datum)
     curves:
       E_XX: {unit: um, domain: [0, 500], basis: power, coefficients: [10.1, 11.4], source: …}   # covariance: [[…]] if known
       E_ZC: {unit: um, domain: [0, 360], basis: fourier, coefficients: [0, 3.2, -1.1]}

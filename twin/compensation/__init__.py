@@ -38,7 +38,8 @@ tool, RMS / max, dense points between blocks included (`python -m tests.benchmar
 | errors identified first: 40 poses of five axes | 65.7 / 147.7 | 97.4 / 169.1 | 14.7 / 35.0 | – |
 
 The third row stands at the ends of Y and Z: the correction asks for Y < 0 and Z > 0, which the axes do not have; the report
-lists each such block. The first three rows know the errors. The last two know what one simulated tracker saw of them
+lists each such block. The first three rows know the errors; the thesis's method, which has no locations of rotary axes, as they
+were drawn (`twin.samples.dmu50_calibration.as_drawn`), ours in mean lines. The last two know what one simulated tracker saw of them
 (`thesis_plan.csv`, seed 7), identified by either method; they are judged by a machine that shares no code with `twin`, at the
 block ends, tool 120 mm, after touching off tool and workpiece.
 """
