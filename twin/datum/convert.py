@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Final, final
@@ -12,23 +12,19 @@ import numpy as np
 
 from twin.arrays import locked
 from twin.covariance import Covariance
-from twin.curves import FOURIER, POWER, Basis, of_legendre
 from twin.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, LAST, MEAN_LINES, Condition, Datum, conditions_of
+from twin.datum.fit import FITTED, fit, fitted, functions
 from twin.datum.links import Link, Numbers, links_of
-from twin.effects import split_name, unit_of
+from twin.effects import split_name
 from twin.errors import InputError
 from twin.machine import DIRECTIONS
-from twin.motion_curve import Curve, basis_of, conversion_of
+from twin.motion_curve import basis_of, conversion_of
 
 KEPT: Final = 1e-3
 """µm or µrad: what rounded coefficients may differ from a datum that a file states."""
-FITTED: Final = 3e-5
-"""µm or µrad: what the curve of a converted error may differ from it, 0.03 nm."""
 SETTLED: Final = 1e-7
 """µm or µrad: a step of this size ends the iteration."""
 STEPS: Final = 20
-MOST: Final = 60
-"""Coefficients of a converted curve at most."""
 RANK: Final = 1e-9
 """Singular values below this part of the largest are zero."""
 
@@ -140,7 +136,7 @@ def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
             name = f"E_{letter}{link.axis.name}"
             difference = after[c] - before[c]
             if np.any(difference) and gauge.may_change(name):
-                curve = _fitted(numbers.curves.get(name), name, link, difference, numbers)
+                curve = fitted(numbers.curves.get(name), name, link, difference, numbers)
                 if curve is not None:
                     curves[name] = curve
     ordered = {name: curves[name] for name in sorted(curves, key=numbers.machine.motion_names.index)}
@@ -155,126 +151,66 @@ def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
     return Numbers(numbers.machine, MappingProxyType(ordered), *(MappingProxyType(group) for group in groups))
 
 
-def _fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, numbers: Numbers) -> Curve | None:
-    """A curve with values at the nodes added, in as few coefficients as hold them; None for a new curve of nothing.
-
-    Raises:
-        InputError: no number of coefficients holds them.
-    """
-    if curve is None:
-        if np.abs(difference).max() <= FITTED:
-            return None
-        basis: Basis = FOURIER if link.axis.lower is None else POWER
-        drawn = any(one.illustrative for one in numbers.curves.values())
-        curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
-    if curve.domain != link.domain and link.axis.lower is not None:
-        curve = _over(curve, link)
-    basis, own = basis_of(curve.basis), len(curve.coefficients)
-    for count in range(own, max(MOST, own) + 1):
-        if basis.misfit(count, rotary=not link.axis.linear) is not None:
-            continue
-        added = _fit(basis, curve.domain, link, count) @ difference
-        if np.abs(_functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
-            total = conversion_of(name, basis, basis, own, count) @ curve.coefficients + added
-            return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
-    raise InputError(
-        f"{name} cannot be written in this datum in basis {basis.name}",
-        expected="a curve over the whole range of its axis, in a basis that holds the constants and waves of the datum",
-        value=f"domain {curve.domain[0]:g} to {curve.domain[1]:g}",
-    )
-
-
-def _over(curve: Curve, link: Link) -> Curve:
-    """The same curve over the range that all curves of its axis cover.
-
-    Raises:
-        InputError: the basis cannot hold it.
-    """
-    basis, count = basis_of(curve.basis), len(curve.coefficients)
-    values = _functions(basis, curve.domain, link, count) @ curve.coefficients
-    found = _fit(basis, link.domain, link, count) @ values
-    return replace(curve, domain=link.domain, coefficients=tuple(float(v) for v in found), covariance=None)
-
-
-def _functions(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
-    """(n, count) the functions of a basis at a link's nodes, an axis without limits wrapped."""
-    lo, hi = domain
-    q = link.nodes
-    if link.axis.lower is None and not basis.periodic:
-        q = np.where(q == link.nodes[-1], hi, lo + np.mod(q - lo, hi - lo)) if domain == link.domain else (
-            lo + np.mod(q - lo, hi - lo)
-        )  # fmt: skip
-    return np.stack(basis.functions(q, domain, count), axis=1)
-
-
-def _fit(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
-    """(count, n) what makes coefficients of values at the nodes, least squares over the range."""
-    legendre = of_legendre(basis, count) if domain == link.domain else None
-    if legendre is not None:
-        polynomials = np.polynomial.legendre.legvander(link.u, count - 1) * (2.0 * np.arange(count) + 1.0)
-        return np.asarray(legendre @ (polynomials * link.weights[:, None]).T)
-    root = np.sqrt(link.weights)
-    return np.asarray(np.linalg.pinv(_functions(basis, domain, link, count) * root[:, None], rcond=1e-13) * root)
-
-
 def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
     """The first derivative of the new parameters by the old ones."""
     names = [f"{name}[{k}]" for name, c in old.curves.items() for k in range(len(c.coefficients))]
     names += [*old.squareness, *old.location]
     column = {name: i for i, name in enumerate(names)}
-    amounts = np.zeros((len(gauge.conditions) + len(gauge.names), len(names)))
-    for i, link in enumerate(gauge.links):
-        for c, letter in enumerate(DIRECTIONS):
-            curve = old.curves.get(f"E_{letter}{link.axis.name}")
-            if curve is not None:
-                count = len(curve.coefficients)
-                start = column[f"{curve.name}[0]"]
-                functions = _functions(basis_of(curve.basis), curve.domain, link, count)
-                amounts[: len(gauge.conditions), start : start + count] = (
-                    amounts[: len(gauge.conditions), start : start + count] + gauge.weights[i][:, c] @ functions
-                )
-    for k, name in enumerate(gauge.names):
-        if name in column:
-            amounts[len(gauge.conditions) + k, column[name]] = 1.0
-    steps = gauge.step @ amounts
+    steps = gauge.step @ _amounts(gauge, old, column)
+    link_of = {link.axis.name: i for i, link in enumerate(gauge.links)}
     rows, into = [], []
-    for i, link in enumerate(gauge.links):
-        for c, letter in enumerate(DIRECTIONS):
-            name = f"E_{letter}{link.axis.name}"
-            if name not in new.curves:
-                continue
-            curve, count = new.curves[name], len(new.curves[name].coefficients)
-            block = _fit(basis_of(curve.basis), curve.domain, link, count) @ (gauge.rates[i][c] @ steps)
-            was = old.curves.get(name)
-            if was is not None:
-                start, basis = column[f"{name}[0]"], basis_of(curve.basis)
-                size = len(was.coefficients)
-                if was.domain == curve.domain:
-                    own = conversion_of(name, basis, basis, size, count)
-                else:
-                    own = _fit(basis, curve.domain, link, count) @ _functions(basis, was.domain, link, size)
-                block[:, start : start + size] += own
-            rows.append(block)
-            into += [f"{name}[{k}]" for k in range(count)]
-    moved = {name: k for k, name in enumerate(gauge.names)}
+    for name, curve in new.curves.items():
+        component, _, axis = split_name(name)
+        own = _kept(old, new, name, gauge.links[link_of[axis]] if axis in link_of else None)
+        block = np.zeros((len(curve.coefficients), len(names)))
+        if own is not None:
+            start = column[f"{name}[0]"]
+            block[:, start : start + own.shape[1]] = own
+        if axis in link_of and gauge.may_change(name):
+            i = link_of[axis]
+            into_curve = fit(basis_of(curve.basis), curve.domain, gauge.links[i], len(curve.coefficients))
+            block += into_curve @ (gauge.rates[i][component] @ steps)
+        rows.append(block)
+        into += [f"{name}[{k}]" for k in range(len(block))]
     for name in (*new.squareness, *new.location):
-        row = np.zeros(len(names))
-        if name in moved:
-            row += steps[6 * gauge.gaps + moved[name]]
+        row = np.zeros((1, len(names)))
+        if name in gauge.names:
+            row += steps[6 * gauge.gaps + gauge.names.index(name)]
         if name in column:
-            row[column[name]] += 1.0
-        rows.append(row[None])
+            row[0, column[name]] += 1.0
+        rows.append(row)
         into.append(name)
-    untouched = [name for name in new.curves if f"{name}[0]" not in into]
-    for name in untouched:
-        for k in range(len(new.curves[name].coefficients)):
-            row = np.zeros((1, len(names)))
-            row[0, column[f"{name}[{k}]"]] = 1.0
-            rows.append(row)
-            into.append(f"{name}[{k}]")
     return Converted(
         new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names)
     )
+
+
+def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.ndarray:
+    """(conditions + constants, parameters) first derivative of the amounts by the parameters, one column each."""
+    conditions = len(gauge.conditions)
+    found = np.zeros((conditions + len(gauge.names), len(column)))
+    for i, link in enumerate(gauge.links):
+        for c, letter in enumerate(DIRECTIONS):
+            curve = numbers.curves.get(f"E_{letter}{link.axis.name}")
+            if curve is not None:
+                count, start = len(curve.coefficients), column[f"{curve.name}[0]"]
+                values = functions(basis_of(curve.basis), curve.domain, link, count)
+                found[:conditions, start : start + count] = gauge.weights[i][:, c] @ values
+    for k, name in enumerate(gauge.names):
+        if name in column:
+            found[conditions + k, column[name]] = 1.0
+    return found
+
+
+def _kept(old: Numbers, new: Numbers, name: str, link: Link | None) -> np.ndarray | None:
+    """(new, old) the old coefficients of a curve as new ones; None where there was no curve."""
+    was, curve = old.curves.get(name), new.curves[name]
+    if was is None:
+        return None
+    basis, size, count = basis_of(curve.basis), len(was.coefficients), len(curve.coefficients)
+    if was.domain == curve.domain or link is None:
+        return conversion_of(name, basis, basis, size, count)
+    return fit(basis, curve.domain, link, count) @ functions(basis, was.domain, link, size)
 
 
 @final
@@ -393,12 +329,15 @@ class _Gauge:
     ) -> np.ndarray:
         """(6, n) the curves of a link after a step: constants ``before`` and ``after``, motions inserted at the gaps."""
         link = self.links[i]
-        shapes: Callable[[np.ndarray], np.ndarray] = lambda amounts: sum(  # noqa: E731
-            (amount * link.shape(name) for name, amount in zip(self.names, amounts, strict=True)
-             if split_name(name)[2] == link.axis.name),
-            start=np.zeros_like(values),
-        )  # fmt: skip
-        was, shall = shapes(before), shapes(after)
+        was, shall = self._acting(link, before), self._acting(link, after)
         if link.axis.linear:
             return link.moved(values + was, np.zeros(6), np.zeros(6), inserted) - shall
         return link.moved(values, was[:, 0], shall[:, 0], inserted)
+
+    def _acting(self, link: Link, constants: np.ndarray) -> np.ndarray:
+        """(6, n) what squareness and locations do to a link's error frame, µm and µrad."""
+        total = np.zeros((6, len(link.nodes)))
+        for name, amount in zip(self.names, constants, strict=True):
+            if split_name(name)[2] == link.axis.name:
+                total += amount * link.shape(name)
+        return total
