@@ -26,6 +26,7 @@ from twin.iso16907 import Scope
 from twin.machine import Machine
 from twin.measurement import load
 from twin.options import tables_on
+from twin.samples.dmu50_calibration import as_drawn
 
 LENGTH = 120.0
 SECOND_ORDER_UM = 0.05
@@ -58,6 +59,14 @@ def driven(folder: Path, commands: np.ndarray) -> np.ndarray:
             nominal, actual, _ = np.loadtxt(folder / f"{axis}.comp").T
             moved[:, i] += np.interp(commands[:, i], nominal, nominal - actual)
     return moved
+
+
+@pytest.fixture(scope="module")
+def calibration(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """The errors as they were drawn: with the constants of the positioning errors, which tables of the axes take out."""
+    path = tmp_path_factory.mktemp("drawn") / "drawn.yaml"
+    as_drawn(dmu50).save(path)
+    return Calibration.load(path, dmu50)
 
 
 @pytest.fixture

@@ -16,8 +16,10 @@ datum, `datum:` in the file.
 The entry is checked when the file is read; a file whose numbers contradict it is refused. A file without it gets the datum that its
 numbers fulfil.
 
-    twin info -c mine.yaml                                    says which datum the calibration is in
-    twin info -c mine.yaml --datum 'mean lines' -o lines.yaml     writes the same machine in that datum
+`twin info` says which datum a calibration is in, and writes the same machine in another one:
+
+    twin info --calibration mine.yaml
+    twin info --calibration mine.yaml --datum 'mean lines' --output lines.yaml
 
 A conversion keeps the pose of the tool in the work frame: the two calibrations agree to 1 nm and 1 nrad at every position. A covariance
 is carried along. Effects under `effects:` keep their numbers; where they are present, the agreement is up to the effect times the
