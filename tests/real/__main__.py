@@ -156,7 +156,7 @@ class SetUpFit:
 
     @staticmethod
     def _nearest_turn(points: np.ndarray, read: np.ndarray) -> np.ndarray:
-        """Return the rotation vector that turns points about their mean nearest to the readings (Kabsch 1976); a missing one is zero."""
+        """Return the rotation vector that turns points nearest to the readings, both about their means (Kabsch 1976)."""
         seen = np.where(np.isfinite(read), read, 0.0)
         u, _, v = np.linalg.svd((seen - seen.mean(axis=0)).T @ (points - points.mean(axis=0)))
         return np.asarray(Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v).as_rotvec())

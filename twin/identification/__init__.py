@@ -24,16 +24,32 @@ are analytic, no covariance is scaled by chi². The datum is the machine's own: 
 - What a shift or tilt of all that a rotary axis carries would do (first harmonics of E_X with E_Y, and of E_A with E_B, that
   turn with it) is no error motion.
 
-How many functions a curve gets is chosen curve by curve, by the error on a round and positions held out together; part of a
-turn may have powers or harmonics, whichever predicts better. A low order is no claim of zero: what may lie beyond it is
-estimated from how the curve's own coefficients fall, and the intervals allow for it. A few wrong points do not pull: robust
-weights find them, a false alarm comes in one data set of a hundred, and the final estimate is least squares without them.
-`--uncertainty` says whose scatter the intervals carry: the readings' stated one, that of their `repeats`, or the one `'between
-poses'`, for data in which the model leaves something out. `--only` takes all errors it does not name as zero.
+How many functions of a curve the readings support is chosen curve by curve, by the error on a round and positions held out together;
+part of a turn may have powers or harmonics, whichever predicts better. The estimate takes no function as zero and none as free: each
+has a prior whose size and fall are integrated over (`twin.identification.priors`). So a curve within the noise has an interval that
+allows for what it may still hold, and a low order is no claim of zero.
 
-**Not identifiable** means that these data look the same with and without it, however large it is. It is left out, not set to
-zero with a small uncertainty. Most often: reflectors of unknown place move with the table, so where B and C lie in X and Y
-needs their places (`place_x_mm …`) or a reference on the machine.
+**Outliers.** A few wrong points do not pull: robust weights find them, a false alarm comes in one data set of a hundred, and the
+final estimate is least squares without them. A point is compared with the points of its target from its station. Where most of
+these miss by more than the instrument's noise, the model is what is wrong: they stay in, and only what stands out of them is set
+aside. The RMS over all rows stands beside that over the rows used.
+
+`--uncertainty` says which scatter the intervals carry: the stated uncertainty of the readings, that of their `repeats`, or the scatter
+`'between poses'` or `'between rounds'`, for data in which the model leaves something out. `--only` takes all errors it does not name
+as zero.
+
+**The file is the fit.** The calibration is written, read back and evaluated on the rows; the residuals of the report are those of
+the file. Where the model leaves something out, an error that the readings hardly show would be fitted to the misfit. It has a weak
+prior instead: a standard deviation of 1000 µm or µrad, or what the machine file says:
+
+    plausible:
+      motion: {um: 200, urad: 200}
+      location: {um: 5000, urad: 5000}      # and squareness
+
+**Not identifiable** means that these data look the same with and without an error, however large it is. Where only stations and
+targets can take its place, it is left out. Where it can be exchanged for other errors, all of them stay in the calibration, held by
+their priors: their sum is known, and the covariance says that each by itself is not. Most often reflectors of unknown place move with
+the table, so where B and C lie in X and Y needs their places (`place_x_mm …`) or a reference on the machine.
 
 **Uncertainty at the tool.** U is the radius within which 95 % of a normal error of the point lies: not twice a standard
 deviation, which in space covers less. `twin info -c mine.yaml` gives each error's peak with its standard uncertainty, and U

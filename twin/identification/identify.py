@@ -18,7 +18,7 @@ from twin.identification.inputs import prepared
 from twin.identification.network import Network
 from twin.identification.orders import Choice, Folds, choose
 from twin.identification.outliers import Judged, explained, judged, model_is_wrong
-from twin.identification.remainder import remainder_precision
+from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, Unidentified, residuals_of
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution, solve
@@ -115,7 +115,8 @@ def _identify(
             best = other
     say("estimating", 0.75)
     final = network(best.unknowns)
-    precision = remainder_precision(best.unknowns, best.solution, best.choice)
+    readings = int(np.count_nonzero(final.read[best.weight > 0.0]))
+    precision = prior_precision(best.unknowns, best.solution, readings)
     solution, rows = _without_outliers(final, best.solution, best.weight, precision)
     say("uncertainty", 0.9)
     return _result(final, solution, rows, best, spread, wanted)

@@ -185,7 +185,7 @@ def solve(
         theta: machine's unknowns to start from, µm and µrad.
         setup: stations and targets to start from.
         weight: (n,) of each point.
-        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.remainder`); none
+        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.priors`); none
             if None.
         noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.

@@ -2,7 +2,7 @@
 
 The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, locations, stations,
 targets. What is known beforehand is how large such things are: a curve's functions fall off as those of the calibration in hand do
-(`twin.identification.remainder`), constants, stations and targets are as far off as is plausible. Linear in the errors, about
+(`twin.identification.priors`), constants, stations and targets are as far off as is plausible. Linear in the errors, about
 those expected.
 """
 
@@ -20,7 +20,7 @@ from twin.calibration import Calibration
 from twin.curves import FOURIER, POWER, Basis
 from twin.effects import split_name
 from twin.identification.network import PIECE, Network
-from twin.identification.remainder import FALL
+from twin.identification.priors import FALL
 from twin.identification.setup import SetUp
 from twin.identification.solve import free_directions
 from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, spaces_for
@@ -184,7 +184,7 @@ class Model:
 def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
     """(count − first,) how large each orthonormal function of a curve may be, µm or µrad.
 
-    As an estimate will have it (`twin.identification.remainder`): nothing holds the functions the expected curve has; those beyond
+    As an estimate will have it (`twin.identification.priors`): nothing holds the functions the expected curve has; those beyond
     fall by `FALL` a function, from the size that those it has show together.
     """
     count = space.count - space.first
