@@ -23,7 +23,7 @@ from twin.identification.result import Identification, Unidentified, residuals_o
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
-from twin.identification.unknowns import Column, CurveSpace, Unknowns, axes_told, offset_name, spaces_for
+from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, offset_unseen, spaces_for
 from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements
@@ -96,9 +96,9 @@ def _identify(
         whole = network(every)
         # What the data cannot tell of the machine as drawn goes first, so that it does not compete.
         drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
-        fixed = _offsets_seen(every, drawn)
-        if len(fixed) < len(every.offsets):
-            every = Unknowns(machine, spaces, constants, every.told, fixed)
+        while (unseen := offset_unseen(every, drawn.spectrum.unseen)) is not None:
+            left = [name for name in every.offsets if name != unseen]
+            every = Unknowns(machine, spaces, constants, every.told, left)
             whole = network(every)
             drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
         seen, lost, together = _seen(every, drawn)
@@ -183,12 +183,6 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
     weight = (~found.bad).astype(float)
     moved = solution.moved
     return solve(network, solution.theta, solution.setup, weight, noise=found.noise, moved=moved), weight
-
-
-def _offsets_seen(unknowns: Unknowns, solution: Solution) -> list[str]:
-    """The curves whose constant these data determine; the others' belongs to stations and locations."""
-    unseen = solution.spectrum.unseen
-    return [name for name in unknowns.offsets if unseen[unknowns.index[Column(offset_name(name), 0)]] <= UNSEEN]
 
 
 def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], list[str]]:

@@ -304,8 +304,8 @@ class Identification:
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE)}"]
         lines += [
-            "  The degree is what held-out data support; 0: nothing beyond the noise. Higher degrees are not taken as zero: the intervals",
-            "  allow for them.",
+            "  The degree is what held-out data support; 0: nothing beyond the noise. Higher degrees are not taken as zero:",
+            "  the intervals allow for them.",
             f"  {MEANING[self.calibration.datum]}",
         ]
         if self.unidentified:

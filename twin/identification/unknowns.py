@@ -24,6 +24,7 @@ from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.curves import Basis, of_legendre
 from twin.datum.conditions import along, turning_patterns
+from twin.determinability import UNSEEN
 from twin.effects import AxisLocation, Squareness, split_name, unit_of
 from twin.effects.base import Effect
 from twin.machine import Axis, Machine
@@ -342,6 +343,20 @@ def _rule() -> tuple[np.ndarray, np.ndarray]:
 def offset_name(name: str) -> str:
     """The unknown that is the constant of a curve."""
     return f"{name} constant"
+
+
+def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
+    """The curve whose constant the data determine least, if they do not: it belongs to stations, locations or another constant.
+
+    One at a time: of two that only show together, one may stay.
+
+    Args:
+        unknowns: the machine's.
+        unseen: (columns and more,) share of each unknown's plausible variance that is left (`Spectrum.unseen`).
+    """
+    of = {name: float(unseen[unknowns.index[Column(offset_name(name), 0)]]) for name in unknowns.offsets}
+    worst = max(of, key=lambda name: round(of[name], 6), default=None)
+    return worst if worst is not None and of[worst] > UNSEEN else None
 
 
 def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from twin.calibration import Calibration
 from twin.determinability import UNSEEN, Determinability, Observability, determinability, observability
 from twin.effects import split_name, unit_of
 from twin.identification.solve import named
-from twin.identification.unknowns import offset_name
+from twin.identification.unknowns import offset_unseen
 from twin.instruments import Instrument
 from twin.kinematics import Kinematics
 from twin.machine import Machine
@@ -231,13 +231,14 @@ def informed(
     """
     model = Model.of(machine, plan, setting, instrument, expected, known)
     rows = model.rows(plan, instrument)
-    if not model.unknowns.offsets:
-        return model, rows
-    told = told_by(model, rows)
-    unseen = dict(zip(told.names, told.unseen, strict=True))
-    seen = [name for name in model.unknowns.offsets if unseen[offset_name(name)] <= UNSEEN]
-    model = Model.of(machine, plan, setting, instrument, expected, known, seen)
-    return model, model.rows(plan, instrument)
+    while model.unknowns.offsets:
+        unseen = offset_unseen(model.unknowns, told_by(model, rows).unseen)
+        if unseen is None:
+            break
+        left = [name for name in model.unknowns.offsets if name != unseen]
+        model = Model.of(machine, plan, setting, instrument, expected, known, left)
+        rows = model.rows(plan, instrument)
+    return model, rows
 
 
 def of_rows(model: Model, rows: np.ndarray, tool_length_mm: float | None = None) -> Forecast:
