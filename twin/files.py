@@ -3,7 +3,8 @@
 **Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
 `unlimited`), least increment and, where the joint's own frame will not do, `error_frame_rpy_deg`; `frames` names the tool and
 work links and the axis coordinates at which the URDF's linear joints are zero; `programs` the words that switch the control's
-kinematics (`tcp_on`, `tcp_off`) and a default tool length.
+kinematics (`tcp_on`, `tcp_off`) and a default tool length. `plausible` (optional) says how large errors can be before anything is
+measured, one standard deviation: `{motion: {um: 200, urad: 200}, location: {um: 5000, urad: 5000}}`; 1000 µm and µrad if it does not.
 
 **Calibration** (`schema: twin.calibration/1`): see `urdf/dmu50.calibration.yaml`.
 
@@ -47,7 +48,7 @@ the tool axis in µrad and its tilt about x and y of the tool (fused-like angles
 with `--strict`), `not_corrected` (one entry a reason: `kind`, `blocks`, all `lines` of the input, those the exit status counts
 as `missed`, the `worst`) and `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
 twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles),
-`verdict` (a sentence), `not_identifiable`, `stations`, `targets`, `misfit`, `orders`, `set_aside`, `notices`.
+`verdict` (a sentence), `not_identifiable` (with the `prior` of what is in the calibration all the same), `stations`, `targets`, `misfit`, `orders`, `set_aside`, `notices`.
 
 **Another machine.** A URDF and a machine file, nothing else: `twin compensate part.nc -o out.nc --machine mine.yaml`.
 `urdf/trunnion_ac.*` (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) are there to
