@@ -57,7 +57,8 @@ def machine() -> Machine:
 @cache
 def read() -> Measurements:
     """What stands in the table without noise; neither places nor stations are given."""
-    return read_by_truth(as_the_thesis(machine()), TruthMachine(ROOT / "urdf" / "dmu50.calibration.yaml"))
+    plan = replace(as_the_thesis(machine()), approach=thesis_plan.plan(machine()).approach)
+    return read_by_truth(plan, TruthMachine(ROOT / "urdf" / "dmu50.calibration.yaml"))
 
 
 def measured(seed: int) -> Measurements:

@@ -48,7 +48,8 @@ the tool axis in µrad and its tilt about x and y of the tool (fused-like angles
 with `--strict`), `not_corrected` (one entry a reason: `kind`, `blocks`, all `lines` of the input, those the exit status counts
 as `missed`, the `worst`) and `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
 twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles),
-`verdict` (a sentence), `not_identifiable` (with the `prior` of what is in the calibration all the same), `stations`, `targets`, `misfit`, `orders`, `set_aside`, `notices`.
+`verdict` (a sentence), `not_identifiable` (with the `prior` of what is in the calibration all the same), `stations`, `targets`,
+`misfit`, `orders`, `set_aside`, `notices`.
 
 **Another machine.** A URDF and a machine file, nothing else: `twin compensate part.nc -o out.nc --machine mine.yaml`.
 `urdf/trunnion_ac.*` (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) are there to

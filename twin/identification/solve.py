@@ -41,7 +41,10 @@ fro: from here on the last few say how."""
 MEMORY: Final = 4
 WORSE: Final = 1e-6
 """Share by which the sum of squares may grow in a step: rounding."""
-HALVINGS: Final = 6
+HALVINGS: Final = 10
+FIRM_STEP: Final = 30.0
+"""Strength up to which priors of the machine's unknowns move no station or target: they would move it far for little, as no prior of
+its own holds it, and the covariance has this strength all the same."""
 NEAR: Final = 5e-3
 """Share of its plausible size that a station or target is held within where the model leaves something out: they were fitted to the
 machine as drawn. Else one plane of points, or a place that no rotation shows, would move by decimetres to make an error smaller."""
@@ -220,7 +223,7 @@ def solve(
         left, spectrum = _decomposed(np.concatenate([found[:, :-1], root]), near, free, noise)
         if taken < steps:
             along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ here.theta])
-            step, change = _newton(spectrum, along, off, noise)
+            step, change = _newton(spectrum, along, off, noise, FIRM_STEP if precision is not None else WEAKEST)
             converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
             wanted.append(step)
             if taken >= PLAIN and not converged:
@@ -281,7 +284,9 @@ def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
     return np.ones_like(strength) if noise > 1.0 else (strength <= WEAKEST).astype(float)
 
 
-def _newton(spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
+def _newton(
+    spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float, weakest: float
+) -> tuple[np.ndarray, float]:
     """The step to the least sum of squares of readings and prior, and how much it changes them, root of the sum of squares.
 
     Args:
@@ -289,13 +294,16 @@ def _newton(spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float
         along: (d,) residuals along the directions that have a say, strongest first.
         off: (p,) how far every unknown is from its prior place, plausible units.
         noise: see `solve`.
+        weakest: strength up to which a direction stays where it is, if the model fits.
     """
     basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
     values = spectrum.values
     prior = noise**2 * _with_prior(values, noise)
-    # Where the model fits, what no reading shows stays where it is: derivatives across a plane of points do not hold for long.
     right = -prior * (basis.T @ off) if noise > 1.0 else np.zeros(len(values))
     right[: len(along)] += values[: len(along)] * along
+    if noise <= 1.0:
+        # What the readings hardly show stays where it is: derivatives across a plane of points do not hold for long.
+        right[values <= weakest] = 0.0
     stiffness = values**2 + prior
     coefficients = right / stiffness
     return basis @ coefficients, float(np.linalg.norm(np.sqrt(stiffness) * coefficients))
