@@ -138,16 +138,16 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
     first, second = (robot.data.select(rows) for rows in halves(robot))
     assert unseen_mm(robot.as_given, first, second) > 7.0
     given = geometric(robot.as_given, first)
-    # Both are the least-squares answer; what is left is the datum, and the last axis's shift or tilt, of which the data see the sum
-    # only: laid at one door or the other, 4 mm make a third of a micrometre at second order.
-    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=1e-3)
+    # Both are nearly the least-squares answer: where the model leaves 0.25 mm a coordinate, priors of errors and set-up pull what is
+    # centimetres off by micrometres.
+    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=5e-3)
     difference = {name: value - found.calibration.location[name] for name, value in given.calibration.location.items()}
     # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis).
     # A millirad of tilt between drawing and axis turns 10 mm by 10 µm.
     links = {"E_X0J3": 700.0, "E_X0J4": -750.0, "E_Y0J5": -10_209.0}
     for name, expected in links.items():
         assert difference[name] == pytest.approx(expected, abs=10.0)
-    for name in set(difference) - set(links):
+    for name in set(difference) - set(links) - set(found.held_by_prior):
         assert abs(difference[name]) < 20.0
 
 
@@ -158,7 +158,7 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
     one, the poses give intervals three times too narrow; the uncertainty of a reading alone, eight times narrower still.
     """
     # The last axis's shift beside them, its tilt taken as zero: together they would not be told.
-    names = (*found.calibration.location, "E_X0J6", "E_Y0J6")
+    names = tuple(name for name in found.calibration.location if name not in ("E_A0J6", "E_B0J6"))
     unknowns, count = Unknowns(robot.machine, (), names), len(names)
     _, settled = fitted(robot.machine, robot.data.select(halves(robot)[0]), unknowns)
     start = settled.theta
