@@ -32,6 +32,10 @@ from twin.units import MM
 MOST: Final = 13
 """Functions of a curve at most: degree 12, six harmonics."""
 ROBUST_ROUNDS: Final = 8
+FAR: Final = 100.0
+"""Whitened residuals of the machine as drawn beyond which it is not tried whether the model fits: no machine tool before a tracker."""
+TRIED: Final = 8
+"""Steps of that trial."""
 TOUCHED: Final = 1e-3
 """Share of an error's plausible variance that a silent direction must carry to count."""
 Say = Callable[[str, float], None]
@@ -153,8 +157,8 @@ def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool
 def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solution, np.ndarray]:
     """An estimate that a few wrong points do not pull, and (n,) the weights it ended with.
 
-    It begins with the misfit of the machine as drawn as its noise, so that what the readings say most of is fitted first, and goes on
-    with what each estimate leaves.
+    If the model does not fit, it begins with the misfit of the machine as drawn as its noise, so that what the readings say most of is
+    fitted first, and goes on with what each estimate leaves.
 
     Args:
         network: data and model.
@@ -162,12 +166,19 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
         triangle: factor of [J | r] there.
     """
     weight = np.ones(len(network.data))
-    found = judged(network, network.residual(np.zeros(len(network.unknowns)), setup))
-    solution = solve(network, np.zeros(len(network.unknowns)), setup, weight, noise=found.noise, triangle=triangle)
+    nothing = np.zeros(len(network.unknowns))
+    drawn = judged(network, network.residual(nothing, setup)).noise
+    solution = None
+    if drawn <= FAR:
+        solution = solve(network, nothing, setup, weight, steps=TRIED, triangle=triangle)
+        if judged(network, network.residual(solution.theta, solution.setup)).noise > 1.0:
+            solution = None
+    if solution is None:
+        solution = solve(network, nothing, setup, weight, noise=drawn, triangle=triangle)
     for _ in range(ROBUST_ROUNDS):
         found = judged(network, network.residual(solution.theta, solution.setup))
         fits = found.noise >= 0.9 * solution.noise
-        if not np.any(found.bad) and np.all(weight == 1.0) and fits:
+        if not np.any(found.bad) and np.all(weight == 1.0) and fits and solution.converged:
             return solution, weight
         fresh = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
         still = float(np.abs(fresh - weight).max()) < 0.01 and fits
