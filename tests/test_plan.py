@@ -126,11 +126,11 @@ def test_at_its_full_length_it_does_so_when_carried_out(dmu50: Machine, calibrat
     thesis = Carried(dmu50, whole, theirs, calibration, range(1, 5))
     assert made.forecast.tool_um < 0.6 * theirs.tool_um
     assert ours.stated < 0.6 * thesis.stated and ours.achieved < 0.6 * thesis.achieved
-    for done, low in ((ours, 0.6), (thesis, 0.3)):
+    for done, low in ((ours, 0.4), (thesis, 0.25)):
         assert [{one.name for one in done.told.hidden}] * 4 == done.unidentified
         for name, ratio in done.ratio.items():
-            # An identification gives a curve the functions that pay in its own draw of the scatter, the forecast all nine of the truth:
-            # with four of nine √(4/9) is stated, of the thesis's B and C, hardly read, with one or two 1/3. Hardly ever more.
+            # An identification holds a curve's functions by priors of the size it finds, the forecast leaves all nine of the truth
+            # free: where two of nine stand out of the noise √(2/9) is stated, of the thesis's B and C, hardly read, 1/3. Hardly more.
             assert low < np.median(ratio) < 1.25, (name, ratio)
     # 300 poses share some 100 numbers known worst: four draws scatter by 15 %.
     assert 0.6 < ours.achieved / made.forecast.tool_um < 1.3
