@@ -167,16 +167,14 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
     """
     weight = np.ones(len(network.data))
     nothing = np.zeros(len(network.unknowns))
-    drawn = judged(network, network.residual(nothing, setup)).noise
-    solution = None
-    if drawn <= FAR:
+    drawn = judged(network, network.residual(nothing, setup))
+    if drawn.noise <= FAR:
         solution = solve(network, nothing, setup, weight, steps=TRIED, triangle=triangle)
-        if judged(network, network.residual(solution.theta, solution.setup)).noise > 1.0:
-            solution = None
-    if solution is None:
-        solution = solve(network, nothing, setup, weight, noise=drawn, triangle=triangle)
-    for _ in range(ROBUST_ROUNDS):
         found = judged(network, network.residual(solution.theta, solution.setup))
+    if drawn.noise > FAR or found.noise > 1.0:
+        solution = solve(network, nothing, setup, weight, noise=drawn.noise, triangle=triangle)
+        found = judged(network, network.residual(solution.theta, solution.setup))
+    for _ in range(ROBUST_ROUNDS):
         fits = found.noise >= 0.9 * solution.noise
         if not np.any(found.bad) and np.all(weight == 1.0) and fits and solution.converged:
             return solution, weight
@@ -190,7 +188,7 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray) -> tuple[Solut
         if pulled:
             # From where a prior held it, one step more than to a still one: readings without noise give the errors to the last digits.
             solution = solve(network, solution.theta, solution.setup, weight, moved=solution.moved, steps=1)
-    found = judged(network, network.residual(solution.theta, solution.setup))
+        found = judged(network, network.residual(solution.theta, solution.setup))
     weight = (~found.bad).astype(float)
     moved = solution.moved
     return solve(network, solution.theta, solution.setup, weight, noise=found.noise, moved=moved), weight

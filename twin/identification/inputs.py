@@ -27,8 +27,6 @@ HARDLY_MOVES: Final = 1e-5
 """m: motion from which a reading that never changes is worth a notice."""
 LENGTH_CHANGES: Final = 0.01
 """Share of the motion that a column must change by before it is taken for a length unasked: seen square to the beam, anything fits."""
-
-
 FARTHEST: Final = 50.0
 """m: distance beyond which no interferometer follows a machine; what would come from there is a coordinate."""
 

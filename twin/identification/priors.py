@@ -23,8 +23,6 @@ from twin.arrays import locked
 from twin.identification.solve import Solution, free_directions
 from twin.identification.unknowns import Unknowns
 
-FALL: Final = 0.7
-"""Ratio of variances from one orthonormal function to the next where one number must do: gentler than a smooth curve's."""
 FALLS: Final = locked(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
 """Ratios that are weighed: from a line with little beside it to a curve as rough as its highest function."""
 SIZES: Final = locked(np.geomspace(1e-5, 0.3, 24))

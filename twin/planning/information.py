@@ -20,7 +20,6 @@ from twin.calibration import Calibration
 from twin.curves import FOURIER, POWER, Basis
 from twin.effects import split_name
 from twin.identification.network import PIECE, Network
-from twin.identification.priors import FALL
 from twin.identification.setup import SetUp
 from twin.identification.solve import free_directions
 from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, spaces_for
@@ -33,6 +32,8 @@ from twin.simulate import Setting, simulate
 from twin.spatial import rotation_exp
 from twin.units import MM
 
+FALL: Final = 0.7
+"""Ratio of variances from one orthonormal function of a curve to the next: gentler than a smooth curve's."""
 MOST: Final = 13
 """Functions of a curve, as of `identify`."""
 EXPECTED_UM: Final = 5.0
