@@ -34,9 +34,8 @@ from twin.diagnosis.estimate import estimate
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.search import Selection
+from twin.diagnosis.structure import Findings
 from twin.diagnosis.signatures import of_unit
-from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.effects import PitchError, ThermalDrift
 from twin.errors import InputError
 from twin.instruments import LaserTracker
@@ -138,7 +137,7 @@ def measured(
         if kind == "tracker"
         else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
     )
-    return problem, Searcher(problem, known, scatter.dof), problem.network.whitening @ np.linalg.cholesky(true)
+    return problem, Searcher(problem, known, scatter), problem.network.whitening @ np.linalg.cholesky(true)
 
 
 def _doubted(calibration: Calibration) -> Calibration:
@@ -329,35 +328,34 @@ def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
         problem.judge(draw.residual)
         began = time.process_time()
         searcher.pool.judge(problem)
-        pool, best = searcher.run()
+        best = searcher.run()
         seconds = time.process_time() - began
-        found.append(_answer(problem, pool, best, draw.truth, draw.columns, by_itself, seconds))
+        found.append(_answer(best, draw.truth, draw.columns, by_itself, seconds))
     return found
 
 
 def _answer(
-    problem: Problem,
-    pool: Pool,
-    best: Selection,
+    found: Findings,
     truth: Sequence[Truth],
     columns: tuple[str, ...],
     alone: bool,
     seconds: float,
 ) -> Answer:
-    named = [form for form in best.forms if form.candidate.effect != EFFECT]
-    unnamed = [form for form in best.forms if form.candidate.effect == EFFECT]
+    pool = found.beside
+    named = [pool.forms[form.index] for form in found.structure.forms]
     groups = []
     for form in named:
-        others = [one for one in best.forms if one is not form]
+        others = [one for one in named if one is not form]
         explained, dof = (float(values[form.index]) for values in pool.scan(others))
         groups.append(_equivalent(pool, form, others, explained - pool.cost(form, dof)))
-    pulls = _pulls(problem, named, unnamed, truth)
+    unnamed = tuple(name for trace in found.structure.traces for name in trace.pattern.names)
+    pulls = () if unnamed else _pulls(found.problem, found.structure.forms, truth)
     return Answer(
         truth=tuple(one[0] for one in truth),
         columns=columns,
         named=tuple(form.key for form in named),
         equivalent=tuple(groups),
-        unnamed=tuple(name for form in unnamed for name in depends_on(form.candidate)[1]),
+        unnamed=unnamed,
         alone=alone if len(truth) == 1 else not any(groups),
         covered=tuple(bool(abs(pull) < stats.norm.isf(0.025)) for _, pull in pulls),
         pulls=pulls,
@@ -381,11 +379,10 @@ def alone(problem: Problem, pool: Pool, key: Key, signature: np.ndarray) -> bool
 def _pulls(
     problem: Problem,
     named: Sequence[Form],
-    unnamed: Sequence[Form],
     truth: Sequence[Truth],
 ) -> tuple[tuple[str, float], ...]:
     """(value − truth)/u of every parameter of the causes that are right, where all are."""
-    if unnamed or {form.key for form in named} != {one[0] for one in truth} or not named:
+    if {form.key for form in named} != {one[0] for one in truth} or not named:
         return ()
     estimated = estimate(problem, named)
     found: list[tuple[str, float]] = []

@@ -53,3 +53,8 @@ def normal_sf(value: Any) -> Any:
 def normal_isf(chance: Any) -> Any:
     """The value that is exceeded with a chance."""
     return -special.ndtri(chance)
+
+
+def student_isf(chance: Any, dof: Any) -> Any:
+    """The value that a Student t of ``dof`` degrees of freedom exceeds with a chance."""
+    return -special.stdtrit(dof, chance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -57,6 +57,24 @@ LOOKED_AT: Final = 500
 """Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
 TIME_CONSTANTS: Final = 36
+POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
+    ("reversal", "um"): 1000.0,
+    ("reversal", "urad"): 5000.0,
+    ("pitch_error", "um"): 500.0,
+    ("squareness", "urad"): 10_000.0,
+    ("axis_location", "um"): 20_000.0,
+    ("axis_location", "urad"): 20_000.0,
+    ("zero_offset", "um"): 20_000.0,
+    ("zero_offset", "urad"): 50_000.0,
+    ("thermal_expansion", "um/(m.K)"): 100.0,
+    ("thermal_growth", "um/K"): 500.0,
+    ("table_load", "urad"): 2000.0,
+    # A stiffness of 5 kN·m/rad is that of a small robot's wrist gear, 1 N/µm that of a weak slide.
+    ("gravity_compliance", "urad/(N.m)"): 200.0,
+    ("gravity_compliance", "um/N"): 1.0,
+    ("refraction_scale", "ppm"): 300.0,
+}
+"""Effect and unit → magnitude beyond which no machine or instrument has it."""
 AT_HAND: Final = 64
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
@@ -89,6 +107,7 @@ class Candidate:
         cells: the forms it can take.
         tests: how many independent ones that is, for the price of the search.
         space: the functions a curve's columns are, if it is one.
+        largest: magnitude its linear parameters can have on a real machine, in their unit.
         build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
     """
 
@@ -100,6 +119,7 @@ class Candidate:
     tests: float
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
     space: CurveSpace | None = None
+    largest: float = np.inf
 
     @property
     def key(self) -> tuple[str, str]:
@@ -169,7 +189,13 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
     found += _base_side(machine, state, missing)
     found += _loads(machine, state)
     found += _instrument(machine, data, state, missing)
-    return Catalogue(tuple(found), tuple(missing))
+    return Catalogue(tuple(_bounded(candidate) for candidate in found), tuple(missing))
+
+
+def _bounded(candidate: Candidate) -> Candidate:
+    units = [unit for _, unit in candidate.names[:1]]
+    largest = [POSSIBLE.get((candidate.effect, unit), np.inf) for unit in units]
+    return replace(candidate, largest=min(candidate.largest, *largest)) if largest else candidate
 
 
 def _single(
@@ -463,7 +489,8 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
             missing.append(("thermal_drift", direction, "time_s"))
             continue
         span = max(float(np.ptp(state["time_s"])), 1.0)
-        constants = np.geomspace(span / 40.0, span * 3.0, TIME_CONSTANTS).tolist()
+        # Longer than the measurement none can be told from a straight line.
+        constants = np.geomspace(span / 40.0, span, TIME_CONSTANTS).tolist()
         units = of_units([ThermalDrift(frame, direction, vector, 1.0, tau) for tau in constants], machine, state)
         cells = tuple(Cell((unit,), {"time_constant": tau}) for tau, unit in zip(constants, units, strict=True))
 

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.calibration import Calibration
 from twin.diagnosis.account import account
-from twin.diagnosis.catalogue import Candidate, Catalogue, Cell
+from twin.diagnosis.catalogue import Catalogue, Cell
 from twin.diagnosis.estimate import estimate
-from twin.diagnosis.folds import folds
+from twin.diagnosis.folds import parts
 from twin.diagnosis.noise import Scatter
+from twin.diagnosis.patterns import patterns
 from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
-from twin.diagnosis.surrogates import EFFECT, surrogates
+from twin.diagnosis.structure import Findings, settled
 from twin.effects import PitchError, ThermalDrift
 from twin.identification.outliers import outliers
 from twin.instruments import Instrument
 from twin.machine import Machine
 from twin.measurement import Measurements, state_of
 
-UNNAMED: Final = 3.0
-"""Natural log of how much more an unnamed pattern must show than a named cause."""
 WITNESSES: Final = 3
 """Rows set aside below which no cause can be read off them."""
 CLEAR: Final = 3
@@ -75,35 +73,14 @@ def diagnose(
         tell("searching", 0.2)
         found = search(placed)
         tell("weighing", 0.7)
-        return account(found.problem, found.known, found.pool, found.best, found.scatter, errors)
+        return account(found, errors)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Search:
-    """What was asked of the data and what they answered.
-
-    Attributes:
-        problem: the rows that count.
-        known: the causes that were tried.
-        scatter: of the readings.
-        pool: what was compared.
-        best: the set that was chosen.
-    """
-
-    problem: Problem
-    known: Catalogue
-    scatter: Scatter
-    pool: Pool
-    best: Selection
-
-
-def search(placed: Readings) -> Search:
+def search(placed: Readings) -> Findings:
     """The best set of causes; rows too far off to be chance count where one of the causes is why."""
     bad = _still_bad(placed) if np.count_nonzero(placed.bad) >= WITNESSES else placed.bad
     problem, known, scatter = placed.without(bad)
-    pool, best = Searcher(problem, known, scatter.dof).run()
-    return Search(problem, known, scatter, pool, best)
+    return Searcher(problem, known, scatter).run()
 
 
 def _still_bad(placed: Readings) -> np.ndarray:
@@ -119,7 +96,7 @@ def _still_bad(placed: Readings) -> np.ndarray:
         found[rows] = _still_bad(placed.some(rows))
         return found
     whole, known, scatter = placed.without(np.zeros(len(placed.bad), dtype=bool))
-    pool = Searcher(whole, known, scatter.dof).pool
+    pool = Searcher(whole, known, scatter).pool
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
     for share in TAKEN_BACK:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
@@ -145,26 +122,31 @@ def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np
 
 
 class Searcher:
-    """The catalogue and its unnamed rivals on one data set.
+    """The catalogue and the patterns without a name, on one data set.
 
     Args:
         problem: the data.
         known: the causes to try.
-        dof: degrees of freedom the scatter is known with.
+        scatter: of the readings.
     """
 
-    def __init__(self, problem: Problem, known: Catalogue, dof: float) -> None:
+    def __init__(self, problem: Problem, known: Catalogue, scatter: Scatter) -> None:
         self.problem = problem
         self.known = known
-        network = problem.network
-        unnamed = surrogates(network.machine, network.data)
-        costs = prices(known.candidates)
-        costs[EFFECT] = float(np.log(3 * max(len(unnamed), 1))) + UNNAMED
-        everything: list[Candidate] = [*known.candidates, *unnamed]
-        self.pool = Pool(problem, every(everything, costs), dof, folds(network.data)[1])
+        self.scatter = scatter
+        forms = every(known.candidates, prices(known.candidates))
+        split = parts(problem.network.data, problem.network.machine, ())
+        self.pool = Pool(problem, forms, scatter.dof, None if split is None else split.part)
+        self.patterns = patterns(problem.network.machine, problem.network.data)
 
-    def run(self) -> tuple[Pool, Selection]:
-        """The best set of causes, named and unnamed, and the pool it was chosen from.
+    def run(self) -> Findings:
+        """The best set of causes, and the patterns without a name that stand beside them."""
+        found = settled(self.pool, self._best().forms, self.patterns)
+        beside = self.pool.beside(found.problem) if found.traces else self.pool
+        return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found)
+
+    def _best(self) -> Selection:
+        """Named causes alone.
 
         Between two periods or time constants that were tried, a large cause leaves more than another cause is: what is large is put
         where the data have it, and the search made again.
@@ -174,7 +156,7 @@ class Searcher:
             if not self._refined(best):
                 break
             best = chosen(self.pool)
-        return self.pool, best
+        return best
 
     def _refined(self, best: Selection) -> bool:
         machine, data = self.problem.network.machine, self.problem.network.data

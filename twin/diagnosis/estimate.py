@@ -23,8 +23,25 @@ STEPS: Final = 12
 STILL: Final = 1e-6
 CONSTANTS: Final = 81
 """Time constants a drift's likelihood is taken at."""
+TOGETHER: Final = 64
+HIDDEN: Final = 1e-6
+"""Share of a drift beside other causes below which they hide it."""
 SHARP: Final = 0.15
 """Relative doubt of a time constant below which the likelihood is that of a normal."""
+
+
+@final
+@dataclass(frozen=True)
+class Beside:
+    """Patterns without a name, and what the scatter is beside them.
+
+    Attributes:
+        random: their columns, each with its standard deviation in the column's unit.
+        scatter: times the stated variances.
+    """
+
+    random: Sequence[tuple[Column, float]]
+    scatter: float
 
 
 @final
@@ -50,13 +67,16 @@ class Estimate:
     against: tuple[tuple[float, int, float], ...] = ()
 
 
-def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("inf")) -> Estimate:
+def estimate(
+    problem: Problem, forms: Sequence[Form], scatter: float = float("inf"), beside: Beside | None = None
+) -> Estimate:
     """Gauss-Newton on all parameters of the causes, the set-up projected out.
 
     Args:
         problem: the data.
-        forms: the causes, named or not.
+        forms: the causes.
         scatter: degrees of freedom the scatter is known with.
+        beside: patterns without a name; the causes alone are fitted, and these make them less certain.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
@@ -84,6 +104,7 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
                 unit = [of_unit(drift.changed(1.0, drift.time_constant), machine, state)]
                 scales[k] = np.array([column.scale for column in unit])
                 columns[k], values[k] = problem.signature(unit) / scales[k], np.array([drift.amplitude])
+    longest = float(np.ptp(state["time_s"])) if "time_s" in state else np.inf
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
         for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
@@ -109,7 +130,7 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
             own = step[at : at + block.shape[1]]
             at += block.shape[1]
             if curved[k]:
-                effects[k] = (_with(effects[k][0], current[k] + own),)
+                effects[k] = (_with(effects[k][0], current[k] + own, longest),)
             else:
                 values[k] = values[k] + own
                 if forms[k].candidate.build is not None:
@@ -123,6 +144,8 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
     total = signature.sum(axis=1)
     left = problem.residual - total
     after = float(left @ problem.project(left))
+    if beside is not None:
+        inverse = _with_patterns(problem, whole, inverse, np.concatenate(sizes), beside)
     count = float("inf")
     if more_left(problem, left, whole.shape[1], scatter):
         size = np.concatenate(sizes)
@@ -157,6 +180,20 @@ def estimate(problem: Problem, forms: Sequence[Form], scatter: float = float("in
     return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after, tuple(against))
 
 
+def _with_patterns(
+    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, beside: Beside
+) -> np.ndarray:
+    """Covariance of the least-squares values where scatter and patterns without a name are both in the readings."""
+    scaled = columns * sizes
+    own, _ = pseudo(problem.inner(scaled))
+    gain = np.zeros((len(sizes), len(beside.random)))
+    for start in range(0, len(beside.random), TOGETHER):
+        some = beside.random[start : start + TOGETHER]
+        made = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
+        gain[:, start : start + TOGETHER] = own @ problem.along(scaled, problem.project(made))
+    return inverse * beside.scatter + (gain @ gain.T) * np.outer(sizes, sizes)
+
+
 def _wald(values: np.ndarray, covariance: np.ndarray, count: float) -> tuple[float, int, float]:
     found, vectors = np.linalg.eigh(covariance)
     kept = found > 1e-12 * found[-1]
@@ -187,9 +224,14 @@ def _creep(
     own, beside = slice(0, CONSTANTS), slice(CONSTANTS, None)
     inverse, _ = pseudo(found_of.gram[beside, beside]) if others else (np.zeros((0, 0)), None)
     cross = found_of.gram[beside, own]
-    weight = np.maximum(np.diag(found_of.gram[own, own] - cross.T @ inverse @ cross), 1e-300)
+    whole = np.diag(found_of.gram[own, own])
+    weight = whole - np.einsum("ij,ij->j", cross, inverse @ cross)
+    seen = weight > HIDDEN * whole
+    weight = np.where(seen, weight, np.inf)
     amplitude = (found_of.slope[own] - cross.T @ (inverse @ found_of.slope[beside])) / weight
-    gain = amplitude**2 * weight
+    gain = np.where(seen, amplitude**2 * np.where(seen, weight, 1.0), -np.inf)
+    if not seen.any():
+        return effect, None
     best = int(np.argmax(gain))
     share = np.exp((gain - gain[best]) / 2.0)
     share /= share.sum()
@@ -233,7 +275,7 @@ def _made(problem: Problem, machine: object, state: object, effects: Sequence[Ef
     return found.reshape(-1)
 
 
-def _with(effect: Effect, values: np.ndarray) -> Effect:
+def _with(effect: Effect, values: np.ndarray, longest: float) -> Effect:
     numbers = [float(v) for v in values]
     if isinstance(effect, PitchError):
         amplitude, period, phase = numbers
@@ -242,7 +284,7 @@ def _with(effect: Effect, values: np.ndarray) -> Effect:
         return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
     if isinstance(effect, ThermalDrift):
         tau = max(numbers[1], 0.3 * effect.time_constant)
-        return effect.changed(numbers[0], min(tau, 3.0 * effect.time_constant))
+        return effect.changed(numbers[0], min(tau, 3.0 * effect.time_constant, longest))
     return effect
 
 

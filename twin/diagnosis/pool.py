@@ -83,6 +83,7 @@ class Pool:
         forms: (candidate, cell, price) of each.
         dof: degrees of freedom the scatter is known with; infinite where it is given.
         parts: (n,) which part of the data each point is in, where one or another is to be held out.
+        level: at which forms are believed; found by `calibrate` if None.
     """
 
     def __init__(
@@ -91,9 +92,10 @@ class Pool:
         forms: Sequence[tuple[Candidate, Cell, float]],
         dof: float = float("inf"),
         parts: np.ndarray | None = None,
+        level: float | None = None,
     ) -> None:
         self.dof = dof
-        self.level = ALARMS
+        self.level = ALARMS if level is None else level
         self._latest = np.zeros(len(forms))
         self._asked: set[int] = set()
         self._likely: set[int] = set()
@@ -114,7 +116,14 @@ class Pool:
         self.products = Products(problem, list(at), self._columns, parts=parts)
         self._project(problem)
         self.judge(problem)
-        self.calibrate()
+        if level is None:
+            self.calibrate()
+        self._all_costs = self._costs = _costs(self.forms, self.level, self.dof)
+
+    def beside(self, problem: Problem) -> Pool:
+        """The same forms, refined ones too, at the same level, on the same readings with more beside them."""
+        forms = [(form.candidate, form.cell, form.price) for form in self.forms]
+        return Pool(problem, forms, self.dof, level=self.level)
 
     def calibrate(self) -> None:
         """Set the level at which forms are believed so that scatter alone passes for a cause in `ALARMS` of all data sets.
@@ -153,7 +162,6 @@ class Pool:
         often = float(np.exp(np.quantile(least, OFTEN)))
         # The sum of the chances bounds the chance of any: the forms' being alike can only allow more.
         self.level = max(ALARMS, min(RARER * often * np.log1p(-ALARMS) / np.log1p(-OFTEN), 0.5))
-        self._all_costs = self._costs = _costs(self.forms, self.level, self.dof)
 
     def forbid(self, keys: Collection[tuple[str, str]]) -> None:
         """Believe no form of some candidates, whatever it explains, until other data are judged."""
@@ -274,14 +282,51 @@ class Pool:
         key = frozenset(form.index for form in forms)
         if key in self._scans:
             return self._scans[key]
+        explained, dof = self._scanned(*self._after(forms))
+        self._latest = explained - self.costs(dof)
+        self._scans[key] = explained, dof
+        return explained, dof
+
+    def scan_beside(self, forms: Sequence[Form], cross: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same as `scan`, beside directions of unit weight as well.
+
+        Args:
+            forms: the causes.
+            cross: (r, all) inner products of the directions with all columns.
+            slope: (r,) with the residual.
+        """
+        columns = together(forms)
+        reduced = self._with(columns) - cross[:, columns].T @ cross
+        left = self.slope - cross.T @ slope
+        factor = cross.T
+        if len(columns):
+            inverse, root = pseudo(reduced[:, columns])
+            factor = np.concatenate([factor, reduced.T @ root], axis=1)
+            left = left - (inverse @ left[columns]) @ reduced
+        return self._scanned(factor, left)
+
+    def _scanned(self, factor: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What every form explains, and its degrees of freedom, where factor · factorᵀ is taken from the inner products."""
         explained, dof = np.zeros(len(self.forms)), np.zeros(len(self.forms), dtype=int)
-        factor, slope = self._after(forms)
         for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
             lost = factor[columns]
             explained[rows], dof[rows] = _explained(blocks, blocks - lost @ lost.transpose(0, 2, 1), slope[columns])
-        self._latest = explained - self._costs[np.arange(len(dof)), dof]
-        self._scans[key] = explained, dof
         return explained, dof
+
+    def costs(self, dof: np.ndarray) -> np.ndarray:
+        """(forms,) what every form must explain to be believed, with its degrees of freedom."""
+        return np.asarray(self._costs[np.arange(len(dof)), dof])
+
+    def along(self, columns: Sequence[Column]) -> np.ndarray:
+        """(columns, all) inner products of any columns with those of the pool, beside the set-up."""
+        points = np.setdiff1d(np.arange(len(self.problem.view.rows)), self.problem.held)
+        found = np.zeros((len(columns), len(self.slope)))
+        for start in range(0, len(columns), BATCH):
+            made = self.problem.signature(columns[start : start + BATCH])
+            kept = made.reshape(len(self.problem.view.rows), 3, -1)[points].reshape(3 * len(points), -1)
+            within = self.problem.root.T @ (self.problem.basis.T @ self.problem.kept(made))
+            found[start : start + BATCH] = self.products.along(kept, points).T - within.T @ self._within
+        return found
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """(tried, 3) explained, degrees of freedom and log p (price paid) of forms, given others."""
@@ -293,7 +338,7 @@ class Pool:
     def margins(self, forms: Sequence[Form]) -> np.ndarray:
         """What every form explains beside some others, less what it must to be believed; −inf where nothing is seen of it."""
         explained, dof = self.scan(forms)
-        return explained - self._costs[np.arange(len(dof)), dof]
+        return explained - self.costs(dof)
 
     def worth(self, forms: Sequence[Form]) -> float:
         """What a set explains less what each of it must, along the directions that are seen of it beside the others."""

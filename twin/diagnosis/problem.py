@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from twin.calibration import Calibration
 from twin.diagnosis.functions import Rows, pieces
@@ -58,14 +59,26 @@ class Problem:
         network: data and calibration (as ``base``), no unknowns.
         setup: the fitted set-up.
         calibration: whose covariance counts as uncertainty; none if None.
+        random: columns of effects without a name that are free beside it, each with its standard deviation in units of the parameter.
     """
 
-    def __init__(self, network: Network, setup: SetUp, calibration: Calibration | None) -> None:
+    def __init__(
+        self,
+        network: Network,
+        setup: SetUp,
+        calibration: Calibration | None,
+        random: Sequence[tuple[Column, float]] = (),
+    ) -> None:
         self.network = network
         self.setup = setup
+        self.calibration = calibration
+        self.random = tuple(random)
         self.view: View = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
         doubt, root = self._uncertain(calibration)
+        if random:
+            doubt = [*doubt, *(column for column, _ in random)]
+            root = block_diag(root, np.diag([deviation for _, deviation in random]))
         self.prior = np.concatenate([np.zeros((root.shape[1], len(setup))), np.eye(root.shape[1])], axis=1)
         self.basis, self.back = self._orthonormal(doubt, root)
         self.root = np.eye(self.basis.shape[1])
@@ -73,6 +86,20 @@ class Problem:
         self.absorbed = self.basis.shape[1] - root.shape[1]
         self.judge(self.residual)
         self.readings = int(np.count_nonzero(network.read))
+
+    def beside(self, random: Sequence[tuple[Column, float]], scatter: float = 1.0) -> Problem:
+        """The same readings with effects without a name free beside the set-up, and with another scatter.
+
+        Args:
+            random: columns, each with its standard deviation in units of the parameter.
+            scatter: times the stated variances.
+        """
+        network = self.network if scatter == 1.0 else self.network.scattered(scatter)
+        found = Problem(network, self.setup, self.calibration, random)
+        found.judge(self.residual / np.sqrt(scatter))
+        if len(self.held):
+            found = found.without(np.isin(np.arange(len(self.view.rows)), self.held)) or found
+        return found
 
     def without(self, points: np.ndarray) -> Problem | None:
         """The same with some points taken out; None if a station or a target would be lost.
@@ -100,17 +127,17 @@ class Problem:
     def judge(self, residual: np.ndarray) -> None:
         """Another (3n,) whitened residual at the same set-up."""
         self.residual = residual
-        self.along_basis = self.basis.T @ self._kept(residual)
+        self.along_basis = self.basis.T @ self.kept(residual)
         self.projected = self.project(residual)
         self.chi2 = float(self.residual @ self.projected)
 
     def project(self, residual: np.ndarray) -> np.ndarray:
         """A (3n,) residual beside the set-up and the calibration's doubt; rows that are held out are zero."""
-        return self._kept(self.following(residual))
+        return self.kept(self.following(residual))
 
     def following(self, residual: np.ndarray) -> np.ndarray:
         """A (3n,) whitened residual once the set-up has been fitted to the rows that are not held out; all rows of it."""
-        return np.asarray(residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self._kept(residual)))))
+        return np.asarray(residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self.kept(residual)))))
 
     def followed(self, residual: np.ndarray) -> np.ndarray:
         """(set-up,) its unknowns as a (3n,) residual moves them, metres and radians; the smallest where they can be chosen."""
@@ -118,7 +145,8 @@ class Problem:
         moved = np.linalg.lstsq(self.back / size, self.basis.T @ residual, rcond=1e-9)[0] / size
         return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
-    def _kept(self, rows: np.ndarray) -> np.ndarray:
+    def kept(self, rows: np.ndarray) -> np.ndarray:
+        """(3n, …) with the rows that are held out zero."""
         if len(self.held) == 0:
             return rows
         found = np.array(rows)
@@ -170,7 +198,7 @@ class Problem:
 
     def inner(self, a: np.ndarray) -> np.ndarray:
         """aᵀMa of signatures."""
-        a = self._kept(a)
+        a = self.kept(a)
         within = self.root.T @ (self.basis.T @ a)
         return np.asarray(a.T @ a - within.T @ within)
 

@@ -59,6 +59,7 @@ class Cause:
         evidence: one sentence a machinist can read.
         pattern_um: (n, 3) what it does to each reading.
         effects: what extends the model; empty for an instrument's.
+        promised: whether it is in the extended calibration; not what repeats at the positions measured, but foretells none left out.
         rivals: what came next in its place and is ruled out, best first.
     """
 
@@ -72,6 +73,7 @@ class Cause:
     evidence: str
     pattern_um: np.ndarray
     effects: tuple[Effect, ...] = ()
+    promised: bool = True
     rivals: tuple[Rival, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,18 +87,28 @@ class Cause:
             "share": self.share,
             "equivalent": [{"effect": effect, "where": where} for effect, where in self.equivalent],
             "evidence": self.evidence,
+            "promised": self.promised,
         }
 
 
 @final
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure no known effect accounts for."""
+    """Structure no known effect accounts for.
+
+    Attributes:
+        share: of the excess residual sum of squares.
+        depends_on: columns of the table; none if it is scatter.
+        carrier: ``tool``, ``work`` or ``both``.
+        evidence: one sentence.
+        size_um: RMS a coordinate.
+    """
 
     share: float
     depends_on: tuple[str, ...]
     carrier: str
     evidence: str
+    size_um: float
 
 
 @final
@@ -119,23 +131,50 @@ class Trend:
 
 @final
 @dataclass(frozen=True)
+class HeldOut:
+    """Residuals of readings that neither selection nor fit has seen.
+
+    Attributes:
+        of: what was held out: ``rounds``, ``positions``, ``poses`` or ``blocks`` of time.
+        groups: how many of these there are.
+        before_um, after_um: RMS a coordinate, without and with the causes chosen from the others.
+        ci95_um: 95 % interval of the difference, by group; None for fewer than six.
+    """
+
+    of: str
+    groups: int
+    before_um: float
+    after_um: float
+    ci95_um: tuple[float, float] | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON."""
+        return {
+            "of": self.of,
+            "groups": self.groups,
+            "rms_before_um": self.before_um,
+            "rms_after_um": self.after_um,
+            "ci95_um": None if self.ci95_um is None else list(self.ci95_um),
+        }
+
+
+@final
+@dataclass(frozen=True)
 class Gain:
     """What modelling the causes changes.
 
     Attributes:
-        rms_before_um, rms_after_um: of the residuals a coordinate, all data.
-        held_before_um, held_after_um: on rounds that neither selection nor fit has seen; NaN with one round.
-        held_ci95_um: 95 % bootstrap interval, by round, of the difference of the two.
+        rms_before_um, rms_after_um: of the residuals a coordinate, all readings, with the calibration before and with the one that is
+            written; what was found of the instrument is taken out of the readings.
+        held_out: None where nothing can be held out.
         tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each model, the extended one
-            taken as the machine.
+            taken as the machine; what is found but not in the file stays in both.
         tool_length_mm: of the tool that is for: the machine file's, or a usual one.
     """
 
     rms_before_um: float
     rms_after_um: float
-    held_before_um: float
-    held_after_um: float
-    held_ci95_um: tuple[float, float]
+    held_out: HeldOut | None
     tool_before_um: float
     tool_after_um: float
     tool_length_mm: float
@@ -149,6 +188,7 @@ class Diagnosis:
     Attributes:
         verdict: ``consistent``, ``explained``, ``ambiguous`` or ``unexplained``.
         rms_um, expected_rms_um: of the residuals a coordinate, as read and as the readings' scatter lets expect.
+        absorbed_rms_um: of what is left once the uncertainty that the calibration states has taken up what it can.
         points, dof, p_value: how many, and the chance of as large a misfit without any cause.
         causes: strongest first.
         unexplained: structure that is left, or None.
@@ -170,6 +210,7 @@ class Diagnosis:
 
     verdict: Verdict
     rms_um: float
+    absorbed_rms_um: float
     expected_rms_um: float
     points: int
     dof: int
@@ -206,6 +247,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "residual": {
                 "rms_um": self.rms_um,
+                "absorbed_rms_um": self.absorbed_rms_um,
                 "expected_rms_um": self.expected_rms_um,
                 "points": self.points,
                 "dof": self.dof,
@@ -219,6 +261,7 @@ class Diagnosis:
                 "depends_on": list(self.unexplained.depends_on),
                 "carrier": self.unexplained.carrier,
                 "evidence": self.unexplained.evidence,
+                "size_um": self.unexplained.size_um,
             },
             "unidentifiable": [
                 {"effect": effect, "where": where, "because": self.looks_like.get((effect, where), "")}
@@ -230,13 +273,7 @@ class Diagnosis:
             else {
                 "rms_before_um": gain.rms_before_um,
                 "rms_after_um": gain.rms_after_um,
-                "held_out": None
-                if np.isnan(gain.held_before_um)
-                else {
-                    "rms_before_um": gain.held_before_um,
-                    "rms_after_um": gain.held_after_um,
-                    "ci95_um": list(gain.held_ci95_um),
-                },
+                "held_out": None if gain.held_out is None else gain.held_out.to_dict(),
                 "tool_point": {
                     "before_um": gain.tool_before_um,
                     "after_um": gain.tool_after_um,

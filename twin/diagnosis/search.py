@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.misplaced import EFFECT as MISPLACED
-from twin.diagnosis.pool import DOUBT, FURTHER, Form, Pool
+from twin.diagnosis.pool import FURTHER, Form, Pool
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
@@ -28,8 +28,6 @@ FEW: Final = 6
 STARTS: Final = 4
 SAME: Final = 0.01
 """Share of what a form explains that others may leave of it and still count as the same."""
-INSTEAD: Final = 2
-"""Causes with names that may do what one pattern without a name does."""
 NUMBERS: Final = ("squareness", "axis_location", "zero_offset")
 """Effects that are a constant of the machine."""
 GRIDDED: Final = frozenset({"period", "time_constant"})
@@ -38,6 +36,12 @@ TRIED: Final = 3
 """Exchanges that are looked at in full."""
 WHOLE: Final = (MISPLACED, "following_error")
 """Effects that are so altogether or not at all: their share is one."""
+DOUBTED: Final = 3.0
+"""Standard uncertainties by which a value may be beyond what is possible."""
+CANCELS: Final = 10.0
+"""Times all that the causes explain: what one of them may do to the readings, in squares, at most."""
+FEWEST: Final = 25.0
+"""Of a chi²: where little is explained, scatter has its part in it."""
 ROUGHLY: Final = 0.2
 """How far from one such a share may be, beside other errors of the model."""
 LIKELY: Final = 12
@@ -77,15 +81,14 @@ def select(pool: Pool, starts: int = STARTS) -> Selection:
         return found
     pool.prepare([pool.forms[i] for i in list(first.values())[:LIKELY]])
     likely = [[pool.forms[i]] for i in list(first.values())[:starts]]
-    named = np.array([form.candidate.origin != "unknown" for form in pool.forms])
     for start in likely:
-        forms = _grown(pool, start)
+        forms = grown(pool, start)
         worth = pool.worth(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
         if len(forms) > FEW:
             break  # a model that is wrong all over: where one begins is not what matters
-    forms = _split(pool, _with_names(pool, list(found.forms), named))
+    forms = _split(pool, list(found.forms))
     return Selection(tuple(forms), pool.worth(forms))
 
 
@@ -94,11 +97,11 @@ def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
     margin = pool.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(_grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
+    return tuple(grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
 
 
 def chosen(pool: Pool, starts: int = STARTS) -> Selection:
-    """The best set in which what is so altogether or not at all is so altogether.
+    """The best set in which every cause is possible (`possible`).
 
     Args:
         pool: the forms.
@@ -106,40 +109,46 @@ def chosen(pool: Pool, starts: int = STARTS) -> Selection:
     """
     while True:
         best = select(pool, starts)
-        odd = {form.key for form in best.forms if not whole(pool, form, best.forms)}
-        if not odd:
+        excess = [excessive(pool, form, best.forms) for form in best.forms]
+        if not excess or max(excess) <= 1.0:
             return best
-        pool.forbid(odd)
+        # One at a time: what it made up for may be possible without it.
+        pool.forbid({best.forms[int(np.argmax(excess))].key})
 
 
-def whole(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
-    """Whether a form has a share of one, if that is what it must have: half a curve elsewhere is no mistake of filing.
+def excessive(pool: Pool, form: Form, forms: Sequence[Form]) -> float:
+    """How many times larger a form is than it can be: than physics allows, or than what it is to explain.
+
+    A cause that would move the readings by more than they are off needs another that takes it back; neither is there.
 
     Args:
         pool: the data.
         form: one of ``forms``.
         forms: what is in.
     """
-    if form.candidate.effect not in WHOLE:
-        return True
     columns, values, inverse = pool.fitted(forms)
-    at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
-    return bool(abs(values[at] * scale - 1.0) <= max(ROUGHLY, 3.0 * scale * float(np.sqrt(inverse[at, at]))))
+    at = np.searchsorted(columns, form.columns)
+    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
+    return excess_of(form, values[at], u, pool.gram([form]), float(pool.slope[columns] @ values))
 
 
-def _with_names(pool: Pool, forms: list[Form], named: np.ndarray) -> list[Form]:
-    """Patterns without a name replaced by causes that have one wherever those, each worth its price, do all that it does."""
-    for form in [one for one in forms if not named[one.index]]:
-        others = [one for one in forms if one is not form]
-        allowed = named.copy()
-        allowed[[one.index for one in others]] = True
-        trial = _grown(pool, others, allowed)
-        whole = pool.explained_by(forms)
-        same = pool.explained_by(trial) > whole - SAME * (whole - pool.explained_by(others))
-        # Many names may do what one pattern does by adding up: no account if they are many, or a hundred times less likely.
-        if same and len(trial) <= len(others) + INSTEAD and pool.worth(trial) > pool.worth(forms) - DOUBT:
-            forms = trial
-    return forms
+def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
+    """The same, of values (plausible sizes) with their standard uncertainties.
+
+    Args:
+        form: the form.
+        values: (w,) of its columns.
+        u: (w,) standard uncertainties.
+        gram: (w, w) inner products of its columns.
+        explained: by all causes together.
+    """
+    found = float(values @ gram @ values) / (CANCELS * (explained + FEWEST))
+    scale = np.array([column.scale for column in form.cell.columns])
+    if np.isfinite(form.candidate.largest):
+        found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
+    if form.candidate.effect in WHOLE:
+        found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
+    return found
 
 
 def _split(pool: Pool, forms: list[Form]) -> list[Form]:
@@ -180,7 +189,7 @@ def _split(pool: Pool, forms: list[Form]) -> list[Form]:
     return trial
 
 
-def _grown(pool: Pool, forms: list[Form], allowed: np.ndarray | bool = True, most: int = MOST) -> list[Form]:
+def grown(pool: Pool, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST) -> list[Form]:
     """More and more forms, as long as each is worth it.
 
     Args:
@@ -189,7 +198,7 @@ def _grown(pool: Pool, forms: list[Form], allowed: np.ndarray | bool = True, mos
         allowed: (forms,) which may come in.
         most: how many at most.
     """
-    forms = _exchanged(pool, forms, allowed)
+    forms = _exchanged(pool, list(forms), allowed)
     while len(forms) < most:
         now = pool.worth(forms)
         best = pool.forms[int(np.argmax(pool.margins(forms)))]
@@ -200,14 +209,14 @@ def _grown(pool: Pool, forms: list[Form], allowed: np.ndarray | bool = True, mos
         for i in np.argsort(-margin, kind="stable")[:TRIED]:
             if margin[i] <= FURTHER:
                 return _exchanged(pool, forms, allowed) if len(forms) > FEW else forms
-            grown = [*forms, pool.forms[int(i)]]
-            if len(grown) <= FEW:
-                grown = _exchanged(pool, grown, allowed)
-            if pool.worth(grown) > now + 1e-6:
+            larger = [*forms, pool.forms[int(i)]]
+            if len(larger) <= FEW:
+                larger = _exchanged(pool, larger, allowed)
+            if pool.worth(larger) > now + 1e-6:
                 break
         else:
             return forms
-        forms = grown
+        forms = larger
     return _exchanged(pool, forms, allowed) if len(forms) > FEW else forms
 
 

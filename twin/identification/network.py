@@ -7,6 +7,7 @@ one the table gives), taken at the reading itself so that it does not move with 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from typing import Final, final
 
@@ -130,6 +131,13 @@ class Network:
         self._base = self._observation.errors(known, data, check=check)
         self._shapes = unknowns.shapes(data.positions)
         self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[np.ndarray, np.ndarray]] = {}
+
+    def scattered(self, factor: float) -> Network:
+        """The same with all variances of the readings times a factor."""
+        other = copy(self)
+        other.covariance = locked(self.covariance * factor)
+        other.whitening = locked(self.whitening / np.sqrt(factor))
+        return other
 
     def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
         """(n,) station and (n,) target of each row as a set-up counts them: it may have been found from other rows."""

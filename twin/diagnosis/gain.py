@@ -1,0 +1,203 @@
+"""What modelling the causes gains: of the calibration that is written, on all readings, on readings held out, and at the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from twin.budget import volume
+from twin.calibration import Calibration
+from twin.diagnosis.estimate import Estimate
+from twin.diagnosis.folds import Parts, parts
+from twin.diagnosis.pool import Form, Pool
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.result import HeldOut
+from twin.diagnosis.search import chosen
+from twin.diagnosis.structure import Findings, settled
+from twin.distributions import student_isf
+from twin.effects import Effect
+from twin.identification.network import Network
+from twin.identification.solve import solve
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.measurement import Measurements
+
+TOOL_MM: Final = 100.0
+ENOUGH: Final = 6
+"""Independent groups below which no interval is given."""
+
+
+def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
+    """(n, 3) residual of the readings in µm with a calibration as it is written, the set-up fitted anew; NaN where nothing was read.
+
+    Args:
+        problem: the data.
+        extended: the calibration.
+        instrument: (3n,) whitened, what was found of the instrument; taken out of the readings first.
+    """
+    network = problem.network
+    judged = Network(
+        network.machine,
+        network.data,
+        network.instrument,
+        network.unknowns,
+        extended,
+        network.covariance,
+        check=False,
+    )
+    placed = Problem(judged, solve(judged, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
+    return unwhitened(placed, placed.project(placed.residual - instrument))
+
+
+def unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(n, 3) µm of a (3n,) whitened residual; NaN where nothing was read."""
+    found = plain(problem, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    return np.where(problem.network.read, found * 1e6, np.nan)
+
+
+def plain(problem: Problem, whitened: np.ndarray) -> np.ndarray:
+    """(n, 3, k) as it was before it was whitened; zero where nothing was read."""
+    read = problem.network.read
+    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening, np.eye(3))
+    return np.asarray(np.linalg.solve(safe, np.where(read[:, :, None], whitened, 0.0)))
+
+
+def rms(values: np.ndarray, read: np.ndarray) -> float:
+    """Of the coordinates that were read."""
+    return float(np.sqrt(np.mean(values[read] ** 2)))
+
+
+def held_out(found: Findings, forms: Sequence[Form]) -> HeldOut | None:
+    """Residuals of readings that neither the selection nor the fit has seen, without and with the causes chosen then.
+
+    What the search learnt from all readings, where a period lies or what cannot be, is forgotten first. None where nothing can be held
+    out.
+
+    Args:
+        found: the causes and patterns.
+        forms: the causes that stand in the end: they decide what is held out (`twin.diagnosis.folds`).
+    """
+    problem, pool = found.problem, found.pool
+    split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
+    pool.judge(problem)
+    if split is None:
+        return None
+    wanted = [trace.pattern for trace in found.structure.traces]
+    table = np.zeros((int(split.group.max()) + 1, 3))
+    for k in range(int(split.part.max()) + 1):
+        rows = split.part == k
+        part = problem.without(rows)
+        if part is None:
+            return None
+        small = pool.on(part)
+        kept = settled(small, chosen(small, starts=1).forms, wanted).forms
+        signature = foretold(problem, small, kept)
+        held = np.repeat(rows, 3)
+        squares = [
+            _squares(problem, part.following(residual)[held], rows)
+            for residual in (problem.residual, problem.residual - signature)
+        ]
+        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
+    total = table.sum(axis=0)
+    before, after = np.sqrt(total[:2] / total[2])
+    return HeldOut(split.of, len(table), float(before), float(after), interval(table))
+
+
+def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
+    """(3n,) what causes fitted to a part of the readings do to all of them.
+
+    Nothing along what that part does not see: it would be noise times a lever on the rest.
+    """
+    columns, values, _ = part.fitted(forms)
+    signature = problem.signature([part.products.columns[i] for i in columns])
+    return np.asarray(signature @ values)
+
+
+def interval(table: np.ndarray) -> tuple[float, float] | None:
+    """95 % interval of the difference of two RMS values, by leaving out one group at a time; None for fewer than `ENOUGH`.
+
+    The jackknife's pseudo-values with Student's t (Tukey 1958): groups, not readings, are independent.
+
+    Args:
+        table: (groups, 3) sums of squares before and after, and how many values.
+    """
+    count = len(table)
+    if count < ENOUGH:
+        return None
+    total = table.sum(axis=0)
+    rest = np.maximum(total - table, 0.0)
+    used = np.maximum(rest[:, 2], 1.0)
+    whole = float(np.sqrt(total[0] / total[2]) - np.sqrt(total[1] / total[2]))
+    without = np.sqrt(rest[:, 0] / used) - np.sqrt(rest[:, 1] / used)
+    pseudo = count * whole - (count - 1) * without
+    half = student_isf(0.025, count - 1) * float(pseudo.std(ddof=1)) / np.sqrt(count)
+    return whole - half, whole + half
+
+
+def _squares(problem: Problem, residual: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(rows,) sum of squares in µm² of whitened residuals."""
+    read = problem.network.read[rows]
+    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
+    found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0] * 1e6
+    return np.asarray(np.sum(np.where(read, found, 0.0) ** 2, axis=1))
+
+
+def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float]:
+    """Mean squares of the readings at positions held out, without and with one cause fitted to the others, all others kept."""
+    problem = pool.problem
+    sums = np.zeros(2)
+    for k in range(int(split.part.max()) + 1):
+        rows = split.part == k
+        part = problem.without(rows)
+        if part is None:
+            return 0.0, 0.0
+        small = pool.on(part)
+        held = np.repeat(rows, 3)
+        for i, kept in enumerate((others, [*others, form])):
+            left = part.following(problem.residual - foretold(problem, small, kept))
+            sums[i] += float(np.sum(left[held] ** 2))
+    return float(sums[0]), float(sums[1])
+
+
+def tool_mm(machine: Machine) -> float:
+    """Of the machine file, or of a usual tool: at the spindle nose itself a turn about it would seem to do no harm."""
+    return machine.tool_length_mm or TOOL_MM
+
+
+def at_tool(data: Measurements, machine: Machine, effects: Sequence[Effect], found: Estimate) -> tuple[float, float]:
+    """RMS at the tool over the volume after compensating, with the old model and with the extended one, executed on the extended one.
+
+    The old model's compensation leaves what the effects do there, to first order; the extended one's what they are uncertain by.
+    """
+    if not effects:
+        return 0.0, 0.0
+    positions = volume(machine, 400)
+    rng = np.random.default_rng(16907)
+    state: dict[str, Any] = {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
+    state |= {f"approach_{axis.name}": rng.choice([-1.0, 1.0], len(positions)) for axis in machine.axes}
+    rows = rng.integers(0, len(data), len(positions))
+    state["time_s"] = np.asarray(data.time_s)[rows]
+    state |= {f"T_{name}_degC": np.asarray(values)[rows] for name, values in data.temperature_degC.items()}
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_mm(machine))
+    by_error = at_tip.sensitivities(positions).error[:, :3]
+    index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
+
+    def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
+        at = index[effect.frame.axis, effect.frame.role]
+        values = {at + i: np.broadcast_to(np.asarray(v, dtype=float), len(positions)) for i, v in own.items()}
+        return np.asarray(sum(by_error[:, :, i] * v[:, None] for i, v in values.items()))
+
+    whole = np.sum([moved(effect, effect.components(state)) for effect in effects], axis=0)
+    by_parameter = {
+        parameter.name: moved(effect, own)
+        for effect in effects
+        for parameter, own in zip(effect.parameters, effect.derivatives(state), strict=True)
+    }
+    known = [name for name in found.covariance.names if name in by_parameter]
+    at = [found.covariance.names.index(name) for name in known]
+    columns = np.stack([by_parameter[name] for name in known], axis=2)
+    variance = np.einsum("nip,pq,niq->n", columns, found.covariance.matrix[np.ix_(at, at)], columns)
+    return float(np.sqrt(np.mean(np.sum(whole**2, axis=1)))), float(np.sqrt(np.mean(np.maximum(variance, 0.0))))

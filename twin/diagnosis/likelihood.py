@@ -1,0 +1,199 @@
+"""How likely causes are beside patterns without a name, whose variances the data decide.
+
+r ~ N(Xβ, s²(1 + ΦDΦᵀ)) beside the set-up: causes X, the patterns' functions Φ, a variance in D for each direction of each pattern, and
+s ≥ 1 for scatter larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural Computation 4, 415). Two sets
+of causes are compared by this likelihood, the variances fitted anew for each: a cause that imitates a part of a pattern gains little
+over the pattern alone, and one beside which next to nothing is left gains much, however significant that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from twin.diagnosis.pool import Form, Pool, pseudo, together
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.signatures import Column
+from twin.diagnosis.unnamed import Trace
+
+STEPS: Final = 40
+STILL: Final = 0.02
+"""Change of a variance's logarithm below which it is settled."""
+SMALL: Final = 1e-3
+"""Share of a variance that fits the misfit below which a pattern is no more followed along a direction."""
+UNREAD: Final = 1e-9
+"""Share of the best read direction below which a direction is not read."""
+FIRST: Final = 10.0
+"""Noncentrality a direction of a pattern begins with."""
+TOGETHER: Final = 64
+MOSTLY: Final = 0.5
+"""Share of what a cause does from which on a pattern is said to be able to imitate it."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Causes with patterns beside them, at the most likely variances.
+
+    Attributes:
+        twice: twice the log likelihood, from that of scatter as stated alone.
+        variances: of each group of the patterns' columns, relative to the scatter, µm².
+        scatter: s², at least one.
+        explained: of the misfit, by causes and patterns together.
+        values: (columns,) of the causes, in the order of `together`.
+        random: (columns,) of the patterns, µm.
+        own: what of the misfit is left to the causes once the patterns are shrunk as they should be.
+    """
+
+    twice: float
+    variances: np.ndarray
+    scatter: float
+    explained: float
+    values: np.ndarray
+    random: np.ndarray
+
+
+@final
+class Likelihood:
+    """Causes of a pool beside some patterns.
+
+    Args:
+        pool: the data and the causes.
+        traces: the patterns.
+    """
+
+    def __init__(self, pool: Pool, traces: Sequence[Trace]) -> None:
+        self.pool = pool
+        self.traces = tuple(traces)
+        self.columns: list[Column] = []
+        group: list[int] = []
+        for k, trace in enumerate(traces):
+            # All directions, each with its own variance: a cause may imitate the pattern along another one than shows it best.
+            for i in range(3):
+                own = trace.pattern.columns(trace.level, [i])
+                group += [3 * k + i] * len(own)
+                self.columns += own
+        self.group = np.array(group, dtype=int)
+        problem = pool.problem
+        found = problem.products(self.columns)
+        self._gram, self._slope = found.gram, found.slope
+        self._cross = pool.along(self.columns)
+        size = np.bincount(self.group, np.diag(self._gram), 3 * len(traces))
+        self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
+        self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
+
+    def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
+        """The most likely variances beside some causes.
+
+        Args:
+            forms: the causes.
+            start: variances to begin with.
+            without: number of a pattern that is left out.
+        """
+        first = np.where(self._size > 0.0, FIRST / np.maximum(self._size, 1e-300), 0.0)
+        variances, scatter = first, 1.0
+        if start is not None:
+            variances, scatter = np.maximum(start.variances, SMALL * first), start.scatter
+        if without is not None:
+            variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
+        columns = together(forms)
+        fixed = self.pool.gram(forms)
+        for _ in range(STEPS):
+            model, moved = self._at(columns, fixed, variances, scatter)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                change = np.abs(np.log(moved / variances))
+            followed = variances * self._size > SMALL
+            settled = not np.any(change[followed] > STILL) and abs(model.scatter / scatter - 1.0) < STILL * 0.1
+            variances, scatter = moved, model.scatter
+            if settled:
+                break
+        return self._at(columns, fixed, variances, scatter)[0]
+
+    def _at(
+        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, scatter: float
+    ) -> tuple[Model, np.ndarray]:
+        """The likelihood at some variances, and better ones."""
+        used = np.flatnonzero(variances[self.group] * self._size[self.group] > SMALL)
+        deviation = np.sqrt(variances[self.group[used]])
+        inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
+        inner[np.diag_indices_from(inner)] += 1.0
+        cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
+        slope = self._slope[used] * deviation
+        inverse = np.linalg.inv(inner)
+        log_det = float(np.linalg.slogdet(inner)[1])
+        values = np.zeros(len(columns))
+        if len(columns):
+            back, _ = pseudo(fixed - cross.T @ inverse @ cross)
+            values = back @ (self.pool.slope[columns] - cross.T @ (inverse @ slope))
+        found = inverse @ (slope - cross @ values)
+        explained = float(self.pool.slope[columns] @ values + slope @ found)
+        more = max((self._chi2 - explained) / self._dof, 1.0)
+        # From that of the stated scatter alone, which is −χ².
+        twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
+        groups = len(variances)
+        known = np.bincount(self.group[used], 1.0 - np.diag(inverse), groups)
+        squares = np.bincount(self.group[used], found**2, groups)
+        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
+        random = np.zeros(len(self.columns))
+        random[used] = found * deviation
+        return Model(twice, variances, more, explained, values, random), moved
+
+    def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """What every form of the pool explains beside some causes and the patterns, in units of the scatter, and its degrees of freedom."""
+        used = np.flatnonzero(model.variances[self.group] * self._size[self.group] > SMALL)
+        deviation = np.sqrt(model.variances[self.group[used]])
+        inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
+        inner[np.diag_indices_from(inner)] += 1.0
+        lower = np.linalg.cholesky(inner)
+        cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
+        slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
+        explained, dof = self.pool.scan_beside(forms, cross, slope)
+        return explained / model.scatter, dof
+
+    def left(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+        """(patterns,) what each pattern explains that causes and other patterns do not."""
+        return np.array(
+            [
+                max(model.explained - self.fit(forms, model, without=k).explained, 0.0)
+                for k in range(len(self.traces))
+            ]
+        )
+
+    def imitated(self, form: Form) -> np.ndarray:
+        """(patterns,) share of what a cause does that each pattern could do as well: one where it is most of it, else zero."""
+        own = form.columns
+        whole = self.pool.gram([form])
+        values = np.ones(len(own)) if len(own) == 1 else self.pool.fitted([form])[1]
+        size = float(values @ whole @ values)
+        found = np.zeros(len(self.traces))
+        for k in range(len(self.traces)):
+            mine = np.flatnonzero((self.group // 3 == k) & (np.diag(self._gram) > 0.0))
+            inner = self._gram[np.ix_(mine, mine)]
+            along = self._cross[np.ix_(mine, own)] @ values
+            shared = along @ np.linalg.lstsq(inner, along, rcond=1e-8)[0]
+            found[k] = 1.0 if shared > MOSTLY * size else 0.0
+        return found
+
+    def explained(self, forms: Sequence[Form], model: Model) -> float:
+        """What the patterns explain beside some causes, more than these alone."""
+        return model.explained - self.pool.explained_by(forms)
+
+    def pattern(self, problem: Problem, model: Model) -> np.ndarray:
+        """(3n,) what the patterns do to the whitened readings, most likely."""
+        found = np.zeros(len(problem.residual))
+        for start in range(0, len(self.columns), TOGETHER):
+            some = slice(start, start + TOGETHER)
+            found += problem.signature(self.columns[some]) @ model.random[some]
+        return found
+
+    def random(self, model: Model) -> list[tuple[Column, float]]:
+        """The patterns' columns with their standard deviations, µm."""
+        deviation = np.sqrt(model.variances * model.scatter)
+        used = model.variances[self.group] * self._size[self.group] > SMALL
+        return [
+            (column, float(deviation[g])) for column, g, own in zip(self.columns, self.group, used, strict=True) if own
+        ]

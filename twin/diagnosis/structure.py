@@ -1,0 +1,256 @@
+"""What stands beside each other in the readings: causes with a name, and patterns without.
+
+Causes are chosen first as if everything had a name. Where a pattern is left beside them, the account is made anew from the patterns on:
+a cause comes in where it makes the readings more likely, the patterns' variances fitted anew with it, by more than its price
+(`twin.diagnosis.likelihood`). So a cause with an imperfect form stays a cause, and one that imitates a part of a pattern is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin.diagnosis.catalogue import Catalogue
+from twin.diagnosis.estimate import Beside
+from twin.diagnosis.likelihood import Likelihood, Model
+from twin.diagnosis.noise import Scatter
+from twin.diagnosis.patterns import Pattern
+from twin.diagnosis.pool import DOUBT, Form, Pool, together
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.search import excess_of
+from twin.diagnosis.unnamed import ALARMS, Trace, scan
+
+MOST: Final = 3
+"""Patterns at most."""
+CAUSES: Final = 30
+"""Causes at most."""
+TRIED: Final = 5
+"""Causes that are looked at in full at every step."""
+PART: Final = 2.0
+"""Times what patterns that can imitate it leave, which a cause must carry."""
+HOPEFUL: Final = 0.3
+"""Share of its price that a cause must explain beside patterns whose variances still hold it, to be looked at."""
+FEWER: Final = 3
+"""Causes that one pattern must replace to be the simpler account."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Causes, and the patterns beside them.
+
+    Attributes:
+        forms: the causes.
+        likelihood: of causes beside the patterns; None where there are none.
+        model: at the most likely variances; likewise.
+        problem: the data with the patterns free beside the set-up.
+        fallen: causes that were chosen at first and do not stand beside the patterns.
+    """
+
+    forms: tuple[Form, ...]
+    likelihood: Likelihood | None
+    model: Model | None
+    problem: Problem
+    fallen: tuple[Form, ...]
+
+    @property
+    def traces(self) -> tuple[Trace, ...]:
+        """The patterns."""
+        return () if self.likelihood is None else self.likelihood.traces
+
+    @property
+    def beside(self) -> Beside | None:
+        """The patterns, for an estimate of the causes beside them."""
+        if self.model is None or self.likelihood is None:
+            return None
+        return Beside(self.likelihood.random(self.model), self.model.scatter)
+
+    def fitted(self, forms: Sequence[Form]) -> tuple[float, np.ndarray]:
+        """What the patterns explain beside some of the causes, and (3n,) what they do to the whitened readings."""
+        if self.likelihood is None:
+            return 0.0, np.zeros(len(self.problem.residual))
+        model = self.likelihood.fit(forms, self.model)
+        problem = self.likelihood.pool.problem
+        pattern = problem.project(self.likelihood.pattern(problem, model))
+        return self.likelihood.explained(forms, model), pattern
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What was asked of the data and what they answered.
+
+    Attributes:
+        problem: the rows that count.
+        known: the causes that were tried.
+        scatter: of the readings.
+        patterns: the patterns without a name that were looked for.
+        pool: the causes, beside the set-up.
+        beside: the same, beside the patterns that were found as well; ``pool`` itself where there are none.
+        structure: the causes that stand, and those patterns.
+    """
+
+    problem: Problem
+    known: Catalogue
+    scatter: Scatter
+    patterns: Sequence[Pattern]
+    pool: Pool
+    beside: Pool
+    structure: Structure
+
+
+def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+    """Causes that were chosen as if everything had a name, or, where a pattern is left beside them, those that stand beside patterns.
+
+    Args:
+        pool: the data, and what a cause must explain.
+        forms: the causes that were chosen.
+        tried: patterns to look for.
+    """
+    alone = Structure(tuple(forms), None, None, pool.problem, ())
+    left = scan(pool.problem, tried, forms, pool.dof)
+    if not (left and left[0].found) and len(forms) < FEWER:
+        return alone
+    whole = scan(pool.problem, tried, (), pool.dof) if forms else left
+    if not (whole and whole[0].found):
+        return alone
+    found = _beside(pool, whole[0], tried)
+    if not (left and left[0].found):
+        # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
+        replaced = len(forms) - len(found.forms)
+        if not found.traces or replaced < FEWER or _worth(pool, found) < pool.worth(forms) - DOUBT:
+            return alone
+    keys = {form.key for form in found.forms}
+    fallen = tuple(form for form in forms if form.key not in keys)
+    return Structure(found.forms, found.likelihood, found.model, found.problem, fallen)
+
+
+def _worth(pool: Pool, found: Structure) -> float:
+    """What an account explains less what each part of it must."""
+    if found.model is None:
+        return pool.worth(found.forms)
+    prices = sum(_price(trace) for trace in found.traces)
+    return found.model.twice - prices - sum(_cost(pool, form) for form in found.forms)
+
+
+def _price(trace: Trace) -> float:
+    """What a pattern must make the readings more likely by, twice the logarithm."""
+    return float(2.0 * (trace.log_price - np.log(ALARMS)))
+
+
+def _cost(pool: Pool, form: Form) -> float:
+    """What a cause must make the readings more likely by beside a pattern, twice the logarithm."""
+    return pool.cost(form, float(len(form.columns)))
+
+
+def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
+    """The account from a pattern on: causes beside it, another pattern where one is left, and no pattern that is not needed."""
+    traces, forms = [first], []
+    seen = {(first.pattern.side, first.pattern.names)}
+    barred: set[int] = set()
+    while True:
+        likelihood = Likelihood(pool, traces)
+        forms, model = _stepwise(likelihood, forms, barred)
+        needed = [
+            trace
+            for k, trace in enumerate(traces)
+            if model.twice - likelihood.fit(forms, model, without=k).twice > _price(trace)
+        ]
+        if len(needed) < len(traces):
+            traces = needed
+            if not traces:
+                return Structure(tuple(forms), None, None, pool.problem, ())
+            likelihood = Likelihood(pool, traces)
+            forms, model = _stepwise(likelihood, forms, barred)
+        problem = pool.problem.beside(likelihood.random(model), model.scatter)
+        more = [
+            trace
+            for trace in (scan(problem, tried, forms, pool.dof) if len(traces) < MOST else [])
+            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+        ]
+        if more:
+            traces = [*traces, more[0]]
+            seen.add((more[0].pattern.side, more[0].pattern.names))
+            continue
+        part = _partial(likelihood, forms, model)
+        if part is None:
+            return Structure(tuple(forms), likelihood, model, problem, ())
+        # What it had taken up is the patterns' or another cause's.
+        barred.add(int(pool.key_of[part.index]))
+        forms = [form for form in forms if form is not part]
+
+
+def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
+    """Causes added while they pay for themselves beside the patterns, and dropped where they no more do."""
+    pool = likelihood.pool
+    stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
+    while len(stand) < CAUSES:
+        best: tuple[float, Form, Model] | None = None
+        for form in _hopeful(likelihood, stand, model, barred):
+            with_it = likelihood.fit([*stand, form], model)
+            gained = with_it.twice - model.twice - _cost(pool, form)
+            if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
+                best = gained, form, with_it
+        if best is None:
+            return stand, model
+        stand, model = [*stand, best[1]], best[2]
+        stand, model = _dropped(likelihood, stand, model)
+    return stand, model
+
+
+def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
+    """The best form of the most promising candidates."""
+    pool = likelihood.pool
+    explained, dof = likelihood.scan(stand, model)
+    costs = pool.costs(dof)
+    out = np.isin(pool.slot_of, [pool.slot_of[form.index] for form in stand]) | np.isin(pool.key_of, list(barred))
+    margin = np.where(out, -np.inf, explained - costs)
+    found: dict[int, Form] = {}
+    for i in np.argsort(-margin, kind="stable").tolist():
+        if len(found) == TRIED or not explained[i] > HOPEFUL * costs[i] or not np.isfinite(margin[i]):
+            break
+        found.setdefault(int(pool.key_of[i]), pool.forms[i])
+    return list(found.values())
+
+
+def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
+    """Without the causes that do not pay for themselves, the least worth first."""
+    stand = list(forms)
+    while stand:
+        worth = []
+        for form in stand:
+            less = likelihood.fit([one for one in stand if one is not form], model)
+            worth.append((model.twice - less.twice - _cost(likelihood.pool, form), less))
+        least = int(np.argmin([own for own, _ in worth]))
+        if worth[least][0] >= 0.0:
+            break
+        model = worth[least][1]
+        stand.pop(least)
+    return stand, model
+
+
+def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
+    """The cause that carries the smallest part of what it goes with, if that is too small: what patterns that could do the same leave."""
+    left = likelihood.left(forms, model)
+    whole = likelihood.pool.explained_by(forms)
+    worst: tuple[float, Form] | None = None
+    for form in forms:
+        others = [one for one in forms if one is not form]
+        carried = whole - likelihood.pool.explained_by(others)
+        beside = float(likelihood.imitated(form) @ left)
+        if carried < PART * beside and (worst is None or carried / beside < worst[0]):
+            worst = carried / beside, form
+    return None if worst is None else worst[1]
+
+
+def _possible(pool: Pool, forms: Sequence[Form], model: Model) -> bool:
+    """Whether no cause would have to be larger than it can be."""
+    columns = together(forms)
+    return all(
+        excess_of(form, model.values[at], np.zeros(len(at)), pool.gram([form]), model.explained) <= 1.0
+        for form in forms
+        for at in [np.searchsorted(columns, form.columns)]
+    )
