@@ -27,15 +27,15 @@ from tests import hidden
 from twin.arrays import locked
 from twin.calibration import Calibration
 from twin.covariance import Covariance
-from twin.diagnosis.account import _equivalent
+from twin.diagnosis.account import equivalent
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.estimate import estimate
-from twin.diagnosis.pool import Form, Pool
+from twin.diagnosis.pool import Form
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Findings
 from twin.diagnosis.signatures import of_unit
+from twin.diagnosis.structure import Findings, Structure
 from twin.effects import PitchError, ThermalDrift
 from twin.errors import InputError
 from twin.instruments import LaserTracker
@@ -324,7 +324,7 @@ def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
     found = []
     for _ in range(draws):
         draw = data.draw()
-        by_itself = ROWS[case.row][0] == 1 and alone(problem, searcher.pool, draw.truth[0][0], draw.truth[0][1])
+        by_itself = ROWS[case.row][0] == 1 and alone(searcher, draw.truth[0][0], draw.truth[0][1])
         problem.judge(draw.residual)
         began = time.process_time()
         searcher.pool.judge(problem)
@@ -346,8 +346,7 @@ def _answer(
     groups = []
     for form in named:
         others = [one for one in named if one is not form]
-        explained, dof = (float(values[form.index]) for values in pool.scan(others))
-        groups.append(_equivalent(pool, form, others, explained - pool.cost(form, dof)))
+        groups.append(equivalent(found, form, others))
     unnamed = tuple(name for trace in found.structure.traces for name in trace.pattern.names)
     pulls = () if unnamed else _pulls(found.problem, found.structure.forms, truth)
     return Answer(
@@ -363,8 +362,9 @@ def _answer(
     )
 
 
-def alone(problem: Problem, pool: Pool, key: Key, signature: np.ndarray) -> bool:
+def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
     """Whether nothing could be mistaken for a cause even without scatter, by the measure of ``equivalent``."""
+    problem, pool = searcher.problem, searcher.pool
     problem.judge(signature)
     pool.judge(problem)
     explained, dof = pool.scan([])
@@ -372,8 +372,9 @@ def alone(problem: Problem, pool: Pool, key: Key, signature: np.ndarray) -> bool
         (one for one in pool.forms if one.key == key and dof[one.index] > 0),
         key=lambda one: explained[one.index] - pool.cost(one, float(dof[one.index])),
     )
-    margin = float(explained[form.index] - pool.cost(form, float(dof[form.index])))
-    return not _equivalent(pool, form, [], margin)
+    only = Structure((form,), None, None, problem, ())
+    found = Findings(problem, searcher.known, searcher.scatter, (), pool, pool, only)
+    return not equivalent(found, form, [])
 
 
 def _pulls(

@@ -21,7 +21,7 @@ from twin.diagnosis.gain import at_tool, held_out, of_file, plain, positions_hel
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
-from twin.diagnosis.pool import DOUBT, Form, Pool
+from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained, Verdict
@@ -121,7 +121,7 @@ def _sized(found: Findings) -> tuple[list[Form], Estimate, list[Form]]:
         judged = [
             (_log_p(against) + form.price, form)
             for form, against in zip(forms, estimated.against, strict=True)
-            if MANY <= against[2] < np.inf
+            if MANY <= against[2] < np.inf and not found.structure.traces
         ]
         worst = max(judged, key=lambda one: one[0], default=None)
         if worst is None or worst[0] <= np.log(found.pool.level):
@@ -142,10 +142,13 @@ def _cause(
 ) -> Cause:
     """One cause: its share beside the other causes, its rivals beside the patterns as well."""
     form, others = forms[k], [one for one in forms if one is not forms[k]]
-    share = found.pool.scores(others, [form.index])[0, 0] / excess
+    explained, dof, _ = found.pool.scores(others, [form.index])[0]
+    # All that is left counts as scatter, were it a pattern.
+    left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
+    log_p = min(float(log_chance(explained / left, max(dof, 1.0), found.pool.dof)) + form.price, 0.0)
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
-    explained, dof, log_p = pool.scores(rest, [form.index])[0]
-    margin = float(explained - pool.cost(beside[k], dof))
+    explained_beside, dof_beside, _ = pool.scores(rest, [form.index])[0]
+    margin = float(explained_beside - pool.cost(beside[k], dof_beside))
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
     if not promised:
         text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
@@ -154,9 +157,9 @@ def _cause(
         where=form.candidate.where,
         origin=form.candidate.origin,
         parameters=estimated.quantities[k],
-        p_value=pool.chance(log_p),
-        share=float(np.clip(share, 0.0, 1.0)),
-        equivalent=_equivalent(pool, beside[k], rest, margin),
+        p_value=found.pool.chance(log_p),
+        share=float(np.clip(explained / excess, 0.0, 1.0)),
+        equivalent=equivalent(found, beside[k], rest),
         evidence=text,
         pattern_um=locked(unwhitened(found.problem, estimated.signature[:, k])),
         effects=estimated.effects[k] if promised else (),
@@ -178,8 +181,8 @@ def _promised(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     split = at_positions(data, [axis])
     if split is None:
         return False
-    without, fitted = positions_held_out(pool, form, [one for one in forms if one is not form], split)
-    return fitted < without
+    gained = positions_held_out(pool, form, [one for one in forms if one is not form], split)
+    return gained is not None and gained[0] > 0.0
 
 
 def _log_p(against: tuple[float, int, float]) -> float:
@@ -288,8 +291,36 @@ def _gain(
     )
 
 
-def _equivalent(pool: Pool, form: Form, others: Sequence[Form], margin: float) -> tuple[tuple[str, str], ...]:
-    """What could stand in this cause's place, the others kept, without the data objecting."""
+def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
+    """What could stand in a cause's place, the others kept, without the data objecting.
+
+    Beside patterns much fits that would leave the patterns more to do: what a cause carries more than another, all patterns aside, may
+    be no more than what the patterns are.
+
+    Args:
+        found: causes and patterns.
+        form: the cause, of ``found.beside``.
+        others: the other causes, likewise.
+    """
+    keys = _in_place(found.beside, form, others)
+    if not found.structure.traces or not keys:
+        return keys
+    plain = found.pool
+    kept = [plain.forms[one.index] for one in others]
+    explained, _ = plain.scan(kept)
+    own = float(explained[form.index])
+    allowed = found.structure.fitted([*kept, plain.forms[form.index]])[0] + DOUBT
+    best = {key: 0.0 for key in keys}
+    for one in plain.forms:
+        if one.key in best:
+            best[one.key] = max(best[one.key], float(explained[one.index]))
+    return tuple(key for key in keys if best[key] > own - allowed)
+
+
+def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
+    """What explains as much in a cause's place, its price paid."""
+    own_explained, own_dof = (float(values[form.index]) for values in pool.scan(others))
+    margin = own_explained - pool.cost(form, own_dof)
     used = {one.key for one in others} | {form.key}
     tried = [i for i, one in enumerate(pool.forms) if one.key not in used]
     scores = pool.scores(others, tried)

@@ -72,7 +72,7 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     # A stiffness of 5 kN·m/rad is that of a small robot's wrist gear, 1 N/µm that of a weak slide.
     ("gravity_compliance", "urad/(N.m)"): 200.0,
     ("gravity_compliance", "um/N"): 1.0,
-    ("refraction_scale", "ppm"): 300.0,
+    ("refraction_scale", "ppm"): 20.0,
 }
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
 AT_HAND: Final = 64

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from twin.arrays import locked
 from twin.covariance import Covariance
-from twin.diagnosis.misfit import more_left, widened
+from twin.diagnosis.misfit import larger, more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
@@ -144,13 +144,14 @@ def estimate(
     total = signature.sum(axis=1)
     left = problem.residual - total
     after = float(left @ problem.project(left))
-    if beside is not None:
-        inverse = _with_patterns(problem, whole, inverse, np.concatenate(sizes), beside)
+    by_patterns = None if beside is None else _with_patterns(problem, whole, inverse, np.concatenate(sizes), beside)
     count = float("inf")
     if more_left(problem, left, whole.shape[1], scatter):
         size = np.concatenate(sizes)
         wide, count = widened(problem, whole * size, left, inverse / np.outer(size, size))
         inverse = wide * np.outer(size, size)
+    if by_patterns is not None:
+        inverse = larger(inverse, by_patterns)
     against = []
     quantities, rows, apart, names, at = [], [], [], [], 0
     for k, form in enumerate(forms):

@@ -145,21 +145,31 @@ def _squares(problem: Problem, residual: np.ndarray, rows: np.ndarray) -> np.nda
     return np.asarray(np.sum(np.where(read, found, 0.0) ** 2, axis=1))
 
 
-def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float]:
-    """Mean squares of the readings at positions held out, without and with one cause fitted to the others, all others kept."""
+def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:
+    """95 % interval of what one cause gains at positions that it was not fitted to, all others kept; None where none is given.
+
+    Args:
+        pool: the data.
+        form: the cause.
+        others: the other causes.
+        split: the positions.
+    """
     problem = pool.problem
-    sums = np.zeros(2)
+    table = np.zeros((int(split.group.max()) + 1, 3))
     for k in range(int(split.part.max()) + 1):
         rows = split.part == k
         part = problem.without(rows)
         if part is None:
-            return 0.0, 0.0
+            return None
         small = pool.on(part)
         held = np.repeat(rows, 3)
-        for i, kept in enumerate((others, [*others, form])):
-            left = part.following(problem.residual - foretold(problem, small, kept))
-            sums[i] += float(np.sum(left[held] ** 2))
-    return float(sums[0]), float(sums[1])
+        squares = [
+            _squares(problem, part.following(problem.residual - foretold(problem, small, kept))[held], rows)
+            for kept in (others, [*others, form])
+        ]
+        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
+    return interval(table)
 
 
 def tool_mm(machine: Machine) -> float:

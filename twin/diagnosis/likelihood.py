@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from twin.diagnosis.pool import Form, Pool, pseudo, together
-from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
 from twin.diagnosis.unnamed import Trace
 
@@ -182,13 +181,19 @@ class Likelihood:
         """What the patterns explain beside some causes, more than these alone."""
         return model.explained - self.pool.explained_by(forms)
 
-    def pattern(self, problem: Problem, model: Model) -> np.ndarray:
-        """(3n,) what the patterns do to the whitened readings, most likely."""
+    def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+        """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
+        problem = self.pool.problem
         found = np.zeros(len(problem.residual))
         for start in range(0, len(self.columns), TOGETHER):
             some = slice(start, start + TOGETHER)
             found += problem.signature(self.columns[some]) @ model.random[some]
-        return found
+        columns = together(forms)
+        if len(columns):
+            back, _ = pseudo(self.pool.gram(forms))
+            signature = problem.signature([self.pool.products.columns[i] for i in columns])
+            found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
+        return problem.project(found)
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """The patterns' columns with their standard deviations, µm."""

@@ -85,3 +85,21 @@ def widened(problem: Problem, columns: np.ndarray, left: np.ndarray, inverse: np
     share, axes = np.linalg.eigh(flat.T @ flat * (count / (count - 1)))
     turned = root @ axes
     return np.asarray((turned * np.maximum(share, 1.0)) @ turned.T), float(count)
+
+
+def larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(k, k) covariance that is in every direction of the plane of two covariances the larger of them.
+
+    Args:
+        one: (k, k).
+        other: (k, k), nothing where the first is nothing.
+    """
+    size = np.sqrt(np.maximum(np.diag(one), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(one / np.outer(scale, scale))
+    kept = values > 1e-12 * values[-1]
+    root = (scale[:, None] * vectors[:, kept]) * np.sqrt(values[kept])
+    back = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
+    share, axes = np.linalg.eigh(back @ other @ back.T)
+    turned = root @ axes
+    return np.asarray((turned * np.maximum(share, 1.0)) @ turned.T)

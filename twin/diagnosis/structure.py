@@ -29,7 +29,10 @@ CAUSES: Final = 30
 """Causes at most."""
 TRIED: Final = 5
 """Causes that are looked at in full at every step."""
-PART: Final = 2.0
+BETTER: Final = 0.1
+MOSTLY: Final = 0.9
+"""Share of all that is explained from which on causes stand, whatever their form leaves to patterns."""
+PART: Final = 1.0
 """Times what patterns that can imitate it leave, which a cause must carry."""
 HOPEFUL: Final = 0.3
 """Share of its price that a cause must explain beside patterns whose variances still hold it, to be looked at."""
@@ -73,9 +76,7 @@ class Structure:
         if self.likelihood is None:
             return 0.0, np.zeros(len(self.problem.residual))
         model = self.likelihood.fit(forms, self.model)
-        problem = self.likelihood.pool.problem
-        pattern = problem.project(self.likelihood.pattern(problem, model))
-        return self.likelihood.explained(forms, model), pattern
+        return self.likelihood.explained(forms, model), self.likelihood.pattern(forms, model)
 
 
 @final
@@ -103,29 +104,61 @@ class Findings:
 
 
 def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Causes that were chosen as if everything had a name, or, where a pattern is left beside them, those that stand beside patterns.
+    """Causes that were chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside them.
 
     Args:
         pool: the data, and what a cause must explain.
         forms: the causes that were chosen.
         tried: patterns to look for.
     """
-    alone = Structure(tuple(forms), None, None, pool.problem, ())
-    left = scan(pool.problem, tried, forms, pool.dof)
-    if not (left and left[0].found) and len(forms) < FEWER:
-        return alone
-    whole = scan(pool.problem, tried, (), pool.dof) if forms else left
-    if not (whole and whole[0].found):
-        return alone
-    found = _beside(pool, whole[0], tried)
-    if not (left and left[0].found):
-        # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
-        replaced = len(forms) - len(found.forms)
-        if not found.traces or replaced < FEWER or _worth(pool, found) < pool.worth(forms) - DOUBT:
-            return alone
+    found = _named(pool, forms, tried)
+    left = bool(found.traces)
+    if left or len(forms) >= FEWER:
+        carried = pool.explained_by(found.forms)
+        if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
+            other = _patterned(pool, tried)
+            # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
+            simpler = (
+                len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
+            )
+            if other.traces and (left or simpler):
+                found = other
     keys = {form.key for form in found.forms}
     fallen = tuple(form for form in forms if form.key not in keys)
     return Structure(found.forms, found.likelihood, found.model, found.problem, fallen)
+
+
+def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+    """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
+    stand, traces = list(forms), []
+    problem, likelihood, model = pool.problem, None, None
+    while True:
+        seen = {(trace.pattern.side, trace.pattern.names) for trace in traces}
+        more = [
+            trace
+            for trace in (scan(problem, tried, stand, pool.dof) if len(traces) < MOST else [])
+            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+        ]
+        if not more:
+            return Structure(tuple(stand), likelihood, model, problem, ())
+        likelihood = Likelihood(pool, [*traces, more[0]])
+        model = likelihood.fit(stand)
+        part = _partial(likelihood, stand, model)
+        if part is None:
+            traces.append(more[0])
+            problem = pool.problem.beside(likelihood.random(model), model.scatter)
+        else:
+            # What it had taken up is the patterns' or another cause's.
+            stand = [form for form in stand if form is not part]
+            traces, problem, likelihood, model = [], pool.problem, None, None
+
+
+def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
+    """The account from the pattern on that shows best; nothing where none shows."""
+    whole = scan(pool.problem, tried, (), pool.dof)
+    if not (whole and whole[0].found):
+        return Structure((), None, None, pool.problem, ())
+    return _beside(pool, whole[0], tried)
 
 
 def _worth(pool: Pool, found: Structure) -> float:
@@ -195,10 +228,31 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
                 best = gained, form, with_it
         if best is None:
-            return stand, model
+            other = _exchanged(likelihood, stand, model, barred)
+            if other is None:
+                return stand, model
+            stand, model = other
+            continue
         stand, model = [*stand, best[1]], best[2]
         stand, model = _dropped(likelihood, stand, model)
     return stand, model
+
+
+def _exchanged(
+    likelihood: Likelihood, stand: list[Form], model: Model, barred: Collection[int]
+) -> tuple[list[Form], Model] | None:
+    """One cause replaced by another where that is likelier; None where none is."""
+    pool = likelihood.pool
+    for form in stand:
+        others = [one for one in stand if one is not form]
+        less = likelihood.fit(others, model)
+        for other in _hopeful(likelihood, others, less, barred):
+            trial = [*others, other]
+            found = likelihood.fit(trial, less)
+            gained = found.twice - _cost(pool, other) - model.twice + _cost(pool, form)
+            if other is not form and gained > BETTER and _possible(pool, trial, found):
+                return trial, found
+    return None
 
 
 def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
