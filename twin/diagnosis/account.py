@@ -100,7 +100,7 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
         trends=_trends(found),
         ranking=_ranking(pool),
         # Last: it puts the pool back to what was tried.
-        gain=_gain(found, forms, estimated, effects, residual, after, left) if forms else None,
+        gain=_gain(found, forms, estimated, promised, residual, after, left) if forms else None,
         tried=len(found.known.candidates),
         scatter=scatter.source,
         calibration=calibration,
@@ -115,7 +115,8 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
 
 def _sized(found: Findings) -> tuple[list[Form], Estimate, list[Form]]:
     """The causes with their sizes, fitted without the patterns, and those that are not beyond what differs from group to group."""
-    forms, dropped = list(found.structure.forms), []
+    forms = list(found.structure.forms)
+    dropped: list[Form] = []
     while True:
         estimated = estimate(found.problem, forms, found.scatter.dof, found.structure.beside)
         judged = [
@@ -266,19 +267,21 @@ def _gain(
     found: Findings,
     forms: Sequence[Form],
     estimated: Estimate,
-    effects: Sequence[Effect],
+    promised: Sequence[bool],
     before: np.ndarray,
     after: np.ndarray,
     left: Unexplained | None,
 ) -> Gain:
     network = found.problem.network
-    held = held_out(found, forms)
+    barred = {form.key for form, own in zip(forms, promised, strict=True) if not own}
+    held = held_out(found, forms, barred)
+    effects = [effect for own, promise in zip(estimated.effects, promised, strict=True) if promise for effect in own]
     moved, doubt = at_tool(network.data, network.machine, effects, estimated)
     # What is not in the file stays: curves that are not promised, and what no cause explains.
     stays = [
         float(np.nansum(unwhitened(found.problem, estimated.signature[:, k]) ** 2) / len(network.data))
-        for k, own in enumerate(estimated.effects)
-        if own and not any(effect in effects for effect in own)
+        for k, own in enumerate(promised)
+        if not own
     ]
     rest = sum(stays) + (0.0 if left is None or not left.depends_on else 3.0 * left.size_um**2)
     return Gain(

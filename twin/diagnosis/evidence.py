@@ -14,6 +14,7 @@ from twin.diagnosis.result import readable_unit
 
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
+    """What the k-th cause does, and how far beyond its uncertainty that is."""
     sizes = [q for q in found.quantities[k] if q.name not in ("order", "period", "phase", "time_constant")]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     unit = readable_unit(size.unit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -69,7 +69,7 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[read] ** 2)))
 
 
-def held_out(found: Findings, forms: Sequence[Form]) -> HeldOut | None:
+def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[str, str]]) -> HeldOut | None:
     """Residuals of readings that neither the selection nor the fit has seen, without and with the causes chosen then.
 
     What the search learnt from all readings, where a period lies or what cannot be, is forgotten first. None where nothing can be held
@@ -78,6 +78,7 @@ def held_out(found: Findings, forms: Sequence[Form]) -> HeldOut | None:
     Args:
         found: the causes and patterns.
         forms: the causes that stand in the end: they decide what is held out (`twin.diagnosis.folds`).
+        barred: causes that foretell nothing, for they are not promised.
     """
     problem, pool = found.problem, found.pool
     split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
@@ -93,7 +94,7 @@ def held_out(found: Findings, forms: Sequence[Form]) -> HeldOut | None:
             return None
         small = pool.on(part)
         kept = settled(small, chosen(small, starts=1).forms, wanted).forms
-        signature = foretold(problem, small, kept)
+        signature = foretold(problem, small, [form for form in kept if form.key not in barred])
         held = np.repeat(rows, 3)
         squares = [
             _squares(problem, part.following(residual)[held], rows)

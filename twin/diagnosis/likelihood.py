@@ -1,9 +1,9 @@
 """How likely causes are beside patterns without a name, whose variances the data decide.
 
-r ~ N(Xβ, s²(1 + ΦDΦᵀ)) beside the set-up: causes X, the patterns' functions Φ, a variance in D for each direction of each pattern, and
-s ≥ 1 for scatter larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural Computation 4, 415). Two sets
-of causes are compared by this likelihood, the variances fitted anew for each: a cause that imitates a part of a pattern gains little
-over the pattern alone, and one beside which next to nothing is left gains much, however significant that is.
+r ~ N(Xβ, s²(1 + ΦDΦᵀ)) beside the set-up: causes X, the patterns' functions Φ, a variance in D for each direction of each pattern,
+and s ≥ 1 for scatter larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural Computation 4, 415).
+Two sets of causes are compared by this likelihood, the variances fitted anew for each: a cause that imitates a part of a pattern gains
+little over the pattern alone, and one beside which next to nothing is left gains much.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class Likelihood:
         return Model(twice, variances, more, explained, values, random), moved
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
-        """What every form of the pool explains beside some causes and the patterns, in units of the scatter, and its degrees of freedom."""
+        """What every form explains beside causes and patterns, in units of the scatter, and its degrees of freedom."""
         used = np.flatnonzero(model.variances[self.group] * self._size[self.group] > SMALL)
         deviation = np.sqrt(model.variances[self.group[used]])
         inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
@@ -156,10 +156,7 @@ class Likelihood:
     def left(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """(patterns,) what each pattern explains that causes and other patterns do not."""
         return np.array(
-            [
-                max(model.explained - self.fit(forms, model, without=k).explained, 0.0)
-                for k in range(len(self.traces))
-            ]
+            [max(model.explained - self.fit(forms, model, without=k).explained, 0.0) for k in range(len(self.traces))]
         )
 
     def imitated(self, form: Form) -> np.ndarray:

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from twin.diagnosis.panels import Panel, cause_panels, residual_panels
 from twin.diagnosis.plots import alone, plot_left
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
@@ -24,6 +22,7 @@ from twin.diagnosis.words import (
     column,
     contests,
     grouped,
+    held_out_words,
     kind,
     listed,
     lower,
@@ -254,16 +253,16 @@ def _gain(diagnosis: Diagnosis) -> str:
     expected = f"{diagnosis.expected_rms_um:.3g} expected"
     rows = [("readings less model", gain.rms_before_um, f"{gain.rms_after_um:.3g}", expected)]
     doubt = ""
-    if not np.isnan(gain.held_before_um):
-        low, high = gain.held_ci95_um
+    held = gain.held_out
+    if held is not None:
+        where = f"on {held_out_words(held.of)} that were not looked at"
+        low, high = (float("nan"), float("nan")) if held.ci95_um is None else held.ci95_um
         less = f"less by {low:.2g} to {high:.2g} (95 %)"
-        rows.append(
-            ("the same, on rounds that were not looked at", gain.held_before_um, f"{gain.held_after_um:.3g}", less)
-        )
+        if held.ci95_um is None:
+            less = f"too few {held_out_words(held.of)} for an interval"
+        rows.append((f"the same, {where}", held.before_um, f"{held.after_um:.3g}", less))
         if low <= 0.0:
-            doubt = (
-                "<p>On rounds that were not looked at, no gain is proven: what was found may not come back alike.</p>"
-            )
+            doubt = f"<p>{capital(where)}, no gain is proven: what was found may not come back alike.</p>"
     if gain.tool_before_um > 0.0:
         where = "at the tool over the working volume, compensated"
         rows.append((where, gain.tool_before_um, f"{gain.tool_after_um:.2g}", "by what is uncertain in what was found"))

@@ -104,7 +104,7 @@ class Findings:
 
 
 def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Causes that were chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside them.
+    """Causes chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside these.
 
     Args:
         pool: the data, and what a cause must explain.
@@ -118,9 +118,7 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
             other = _patterned(pool, tried)
             # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
-            simpler = (
-                len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
-            )
+            simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
             if other.traces and (left or simpler):
                 found = other
     keys = {form.key for form in found.forms}
@@ -130,7 +128,8 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
 
 def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
-    stand, traces = list(forms), []
+    stand = list(forms)
+    traces: list[Trace] = []
     problem, likelihood, model = pool.problem, None, None
     while True:
         seen = {(trace.pattern.side, trace.pattern.names) for trace in traces}
@@ -181,7 +180,8 @@ def _cost(pool: Pool, form: Form) -> float:
 
 def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
     """The account from a pattern on: causes beside it, another pattern where one is left, and no pattern that is not needed."""
-    traces, forms = [first], []
+    traces = [first]
+    forms: list[Form] = []
     seen = {(first.pattern.side, first.pattern.names)}
     barred: set[int] = set()
     while True:
@@ -287,7 +287,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
 
 
 def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
-    """The cause that carries the smallest part of what it goes with, if that is too small: what patterns that could do the same leave."""
+    """The cause that carries the smallest part of what it goes with, if patterns that could do the same explain more beside it."""
     left = likelihood.left(forms, model)
     whole = likelihood.pool.explained_by(forms)
     worst: tuple[float, Form] | None = None
@@ -295,8 +295,9 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
         others = [one for one in forms if one is not form]
         carried = whole - likelihood.pool.explained_by(others)
         beside = float(likelihood.imitated(form) @ left)
-        if carried < PART * beside and (worst is None or carried / beside < worst[0]):
-            worst = carried / beside, form
+        ratio = carried / max(beside, 1e-9)
+        if carried < PART * beside and (worst is None or ratio < worst[0]):
+            worst = ratio, form
     return None if worst is None else worst[1]
 
 

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from textwrap import wrap
 from typing import Final
 
-import numpy as np
-
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
 from twin.diagnosis.verdict import facts, headline, sentence
 from twin.diagnosis.words import (
     coefficient,
     contests,
     grouped,
+    held_out_words,
     listed,
     lower,
     measured,
@@ -30,6 +29,8 @@ from twin.measurement_checks import assumptions, grouped_notes
 from twin.provenance import texts
 
 WIDTH: Final = 100
+ABSORBED: Final = 0.9
+"""Share of the residual below which it is said how much the calibration's own uncertainty takes up."""
 HARD: Final = "\u00a0"
 
 
@@ -57,6 +58,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             hang=2,
         ),
     ]
+    if diagnosis.absorbed_rms_um < ABSORBED * diagnosis.rms_um:
+        absorbed = f"{diagnosis.absorbed_rms_um:.3g} µm are left once the calibration's stated uncertainty has taken up what it can"
+        lines += _wrapped(f"{absorbed}.", start=2, hang=2)
     if diagnosis.unexplained is not None:
         lines += _wrapped(f"Left unexplained: {diagnosis.unexplained.evidence}.", hang=2)
     lines += _gain(diagnosis)
@@ -147,13 +151,14 @@ def _gain(diagnosis: Diagnosis) -> list[str]:
     if gain is None:
         return []
     text = f"Modelling it: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
-    if not np.isnan(gain.held_before_um):
-        low, high = gain.held_ci95_um
-        where = "rounds" if len(set(diagnosis.data.round)) > 1 else "poses"
+    held = gain.held_out
+    if held is not None:
         text += (
-            f"; on {where} left out and not looked at {gain.held_before_um:.3g} → {gain.held_after_um:.3g} µm (less by {low:.2g} to "
-            f"{high:.2g}, 95 %)"
-        ).replace("-", "−")
+            f"; on {held_out_words(held.of)} left out and not looked at {held.before_um:.3g} → {held.after_um:.3g} µm"
+        )
+        if held.ci95_um is not None:
+            low, high = held.ci95_um
+            text += f" (less by {low:.2g} to {high:.2g}, 95 %)".replace("-", "−")
     if gain.tool_before_um > 0.0:
         text += f"; at the tool over the working volume, compensated, {gain.tool_before_um:.3g} → {gain.tool_after_um:.2g} µm RMS"
     return _wrapped(f"{text}.", hang=2)

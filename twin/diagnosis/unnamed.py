@@ -25,7 +25,7 @@ ALARMS: Final = 0.01
 """Share of data sets with nothing in them in which a pattern is found."""
 EXACT: Final = 24
 """Tests whose chance is worked out by eigenvalues, the most significant by two moments."""
-DIRECTIONS: Final = ((0,), (1,), (2,), (0, 1, 2))
+DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Of the frame: each alone, and all."""
 SEEN: Final = 1e-10
 PLAUSIBLE: Final = 100.0
@@ -146,7 +146,7 @@ class _Scores:
     def exact(self, trace: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
         """Log of the chance of a score: the pattern, its level, its directions."""
         pattern, level, directions = trace
-        rows, weight, taken, along = self._along(pattern)
+        rows = self._along(pattern)[0]
         chosen = pattern.order <= level
         fields = self._fields(pattern, rows)[:, :, list(directions)]
         made = pattern.at(rows)[:, chosen]
@@ -194,7 +194,7 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
 
 def _two_moments(score: float, mean: float, variance: float) -> float:
     """Log of the chance of a score under the scaled χ² with its mean and variance (Satterthwaite 1946)."""
-    return float(log_chance(2.0 * score * mean / variance, 2.0 * mean**2 / variance, np.inf))
+    return float(log_chance(np.array(2.0 * score * mean / variance), 2.0 * mean**2 / variance, np.inf))
 
 
 def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:

@@ -26,6 +26,8 @@ from twin.diagnosis.words import (
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
 SHOWN: Final = 4
 """Causes that are told of before the others are counted."""
+COVERED: Final = 0.9
+"""Share of the residual below which the calibration's uncertainty is what makes it consistent."""
 RESTLESS: Final = 1.2
 """Times the stated scatter from which it is doubted."""
 NEXT: Final = "“What to measure next”"
@@ -72,9 +74,14 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """What it makes at the tool, what to do and what not: a heading and a sentence or two each."""
     causes = diagnosis.causes
     if diagnosis.verdict == "consistent":
-        seen = f"The readings differ from the model by {diagnosis.rms_um:.3g} µm, as their own scatter lets expect"
+        why = f"as their own scatter lets expect ({diagnosis.expected_rms_um:.3g} µm)"
+        if diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
+            why = (
+                f"more than their own scatter ({diagnosis.expected_rms_um:.3g} µm): the uncertainty that the calibration states "
+                "covers the rest"
+            )
         return [
-            ("Seen", f"{seen} ({diagnosis.expected_rms_um:.3g} µm)."),
+            ("Seen", f"The readings differ from the model by {diagnosis.rms_um:.3g} µm, {why}."),
             ("Do", "Nothing. Compensate with the calibration as it is."),
             ("Mind", f"This holds for what these readings can show. What they cannot is listed under {NEXT}."),
         ]

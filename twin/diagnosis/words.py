@@ -519,3 +519,8 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
     }
 )
 """Where to look, what to do, what never."""
+
+
+def held_out_words(of: str) -> str:
+    """What was held out: rounds, positions, poses, or blocks of time."""
+    return "blocks of time" if of == "blocks" else of
