@@ -128,5 +128,5 @@ def test_errors_at_the_wrong_joint(look, calibration: Calibration, axis: str, wh
     assert (cause.effect, cause.where) == ("misplaced", told)
     assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
     assert "instead of C's own joint" in cause.evidence
-    assert result.gain is not None
-    assert result.gain.held_after_um < result.gain.held_before_um
+    assert result.gain is not None and result.gain.held_out is not None
+    assert result.gain.held_out.after_um < result.gain.held_out.before_um

@@ -162,6 +162,6 @@ def test_a_robot_errs_periodically_in_its_first_three_joints(step: int, tmp_path
         cause = the(found, "harmonic", f"E_C{joint}", orders=(17,) if joint != "J3" else (16, 17, 18))
         # Published nowhere; by our least squares on all poses 0.2 to 0.28, and its own u is some 0.02.
         assert 0.15 < amplitude(cause) < 0.35
-    assert found.gain is not None
-    assert np.sqrt(3.0) * found.gain.held_after_um < 1e3 * 0.33
-    assert found.gain.held_ci95_um[0] > 0.0
+    assert found.gain is not None and found.gain.held_out is not None
+    assert np.sqrt(3.0) * found.gain.held_out.after_um < 1e3 * 0.33
+    assert found.gain.held_out.ci95_um is not None and found.gain.held_out.ci95_um[0] > 0.0

@@ -84,7 +84,7 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     hidden = _unidentifiable(problem, pool, found.known)
     weights, read = problem.network.whitening, problem.network.read
     return Diagnosis(
-        verdict=_verdict(ordered, left),
+        verdict=_verdict([*ordered, *also], left),
         rms_um=rms(residual, read),
         absorbed_rms_um=rms(unwhitened(problem, problem.projected), read),
         expected_rms_um=_expected(problem),
