@@ -119,11 +119,14 @@ def _sized(found: Findings) -> tuple[list[Form], Estimate, list[Form]]:
     dropped: list[Form] = []
     while True:
         estimated = estimate(found.problem, forms, found.scatter.dof, found.structure.beside)
-        judged = [
-            (_log_p(against) + form.price, form)
-            for form, against in zip(forms, estimated.against, strict=True)
-            if MANY <= against[2] < np.inf and not found.structure.traces
-        ]
+        if found.structure.traces:
+            judged = [(_log_p_beside(found, estimated, forms, form), form) for form in forms]
+        else:
+            judged = [
+                (_log_p(against) + form.price, form)
+                for form, against in zip(forms, estimated.against, strict=True)
+                if MANY <= against[2] < np.inf
+            ]
         worst = max(judged, key=lambda one: one[0], default=None)
         if worst is None or worst[0] <= np.log(found.pool.level):
             return forms, estimated, dropped
@@ -143,10 +146,8 @@ def _cause(
 ) -> Cause:
     """One cause: its share beside the other causes, its rivals beside the patterns as well."""
     form, others = forms[k], [one for one in forms if one is not forms[k]]
-    explained, dof, _ = found.pool.scores(others, [form.index])[0]
-    # All that is left counts as scatter, were it a pattern.
-    left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
-    log_p = min(float(log_chance(explained / left, max(dof, 1.0), found.pool.dof)) + form.price, 0.0)
+    explained = found.pool.scores(others, [form.index])[0, 0]
+    log_p = _log_p_beside(found, estimated, forms, form)
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
     explained_beside, dof_beside, _ = pool.scores(rest, [form.index])[0]
     margin = float(explained_beside - pool.cost(beside[k], dof_beside))
@@ -184,6 +185,14 @@ def _promised(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
         return False
     gained = positions_held_out(pool, form, [one for one in forms if one is not form], split)
     return gained is not None and gained[0] > 0.0
+
+
+def _log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
+    """Log of a cause's chance, its price paid, where all that causes leave counts as scatter, be it a pattern or not."""
+    explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
+    left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
+    chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.pool.dof)
+    return min(float(chance) + form.price, 0.0)
 
 
 def _log_p(against: tuple[float, int, float]) -> float:

@@ -15,7 +15,7 @@ from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
 from twin.diagnosis.search import chosen
-from twin.diagnosis.structure import Findings, settled
+from twin.diagnosis.structure import Findings, again
 from twin.distributions import student_isf
 from twin.effects import Effect
 from twin.identification.network import Network
@@ -85,7 +85,6 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
     pool.judge(problem)
     if split is None:
         return None
-    wanted = [trace.pattern for trace in found.structure.traces]
     table = np.zeros((int(split.group.max()) + 1, 3))
     for k in range(int(split.part.max()) + 1):
         rows = split.part == k
@@ -93,7 +92,7 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
         if part is None:
             return None
         small = pool.on(part)
-        kept = settled(small, chosen(small, starts=1).forms, wanted).forms
+        kept = again(small, chosen(small, starts=1).forms, found.structure)
         signature = foretold(problem, small, [form for form in kept if form.key not in barred])
         held = np.repeat(rows, 3)
         squares = [

@@ -45,7 +45,7 @@ class Model:
         explained: of the misfit, by causes and patterns together.
         values: (columns,) of the causes, in the order of `together`.
         random: (columns,) of the patterns, µm.
-        own: what of the misfit is left to the causes once the patterns are shrunk as they should be.
+        covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
     """
 
     twice: float
@@ -54,6 +54,7 @@ class Model:
     explained: float
     values: np.ndarray
     random: np.ndarray
+    covariance: np.ndarray
 
 
 @final
@@ -124,7 +125,7 @@ class Likelihood:
         slope = self._slope[used] * deviation
         inverse = np.linalg.inv(inner)
         log_det = float(np.linalg.slogdet(inner)[1])
-        values = np.zeros(len(columns))
+        values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
             back, _ = pseudo(fixed - cross.T @ inverse @ cross)
             values = back @ (self.pool.slope[columns] - cross.T @ (inverse @ slope))
@@ -139,7 +140,13 @@ class Likelihood:
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
         random = np.zeros(len(self.columns))
         random[used] = found * deviation
-        return Model(twice, variances, more, explained, values, random), moved
+        return Model(twice, variances, more, explained, values, random, back), moved
+
+    def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
+        """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""
+        at = np.searchsorted(together(forms), form.columns)
+        values = model.values[at]
+        return float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values) / model.scatter
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
         """What every form explains beside causes and patterns, in units of the scatter, and its degrees of freedom."""

@@ -88,6 +88,13 @@ def select(pool: Pool, starts: int = STARTS) -> Selection:
             found = Selection(tuple(forms), worth)
         if len(forms) > FEW:
             break  # a model that is wrong all over: where one begins is not what matters
+    if len(found.forms) > FEW:
+        # A machine whose constants were never identified: each of them is worth little before the others are in.
+        numbers = np.array([form.candidate.effect in NUMBERS for form in pool.forms])
+        forms = grown(pool, grown(pool, [], numbers))
+        worth = pool.worth(forms)
+        if worth > (1.0 - SAME) * found.worth:
+            found = Selection(tuple(forms), worth)
     forms = _split(pool, list(found.forms))
     return Selection(tuple(forms), pool.worth(forms))
 

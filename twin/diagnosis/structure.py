@@ -20,7 +20,7 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import Pattern
 from twin.diagnosis.pool import DOUBT, Form, Pool, together
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.search import excess_of
+from twin.diagnosis.search import FEW, NUMBERS, excess_of
 from twin.diagnosis.unnamed import ALARMS, Trace, scan
 
 MOST: Final = 3
@@ -29,6 +29,8 @@ CAUSES: Final = 30
 """Causes at most."""
 TRIED: Final = 5
 """Causes that are looked at in full at every step."""
+CLEAR: Final = 20.0
+"""Times its price that a cause gains at most, from which on it is not asked whether it pays for itself."""
 BETTER: Final = 0.1
 MOSTLY: Final = 0.9
 """Share of all that is explained from which on causes stand, whatever their form leaves to patterns."""
@@ -51,6 +53,7 @@ class Structure:
         model: at the most likely variances; likewise.
         problem: the data with the patterns free beside the set-up.
         fallen: causes that were chosen at first and do not stand beside the patterns.
+        patterned: whether the account was made from the patterns on, not from the causes.
     """
 
     forms: tuple[Form, ...]
@@ -58,6 +61,7 @@ class Structure:
     model: Model | None
     problem: Problem
     fallen: tuple[Form, ...]
+    patterned: bool = False
 
     @property
     def traces(self) -> tuple[Trace, ...]:
@@ -112,7 +116,7 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
         tried: patterns to look for.
     """
     found = _named(pool, forms, tried)
-    left = bool(found.traces)
+    left, patterned = bool(found.traces), False
     if left or len(forms) >= FEWER:
         carried = pool.explained_by(found.forms)
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
@@ -120,10 +124,26 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
             # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
             simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
             if other.traces and (left or simpler):
-                found = other
+                found, patterned = other, True
     keys = {form.key for form in found.forms}
     fallen = tuple(form for form in forms if form.key not in keys)
-    return Structure(found.forms, found.likelihood, found.model, found.problem, fallen)
+    return Structure(found.forms, found.likelihood, found.model, found.problem, fallen, patterned)
+
+
+def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[Form, ...]:
+    """Causes as they stand on a part of the data, beside the patterns that were found on all of it.
+
+    Args:
+        pool: the part.
+        forms: the causes that were chosen on it.
+        found: the account of all data.
+    """
+    if not found.traces:
+        return tuple(forms)
+    likelihood = Likelihood(pool, found.traces)
+    if found.patterned:
+        return tuple(_stepwise(likelihood, [], set())[0])
+    return tuple(without_parts(likelihood, forms, likelihood.fit(forms)))
 
 
 def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
@@ -142,14 +162,13 @@ def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Struc
             return Structure(tuple(stand), likelihood, model, problem, ())
         likelihood = Likelihood(pool, [*traces, more[0]])
         model = likelihood.fit(stand)
-        part = _partial(likelihood, stand, model)
-        if part is None:
+        whole = without_parts(likelihood, stand, model)
+        if len(whole) == len(stand):
             traces.append(more[0])
             problem = pool.problem.beside(likelihood.random(model), model.scatter)
         else:
-            # What it had taken up is the patterns' or another cause's.
-            stand = [form for form in stand if form is not part]
-            traces, problem, likelihood, model = [], pool.problem, None, None
+            # What they had taken up is the patterns' or another cause's.
+            stand, traces, problem, likelihood, model = whole, [], pool.problem, None, None
 
 
 def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
@@ -208,12 +227,11 @@ def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
             traces = [*traces, more[0]]
             seen.add((more[0].pattern.side, more[0].pattern.names))
             continue
-        part = _partial(likelihood, forms, model)
-        if part is None:
+        whole = without_parts(likelihood, forms, model)
+        if len(whole) == len(forms):
             return Structure(tuple(forms), likelihood, model, problem, ())
-        # What it had taken up is the patterns' or another cause's.
-        barred.add(int(pool.key_of[part.index]))
-        forms = [form for form in forms if form is not part]
+        barred |= {int(pool.key_of[form.index]) for form in forms if form not in whole}
+        forms = whole
 
 
 def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
@@ -228,14 +246,14 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
                 best = gained, form, with_it
         if best is None:
-            other = _exchanged(likelihood, stand, model, barred)
-            if other is None:
+            fewer, model = _dropped(likelihood, stand, model)
+            other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
+            if other is None and len(fewer) == len(stand):
                 return stand, model
-            stand, model = other
+            stand, model = (fewer, model) if other is None else other
             continue
         stand, model = [*stand, best[1]], best[2]
-        stand, model = _dropped(likelihood, stand, model)
-    return stand, model
+    return _dropped(likelihood, stand, model)
 
 
 def _exchanged(
@@ -274,16 +292,29 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     """Without the causes that do not pay for themselves, the least worth first."""
     stand = list(forms)
     while stand:
-        worth = []
+        worst: tuple[float, Form, Model] | None = None
         for form in stand:
+            price = _cost(likelihood.pool, form)
+            if likelihood.gained(stand, model, form) > CLEAR * price:
+                continue
             less = likelihood.fit([one for one in stand if one is not form], model)
-            worth.append((model.twice - less.twice - _cost(likelihood.pool, form), less))
-        least = int(np.argmin([own for own, _ in worth]))
-        if worth[least][0] >= 0.0:
+            worth = model.twice - less.twice - price
+            if worth < (worst[0] if worst else 0.0):
+                worst = worth, form, less
+        if worst is None:
             break
-        model = worth[least][1]
-        stand.pop(least)
+        model = worst[2]
+        stand = [form for form in stand if form is not worst[1]]
     return stand, model
+
+
+def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
+    """Causes without those that carry only a part of what they go with."""
+    stand = list(forms)
+    while (part := _partial(likelihood, stand, model)) is not None:
+        stand = [form for form in stand if form is not part]
+        model = likelihood.fit(stand, model)
+    return stand
 
 
 def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
@@ -292,6 +323,8 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
     whole = likelihood.pool.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
+        if form.candidate.effect in NUMBERS:
+            continue  # that a machine has it is certain, only its size is not
         others = [one for one in forms if one is not form]
         carried = whole - likelihood.pool.explained_by(others)
         beside = float(likelihood.imitated(form) @ left)
