@@ -248,11 +248,20 @@ def set_up(of: Plan) -> np.ndarray:
     columns = []
     for direction in np.eye(3):
         along = np.broadcast_to(direction, (n, 3))
-        carried = _carried(of, none, along) - _carried(of, none, np.zeros((n, 3)))
-        for names, moved in ((of.target, carried), (of.station, along), (of.station, np.cross(along, base - origin))):
+        for names, moved in (
+            (of.target, turned(of, along)),
+            (of.station, along),
+            (of.station, np.cross(along, base - origin)),
+        ):
             seen = np.einsum("nij,nj->ni", into, moved)
             columns += [seen * (names == name)[:, None] for name in np.unique(names)]
     return np.stack(columns, axis=2).reshape(3 * n, -1)
+
+
+def turned(of: Plan, vectors: np.ndarray) -> np.ndarray:
+    """(n, 3) in the base: vectors (n, 3) that are fixed to the side of each row's target, without errors."""
+    none = {name: np.zeros((len(of.q), 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
+    return _carried(of, none, vectors) - _carried(of, none, np.zeros((len(of.q), 3)))
 
 
 def left_over(of: Plan, moved: np.ndarray, kind: str = "isotropic", sigma_mm: float = 3e-3) -> np.ndarray:

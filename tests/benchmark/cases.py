@@ -1,0 +1,201 @@
+"""The cases: what is hidden in each, drawn from a seed, scaled to a noncentrality λ, and written to a folder."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.benchmark.known import drawn, families, origin, two
+from tests.benchmark.machines import TruthMachine, machines
+from tests.benchmark.outside import PATTERNS, Outside
+from tests.benchmark.plan import Plan, write_table
+from tests.hidden import Hidden
+
+OUTSIDE = 300.0
+"""λ of a pattern outside the catalogue."""
+LEAST_LEFT = 0.05
+"""Share of its sum of squares that the set-up must leave of such a pattern."""
+LARGEST_MM = 0.2
+KINDS = (
+    "known30",
+    "known60",
+    "known300",
+    "two60",
+    "nothing",
+    "mixed300",
+    *(f"outside-{pattern}" for pattern in PATTERNS),
+)
+"""A known effect at λ = 30, 60 or 300, two at 60 each, nothing, one at 300 beside a pattern outside at 300, and each such pattern."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Which case it is: the same on every computer.
+
+    Attributes:
+        machine: name of a truth machine.
+        kind: one of `KINDS`.
+        number: counts the cases of this kind on this machine.
+        seed: of the benchmark.
+    """
+
+    machine: str
+    kind: str
+    number: int
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return f"{self.machine}-{self.kind}-{self.seed}-{self.number:03d}"
+
+    def rng(self) -> np.random.Generator:
+        """Its own generator."""
+        key = zlib.crc32(f"{self.machine} {self.kind}".encode())
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key, self.number)))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is hidden in a case.
+
+    Attributes:
+        plan: what is measured.
+        effects: known effects.
+        outside: a pattern of no catalogue.
+        read: (n, 3) readings with noise, mm.
+    """
+
+    plan: Plan
+    effects: tuple[Hidden, ...]
+    outside: Outside | None
+    read: np.ndarray
+
+
+@lru_cache(maxsize=1)
+def truth_machines() -> dict[str, TruthMachine]:
+    """All of them, made once."""
+    return machines()
+
+
+def truth_of(case: Case) -> Truth:
+    """Draw a case."""
+    machine, rng = truth_machines()[case.machine], case.rng()
+    plan = machine.plan(rng)
+    effects: Sequence[Hidden] = ()
+    outside = None
+    if case.kind == "two60":
+        effects = two(rng, machine, plan, 60.0)
+    elif case.kind.startswith(("known", "mixed")):
+        size = float(case.kind.removeprefix("known").removeprefix("mixed"))
+        effects = [_known(rng, machine, plan, case.number, size)]
+    if case.kind.startswith("outside"):
+        outside = outside_of(rng, machine, plan, case.kind.removeprefix("outside-"))
+    elif case.kind.startswith("mixed"):
+        outside = outside_of(rng, machine, plan, list(PATTERNS)[case.number % len(PATTERNS)])
+    moved = None if outside is None else outside.moved(machine, plan)
+    exact = machine.readings(plan, effects, moved)
+    return Truth(plan, tuple(effects), outside, exact + machine.sigma_mm * rng.standard_normal(exact.shape))
+
+
+def _known(rng: np.random.Generator, machine: TruthMachine, plan: Plan, number: int, size: float) -> Hidden:
+    """Of the families in turn; the next one where nothing of a family shows on these data."""
+    names = families(machine, plan)
+    for k in range(len(names)):
+        found = drawn(rng, machine, plan, names[(number + k) % len(names)], size)
+        if found is not None:
+            return found
+    raise ValueError(f"nothing that {machine.name} can have shows on its data")
+
+
+def outside_of(
+    rng: np.random.Generator, machine: TruthMachine, plan: Plan, pattern: str, size: float = OUTSIDE
+) -> Outside:
+    """Draw a pattern and scale it to a noncentrality."""
+    silent = machine.readings(plan)
+    while True:
+        found = PATTERNS[pattern].draw(rng, machine, plan)
+        change = machine.readings(plan, moved=found.moved(machine, plan)) - silent
+        raw = float(np.sum((change / machine.sigma_mm) ** 2))
+        seen = machine.noncentrality(plan, change)
+        if seen <= LEAST_LEFT * raw or raw == 0.0:
+            continue
+        # A shift in the base: linear in its size to the last bit.
+        found = Outside.from_dict(found.to_dict() | {"size_um": found.size_um * float(np.sqrt(size / seen))})
+        if np.abs(found.moved(machine, plan)).max() < LARGEST_MM:
+            return found
+
+
+def write_case(case: Case, folder: Path) -> Path:
+    """Write a case unless it is there: its folder, with ``measured.csv``, ``machine.txt`` and, last of all, ``truth.json``.
+
+    Args:
+        case: which.
+        folder: of all cases; machine files go to ``machines`` in it.
+    """
+    own = folder / "cases" / case.name
+    if (own / "truth.json").exists():
+        return own
+    own.mkdir(parents=True, exist_ok=True)
+    machine, truth = truth_machines()[case.machine], truth_of(case)
+    (own / "machine.txt").write_text(machine_file(machine, folder) + "\n", encoding="utf-8")
+    write_table(own / "measured.csv", truth.plan, truth.read, machine.sigma_mm)
+    write_whole(own / "truth.json", to_dict(case, machine, truth))
+    return own
+
+
+def machine_file(machine: TruthMachine, folder: Path) -> str:
+    """Name of a bundled machine, or the machine file in ``machines`` of the folder."""
+    files = folder / "machines" / machine.name
+    files.mkdir(parents=True, exist_ok=True)
+    return machine.machine_file(files.resolve())
+
+
+def to_dict(case: Case, machine: TruthMachine, truth: Truth) -> dict[str, Any]:
+    """Return what ``truth.json`` says."""
+    plan, silent = truth.plan, machine.readings(truth.plan)
+
+    def size(change: np.ndarray) -> float:
+        return machine.noncentrality(plan, change - silent)
+
+    outside = None
+    if truth.outside is not None:
+        moved = truth.outside.moved(machine, plan)
+        outside = truth.outside.to_dict() | {
+            "depends_on": list(truth.outside.depends_on(machine, plan)),
+            "rms_um": 1e3 * float(np.sqrt(np.mean(np.sum(moved[plan.carrier == truth.outside.side] ** 2, axis=1)))),
+            "lambda": size(machine.readings(plan, moved=moved)),
+        }
+    return {
+        "schema": "twin.benchmark.truth/1",
+        "machine": case.machine,
+        "kind": case.kind,
+        "number": case.number,
+        "seed": case.seed,
+        "sigma_um": 1e3 * machine.sigma_mm,
+        "effects": [
+            {
+                "effect": one.effect,
+                "where": one.where,
+                "origin": origin(one.effect),
+                "parameters": [{"name": name, "value": value} for name, value in one.numbers.items()],
+                "lambda": size(machine.readings(plan, [one])),
+            }
+            for one in truth.effects
+        ],
+        "outside": outside,
+    }
+
+
+def write_whole(path: Path, data: Any) -> None:
+    """Write JSON so that the file is there whole or not at all."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    part.replace(path)

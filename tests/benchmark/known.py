@@ -1,0 +1,189 @@
+"""Known effects: every family of the contract's table that a machine can have, at random places with random shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from tests.benchmark.machines import TruthMachine
+from tests.benchmark.plan import Plan
+from tests.hidden import Hidden
+
+SHAPE = ("order", "period", "phase", "time_constant")
+"""Parameters that say what an effect looks like, not how large it is."""
+INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
+LEAST_LEFT = 1e-4
+"""Share of an effect's sum of squares that the set-up must leave: what it absorbs is no hidden effect."""
+LARGEST_MM = 1.0
+"""An effect that would have to move a point by more to be seen is no hidden effect."""
+LONGEST_CURVE = 6
+HIGHEST_ORDER = 12
+SHORTEST_PERIOD = 6.0
+ITERATIONS = 3
+"""Of the size, for λ as asked: effects are not linear in it, by some 1e-4."""
+ALONE = 0.5
+"""Share of its λ that each of two effects must keep beside the other."""
+PLACED = 500
+"""Draws after which an effect of a family is taken to be impossible on these data."""
+Rng = np.random.Generator
+Where = Callable[[TruthMachine, Plan], list[str]]
+Draw = Callable[[Rng, TruthMachine, Plan, str], dict[str, float]]
+
+
+def origin(effect: str) -> str:
+    """``machine`` or ``instrument``."""
+    return "instrument" if effect in INSTRUMENT else "machine"
+
+
+def scaled(effect: Hidden, factor: float) -> Hidden:
+    """The same with other sizes."""
+    own = {name: value if name in SHAPE else factor * value for name, value in effect.numbers.items()}
+    return Hidden(effect.effect, effect.where, own)
+
+
+def families(machine: TruthMachine, plan: Plan) -> tuple[str, ...]:
+    """Those of which this machine has a place."""
+    return tuple(name for name, (places, _) in FAMILIES.items() if places(machine, plan))
+
+
+def drawn(rng: Rng, machine: TruthMachine, plan: Plan, family: str, size: float) -> Hidden | None:
+    """Draw an effect of a family and scale it to a noncentrality; None if none of the family shows on these data.
+
+    Args:
+        rng: the case's generator.
+        machine: the machine.
+        plan: what is measured.
+        family: a name of `FAMILIES`.
+        size: λ, after the set-up is projected out.
+    """
+    places, numbers = FAMILIES[family]
+    where = places(machine, plan)
+    silent = machine.readings(plan)
+    for _ in range(PLACED):
+        place = where[rng.integers(len(where))]
+        effect = Hidden(family, place, numbers(rng, machine, plan, place))
+        change = machine.readings(plan, [effect]) - silent
+        raw = float(np.sum((change / machine.sigma_mm) ** 2))
+        seen = machine.noncentrality(plan, change)
+        if seen <= LEAST_LEFT * raw or raw == 0.0:
+            continue
+        for _ in range(ITERATIONS):
+            effect = scaled(effect, float(np.sqrt(size / seen)))
+            change = machine.readings(plan, [effect]) - silent
+            seen = machine.noncentrality(plan, change)
+        if np.abs(change).max() < LARGEST_MM:
+            return effect
+    return None
+
+
+def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden]:
+    """Two effects of different families, each of which keeps `ALONE` of its λ beside the other."""
+    names = families(machine, plan)
+    silent = machine.readings(plan)
+    while True:
+        found = [drawn(rng, machine, plan, str(name), size) for name in rng.choice(np.array(names), 2, replace=False)]
+        pair = [effect for effect in found if effect is not None]
+        if len(pair) < 2:
+            continue
+        first, second = (machine.left_over(plan, machine.readings(plan, [one]) - silent) for one in pair)
+        cosine = float(first @ second / np.sqrt((first @ first) * (second @ second)))
+        if 1.0 - cosine**2 > ALONE:
+            return pair
+
+
+def _linear(machine: TruthMachine) -> list[str]:
+    return [axis.name for axis in machine.axes if axis.linear]
+
+
+def _rotary(machine: TruthMachine) -> list[str]:
+    return [axis.name for axis in machine.axes if not axis.linear]
+
+
+def _normal(*names: str) -> Draw:
+    return lambda rng, machine, plan, where: {name: float(rng.standard_normal()) for name in names}
+
+
+def _span(machine: TruthMachine, name: str) -> float:
+    return next(axis.high - axis.low for axis in machine.axes if axis.name == name)
+
+
+def _pitch(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+    period = 1.0 / rng.uniform(3.0 / _span(machine, where), 1.0 / SHORTEST_PERIOD)
+    return {"amplitude": 1.0, "period": float(period), "phase": float(rng.uniform(-np.pi, np.pi))}
+
+
+def _curve(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+    """Powers of u; in the calibration's datum: no constant, and a straightness has no slope either."""
+    straight = where[2] in "XYZ" and where[2:] not in _along(machine)
+    first = 2 if straight else 1
+    sums = np.zeros(int(rng.integers(first, LONGEST_CURVE + 1)) + 1)
+    sums[first:] = rng.standard_normal(len(sums) - first)
+    return {f"c{k}": float(value) for k, value in enumerate(legendre.leg2poly(sums))}
+
+
+def _along(machine: TruthMachine) -> list[str]:
+    """``XX``, ``YY``: direction and axis of each positioning."""
+    letters = {name: "XYZ"[int(np.argmax(np.abs(machine.direction(name))))] for name in _linear(machine)}
+    return [letter + name for name, letter in letters.items()]
+
+
+def _harmonic(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+    order = float(rng.integers(1, HIGHEST_ORDER + 1))
+    return {"order": order, "cos": float(rng.standard_normal()), "sin": float(rng.standard_normal())}
+
+
+def _creep(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+    span = float(np.ptp(plan.time_s))
+    constant = np.exp(rng.uniform(np.log(span / 20.0), np.log(span)))
+    return {"amplitude": float(rng.choice([-1.0, 1.0])), "time_constant": float(constant)}
+
+
+def _coupled(machine: TruthMachine, plan: Plan) -> list[str]:
+    names = _linear(machine)
+    return [f"E_{letter}{name} by {by}" for name in names for by in names if by != name for letter in "XYZABC"]
+
+
+def _later(plan: Plan) -> list[str]:
+    return list(dict.fromkeys(plan.round.tolist()))[1:]
+
+
+def _tool_side(machine: TruthMachine) -> bool:
+    return any(axis.side == "tool" for axis in machine.axes)
+
+
+FAMILIES: dict[str, tuple[Where, Draw]] = {
+    "reversal": (lambda m, p: [axis.name for axis in m.axes], _normal("size")),
+    "zero_offset": (lambda m, p: [axis.name for axis in m.axes], _normal("offset")),
+    "pitch_error": (lambda m, p: _linear(m), _pitch),
+    "squareness": (lambda m, p: list(m.squareness), _normal("angle")),
+    "axis_location": (lambda m, p: list(m.locations), _normal("offset")),
+    "positioning": (lambda m, p: [f"E_{name}" for name in _along(m)], _curve),
+    "straightness": (
+        lambda m, p: [f"E_{a}{name}" for name in _linear(m) for a in "XYZ" if a + name not in _along(m)],
+        _curve,
+    ),
+    "angular_error_motion": (lambda m, p: [f"E_{a}{name}" for name in _linear(m) for a in "ABC"], _curve),
+    "harmonic": (lambda m, p: [f"E_{a}{name}" for name in _rotary(m) for a in "XYZABC"], _harmonic),
+    "thermal_expansion": (lambda m, p: [name for name in _linear(m) if name in p.warm], _normal("coefficient")),
+    "thermal_growth": (
+        lambda m, p: [f"{a} by {sensor}" for a in "XYZ" for sensor in p.warm if _tool_side(m)],
+        _normal("coefficient"),
+    ),
+    "thermal_drift": (lambda m, p: list("XYZ") if _tool_side(m) else [], _creep),
+    "cross_axis": (_coupled, _normal("coefficient")),
+    "table_load": (lambda m, p: list(m.drooping), _normal("tilt")),
+    "gravity_compliance": (lambda m, p: list(m.loaded), _normal("compliance")),
+    "frame_shift": (
+        lambda m, p: [f"round {name}" for name in _later(p)],
+        _normal("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),
+    ),
+    "target_shift": (
+        lambda m, p: [f"{target} from round {name}" for target in np.unique(p.target) for name in _later(p)],
+        _normal("shift_x", "shift_y", "shift_z"),
+    ),
+    "station_drift": (lambda m, p: np.unique(p.station).tolist(), _normal("rate_x", "rate_y", "rate_z")),
+    "refraction_scale": (lambda m, p: ["—"], _normal("scale")),
+}
+"""By family: at which places a machine can have it on these data, and its numbers, of any size."""

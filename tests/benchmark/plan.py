@@ -1,0 +1,100 @@
+"""What is measured, in the order it is measured, and the measurement table of the contract."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class TruthAxis:
+    """One axis of a truth machine.
+
+    Attributes:
+        name: in tables.
+        linear: whether it translates (mm) or turns (degrees).
+        low, high: the travel that is measured, mm or degrees.
+        side: ``tool`` or ``work``.
+        endless: whether it may turn on for ever; ``low`` and ``high`` are then one turn apart.
+    """
+
+    name: str
+    linear: bool
+    low: float
+    high: float
+    side: str
+    endless: bool = False
+
+    @property
+    def column(self) -> str:
+        """Its column in the table."""
+        return f"{self.name}_{'mm' if self.linear else 'deg'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """n rows, each a reading of one target.
+
+    Attributes:
+        axes: of the machine, in command order.
+        q: (n, axes) commands, mm or degrees.
+        approach: (n, axes) +1 or −1.
+        target, carrier, station, round: (n,) names.
+        time_s: (n,) seconds.
+        warm: sensor → (n,) °C.
+    """
+
+    axes: tuple[TruthAxis, ...]
+    q: np.ndarray
+    approach: np.ndarray
+    target: np.ndarray
+    carrier: np.ndarray
+    station: np.ndarray
+    round: np.ndarray
+    time_s: np.ndarray
+    warm: dict[str, np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def at(self, axis: str) -> np.ndarray:
+        """(n,) commands of one axis."""
+        return self.q[:, [one.name for one in self.axes].index(axis)]
+
+    def approach_of(self, axis: str) -> np.ndarray:
+        """(n,) +1 or −1."""
+        return self.approach[:, [one.name for one in self.axes].index(axis)]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Positions, time and temperatures by their names in the table."""
+        found = {axis.column: self.q[:, i] for i, axis in enumerate(self.axes)}
+        return found | {"time_s": self.time_s} | {f"T_{name}_degC": values for name, values in self.warm.items()}
+
+
+def write_table(path: Path, plan: Plan, read: np.ndarray, u_mm: float, comments: Sequence[str] = ()) -> Path:
+    """Write the contract's measurement table.
+
+    Args:
+        path: of the table.
+        plan: what was measured.
+        read: (n, 3) readings, mm.
+        u_mm: their standard uncertainty.
+        comments: lines before the header.
+    """
+    columns: dict[str, np.ndarray] = {axis.column: plan.q[:, i] for i, axis in enumerate(plan.axes)}
+    columns |= {"target": plan.target, "carrier": plan.carrier, "station": plan.station, "round": plan.round}
+    columns |= {"time_s": plan.time_s}
+    columns |= {f"approach_{axis.name}": plan.approach[:, i].astype(int) for i, axis in enumerate(plan.axes)}
+    columns |= {f"T_{name}_degC": values for name, values in plan.warm.items()}
+    columns |= {f"{c}_mm": read[:, i] for i, c in enumerate("xyz")}
+    columns |= {f"u_{c}_mm": np.full(len(plan), u_mm) for c in "xyz"}
+    with path.open("w", newline="") as file:
+        file.writelines(f"# {line}\n" for line in comments)
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+    return path

@@ -1,0 +1,110 @@
+"""Scores of one answer against the truth of its case, and their means over many cases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+COVERAGE: Final = 1.96
+"""Standard uncertainties of a 95 % interval of a normal."""
+SCORES: Final = {
+    "right": "every hidden effect is named, at its place",
+    "in group": "every hidden effect is named or in `equivalent` of a cause; each cause stands for one effect",
+    "group size": "names that a cause stands for: itself and its `equivalent`",
+    "size": "parameters within 1.96 u of the truth, of causes whose name is right",
+    "gain": "held-out residual smaller with the causes than without, where a cause of the machine is there and named",
+    "too many": "more causes than hidden effects",
+    "false machine": "a cause of the machine that is not there, nor anything in its `equivalent`",
+    "unexplained": "the verdict is `unexplained`; beside a known effect: `unexplained` says what else is there",
+    "right column": "`unexplained.depends_on` has a column of the pattern",
+    "alarm": "anything but `consistent` where nothing is hidden",
+    "no answer": "the method failed",
+    "seconds": "wall time, one thread",
+}
+"""By name, what is true or counted of an answer."""
+Score = dict[str, float]
+Key = tuple[str, str]
+
+
+def scores(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Score:
+    """Those scores that such a case has; an answer that is missing is neither right nor an alarm.
+
+    Args:
+        truth: of ``truth.json``.
+        answer: of `tests.benchmark.methods.asked`.
+    """
+    found: Score = {"no answer": float(answer["diagnosis"] is None), "seconds": float(answer["seconds"])}
+    said = answer["diagnosis"] or {"verdict": None, "causes": [], "unexplained": None, "gain": None}
+    hidden = [(one["effect"], one["where"]) for one in truth["effects"]]
+    causes = said["causes"]
+    named = [(cause["effect"], cause["where"]) for cause in causes]
+    groups = [{key, *_equivalent(cause)} for key, cause in zip(named, causes, strict=True)]
+    found["false machine"] = float(
+        any(c["origin"] == "machine" and not group & set(hidden) for c, group in zip(causes, groups, strict=True))
+    )
+    if groups:
+        found["group size"] = sum(len(group) for group in groups) / len(groups)
+    if hidden:
+        found |= {"right": float(set(hidden) <= set(named)), "in group": float(matched(hidden, groups))}
+        found["too many"] = float(len(causes) > len(hidden))
+        found |= _sizes(truth, causes) | _gain(truth, said)
+    if truth["outside"] is not None:
+        left = said.get("unexplained")
+        found["unexplained"] = float(left is not None if hidden else said["verdict"] == "unexplained")
+        columns = set(left["depends_on"]) if left else set()
+        found["right column"] = float(bool(columns & set(truth["outside"]["depends_on"])))
+    elif not hidden:
+        found["alarm"] = float(said["verdict"] not in ("consistent", None))
+    return found
+
+
+def _equivalent(cause: Mapping[str, Any]) -> list[Key]:
+    return [(one["effect"], one["where"]) for one in cause.get("equivalent", [])]
+
+
+def matched(hidden: Sequence[Key], groups: Sequence[set[Key]]) -> bool:
+    """Whether every hidden effect has a group of its own that it is in."""
+    if not hidden:
+        return True
+    rest = list(groups)
+    return any(hidden[0] in group and matched(hidden[1:], rest[:i] + rest[i + 1 :]) for i, group in enumerate(groups))
+
+
+def _sizes(truth: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> Score:
+    """Share of the parameters within their interval, of causes that are right and state parameters."""
+    inside: list[bool] = []
+    for one in truth["effects"]:
+        cause = next((c for c in causes if (c["effect"], c["where"]) == (one["effect"], one["where"])), None)
+        if cause is None or not cause.get("parameters"):
+            continue
+        said = {p["name"]: p for p in cause["parameters"]}
+        true = {p["name"]: p["value"] for p in one["parameters"]}
+        # A longer curve states further coefficients, whose truth is zero.
+        for name in {**true, **said}:
+            inside.append(name in said and _covered(name, said[name], true.get(name, 0.0)))
+    return {"size": sum(inside) / len(inside)} if inside else {}
+
+
+def _covered(name: str, said: Mapping[str, Any], true: float) -> bool:
+    if said["value"] is None or said["u"] is None:
+        return False
+    off = said["value"] - true
+    if name == "phase":
+        off = math.remainder(off, 2.0 * math.pi)
+    return abs(off) <= COVERAGE * said["u"] + 1e-9 * abs(true)
+
+
+def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:
+    there = {(one["effect"], one["where"]) for one in truth["effects"] if one["origin"] == "machine"}
+    right = any((cause["effect"], cause["where"]) in there for cause in said["causes"])
+    held = (said.get("gain") or {}).get("held_out")
+    if not right or not held or held["rms_after_um"] is None:
+        return {}
+    return {"gain": float(held["rms_after_um"] < held["rms_before_um"])}
+
+
+def mean(found: Sequence[Score], name: str) -> float:
+    """Mean of one score over the answers that have it; NaN if none has."""
+    values = [one[name] for one in found if name in one]
+    return sum(values) / len(values) if values else math.nan

@@ -1,0 +1,51 @@
+"""The benchmark's table, as text and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from tests.benchmark.scores import SCORES, Score, mean
+
+PLAIN: Final = ("group size", "seconds")
+"""Scores that are no shares."""
+
+
+def rows(
+    answers: Sequence[tuple[str, str, str, Score]], *, names: Sequence[str] = tuple(SCORES)
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: one for each method, machine and kind of case, in the order in which they come.
+
+    Args:
+        answers: method, machine, kind and scores of each.
+        names: of the scores.
+    """
+    groups: dict[tuple[str, str, str], list[Score]] = {}
+    for method, machine, kind, score in answers:
+        groups.setdefault((method, machine, kind), []).append(score)
+    used = [name for name in names if any(name in score for *_, score in answers)]
+    body = [
+        [*key, str(len(found)), *(_shown(name, mean(found, name)) for name in used)] for key, found in groups.items()
+    ]
+    return ["method", "machine", "case", "cases", *used], body
+
+
+def _shown(name: str, value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    return f"{value:.1f}" if name in PLAIN else f"{100.0 * value:.0f} %"
+
+
+def text(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Columns of even width."""
+    every = [header, *body]
+    widths = [max(len(row[i]) for row in every) for i in range(len(header))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in every]
+    return "\n".join(lines) + "\n"
+
+
+def markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(row) + " |" for row in (header, ["---"] * len(header), *body)]
+    return "\n".join(lines) + "\n"
