@@ -1,4 +1,4 @@
-"""Machines that are no five-axis mills: a drill of two axes, a saw with two axes the same way, a robot of six joints."""
+"""Machines that are no five-axis mills: a drill of two axes, a saw with two axes the same way, a robot of six joints, a stage."""
 
 from __future__ import annotations
 
@@ -31,6 +31,29 @@ axes:
   - {name: Z, joint: z_joint, kind: linear, range: [-200, 0], increment: 0.001}
 frames: {tool: quill, work: table}
 """
+_STAGE: Final = """<?xml version="1.0"?>
+<!-- One slide on a bed; metres. -->
+<robot name="stage">
+  <link name="bed"/>
+  <joint name="x_joint" type="prismatic">
+    <parent link="bed"/><child link="slide"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="0.5" effort="0" velocity="1"/>
+  </joint>
+  <link name="slide"/>
+</robot>
+"""
+_STAGE_FILE: Final = """schema: twin.machine/1
+name: stage
+urdf: stage.urdf
+axes:
+  - {name: X, joint: x_joint, kind: linear, range: [0, 500], increment: 0.001}
+frames: {tool: slide, work: bed}
+"""
+
+
+def write_stage(folder: Path) -> Path:
+    """URDF and machine file of a slide of 500 mm in ``folder``."""
+    return write_both(folder, "stage", _STAGE, _STAGE_FILE)
 
 
 def write_drill(folder: Path, *, second: str = "0 0 1") -> Path:

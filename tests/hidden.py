@@ -216,10 +216,11 @@ def points(
         rows = (of.carrier == side)[:, None]
         base = np.where(rows, own[:, :3] + np.einsum("nij,nj->ni", _exp(own[:, 3:]), base), base)
     base = base + moved
-    return _read(of, base, hidden)
+    return read(of, base, hidden)
 
 
-def _read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
+def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
+    """(n, 3) what stations read of points (n, 3) of the base, with what is hidden in the instrument, mm."""
     origin = np.array([STATIONS[name][0] for name in of.station])
     turn = np.array([STATIONS[name][1] for name in of.station])
     for h in hidden:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tempfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from tests.benchmark.builds import machines
 from tests.benchmark.known import drawn, families, origin, two
-from tests.benchmark.machines import TruthMachine, machines
+from tests.benchmark.machines import TruthMachine
 from tests.benchmark.outside import PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
 from tests.hidden import Hidden
@@ -152,10 +155,19 @@ def write_case(case: Case, folder: Path) -> Path:
 
 
 def machine_file(machine: TruthMachine, folder: Path) -> str:
-    """Name of a bundled machine, or the machine file in ``machines`` of the folder."""
+    """Name of a bundled machine, or the path of the machine file in ``machines`` of the folder, written if it is not there."""
+    if machine.bundled:
+        return machine.bundled
     files = folder / "machines" / machine.name
-    files.mkdir(parents=True, exist_ok=True)
-    return machine.machine_file(files.resolve())
+    if not files.exists():
+        files.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=".part", dir=files.parent))
+        machine.write_machine(made)
+        try:
+            made.rename(files)  # both files at once, for another worker may look for them
+        except OSError:
+            shutil.rmtree(made)
+    return str(next(files.glob("*.yaml")).resolve())
 
 
 def to_dict(case: Case, machine: TruthMachine, truth: Truth) -> dict[str, Any]:

@@ -22,6 +22,7 @@ class TruthMachine(ABC):
     Attributes:
         name: of the machine in the benchmark.
         axes: in command order.
+        bundled: name of its machine file, if that comes with `twin`.
         sigma_mm: standard deviation of a coordinate that is read.
         squareness, locations: names of the constants that it may have.
         drooping: rotary axes whose cradle may droop.
@@ -30,15 +31,16 @@ class TruthMachine(ABC):
 
     name: str
     axes: tuple[TruthAxis, ...]
+    bundled: str = ""
     sigma_mm: float = 3e-3
     squareness: tuple[str, ...] = ()
     locations: tuple[str, ...] = ()
     drooping: tuple[str, ...] = ()
     loaded: tuple[str, ...] = ()
 
-    @abstractmethod
-    def machine_file(self, folder: Path) -> str:
-        """Name of a bundled machine, or the path of the machine file written into the folder."""
+    def write_machine(self, folder: Path) -> Path:
+        """Write its machine file and URDF into a folder, unless it is bundled; return the machine file."""
+        raise NotImplementedError
 
     @abstractmethod
     def plan(self, rng: np.random.Generator) -> Plan:
@@ -101,7 +103,7 @@ class Dmu50(TruthMachine):
         poses: of all axes, a round.
     """
 
-    name = "dmu50"
+    name = bundled = "dmu50"
     axes = tuple(
         TruthAxis(a, a in "XYZ", *RANGES[a], side="tool" if a in "XYZ" else "work", endless=a == "C") for a in AXES
     )
@@ -112,9 +114,6 @@ class Dmu50(TruthMachine):
 
     def __init__(self, stops: int = 13, poses: int = 390) -> None:
         self._stops, self._poses = stops, poses
-
-    def machine_file(self, folder: Path) -> str:
-        return "dmu50"
 
     def plan(self, rng: np.random.Generator) -> Plan:
         p = hidden.rounded(hidden.plan(rng, stops=self._stops, poses=self._poses))
@@ -135,8 +134,3 @@ class Dmu50(TruthMachine):
 
 def _hidden(plan: Plan) -> hidden.Plan:
     return hidden.Plan(plan.q, plan.approach, plan.target, plan.station, plan.round, plan.time_s, plan.warm)
-
-
-def machines() -> dict[str, TruthMachine]:
-    """Every truth machine by its name."""
-    return {machine.name: machine for machine in (Dmu50(),)}
