@@ -163,6 +163,11 @@ def points(
         v, axis = h.numbers, h.where
         if h.effect == "reversal":
             _along(error, axis, 0.5 * v["size"] * of.approach[:, AXES.index(axis)])
+        elif h.effect == "reversal_curve":
+            lo, hi = RANGES[axis]
+            u = (2 * of.at(axis) - lo - hi) / (hi - lo)
+            size = sum(v[name] * u ** int(name[1:]) for name in v)
+            _along(error, axis, 0.5 * size * of.approach[:, AXES.index(axis)])
         elif h.effect == "pitch_error":
             _along(error, axis, v["amplitude"] * np.sin(2 * np.pi * of.at(axis) / v["period"] + v["phase"]))
         elif h.effect == "squareness":

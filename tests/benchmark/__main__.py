@@ -20,6 +20,7 @@ from pathlib import Path
 
 from tests.benchmark.cases import KINDS, Case, truth_machines, write_case, write_whole
 from tests.benchmark.methods import BUILT_IN, Command, Method, asked
+from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
 from tests.benchmark.scores import SCORES, Score, scores
 from tests.benchmark.table import markdown, rows, text
 from twin.errors import InputError
@@ -87,6 +88,60 @@ def run(
     return rows([(q.method.name, q.case.machine, q.case.kind, scored(folder, q)) for q in questions])
 
 
+@dataclass(frozen=True)
+class RealQuestion:
+    """One real set asked of one method."""
+
+    method: Method
+    name: str
+
+    @property
+    def of(self) -> RealSet:
+        return next(one for one in REAL_SETS if one.name == self.name)
+
+    def folder(self, folder: Path) -> Path:
+        """Of table, machine file and answer."""
+        return folder / "answers" / self.method.name / "real" / self.name.replace(",", "").replace(" ", "-")
+
+    def answer(self, folder: Path) -> Path:
+        """Where its answer is kept."""
+        return self.folder(folder) / "answer.json"
+
+
+def ask_real(folder: Path, question: RealQuestion) -> None:
+    """Write the files of a real set and the answer to it unless they are there."""
+    own = question.folder(folder)
+    own.mkdir(parents=True, exist_ok=True)
+    table, machine = question.of.files(own)
+    (own / "files.txt").write_text(f"{table}\n{machine}\n", encoding="utf-8")
+    found = asked(question.method, table, str(machine))
+    if found["calibration"] is not None:
+        (own / "calibration.yaml").write_text(found["calibration"], encoding="utf-8")
+    write_whole(own / "answer.json", found)
+
+
+def real_row(folder: Path, question: RealQuestion) -> list[str]:
+    """The row of an answer that is kept."""
+    own = question.folder(folder)
+    kept = json.loads((own / "answer.json").read_text(encoding="utf-8"))
+    table, machine = (Path(line) for line in (own / "files.txt").read_text(encoding="utf-8").splitlines())
+    calibration = own / "calibration.yaml"
+    answer = Answer(kept["diagnosis"], calibration if calibration.exists() else None, table, machine)
+    return [question.method.name, *summary(question.of.failed(answer), question.of, answer, kept["error"])]
+
+
+def run_real(
+    folder: Path, methods: Sequence[Method], workers: Workers | None = None, *, verbose: bool = False
+) -> tuple[list[str], list[list[str]]]:
+    """Ask every method every real set whose files are there; header and rows of the table."""
+    questions = [RealQuestion(method, one.name) for method in methods for one in REAL_SETS if one.there()]
+    new = [one for one in questions if not one.answer(folder).exists()]
+    for done, (index, _) in enumerate(finished(ask_real, folder, new, workers, name=lambda one: one.name), start=1):
+        if verbose:
+            sys.stderr.write(f"{done} of {len(new)} real: {new[index].method.name} {new[index].name}\n")
+    return ["method", *HEADER], [real_row(folder, one) for one in questions]
+
+
 def _method(word: str) -> Method:
     name, separator, command = word.partition("=")
     if not separator:
@@ -106,7 +161,14 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("-o", "--folder", type=Path, required=True, help="of cases, answers and table")
     parser.add_argument("--machines", nargs="+", choices=truth_machines(), default=list(truth_machines()))
     parser.add_argument(
-        "--kinds", nargs="+", default=list(KINDS), help=f"or how they begin: {', '.join(KINDS)}", metavar="KIND"
+        "--kinds",
+        nargs="*",
+        default=list(KINDS),
+        help=f"or how they begin; none for the real sets alone: {', '.join(KINDS)}",
+        metavar="KIND",
+    )
+    parser.add_argument(
+        "--real", action=argparse.BooleanOptionalAction, default=True, help="the real sets too, where they are"
     )
     parser.add_argument("--draws", type=int, default=20, help="cases of each kind on each machine")
     parser.add_argument("--first", type=int, default=0, help="number of the first")
@@ -121,9 +183,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, help="processes of this computer: one a core if not given")
     parser.add_argument("--scheduler", help="address of a Dask scheduler, whose workers have this folder on their path")
     found = parser.parse_args()
+    unknown = [word for word in found.kinds if not any(kind.startswith(word) for kind in KINDS)]
+    if unknown:
+        parser.error(f"no kind of case begins with {unknown[0]}; there are {', '.join(KINDS)}")
     found.kinds = [kind for kind in KINDS if kind.startswith(tuple(found.kinds))]
-    if not found.kinds:
-        parser.error(f"no such kind of case; there are {', '.join(KINDS)}")
     try:
         found.workers = Workers(found.workers, found.scheduler)
     except InputError as error:
@@ -146,10 +209,14 @@ def main() -> None:
         for _ in finished(write_case_in, folder, cases, options.workers, name=lambda case: case.name):
             pass
         return
-    header, body = run(folder, options.method or [BUILT_IN["twin"]], cases, options.workers, verbose=True)
-    (folder / "table.txt").write_text(text(header, body), encoding="utf-8")
-    (folder / "table.md").write_text(markdown(header, body), encoding="utf-8")
-    sys.stdout.write(text(header, body))
+    methods = options.method or [BUILT_IN["twin"]]
+    tables = [run(folder, methods, cases, options.workers, verbose=True)]
+    if options.real:
+        tables.append(run_real(folder, methods, options.workers, verbose=True))
+    shown = [table for table in tables if table[1]]
+    (folder / "table.txt").write_text("\n".join(text(*table) for table in shown), encoding="utf-8")
+    (folder / "table.md").write_text("\n".join(markdown(*table) for table in shown), encoding="utf-8")
+    sys.stdout.write("\n".join(text(*table) for table in shown))
 
 
 def write_case_in(folder: Path, case: Case) -> str:

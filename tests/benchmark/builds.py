@@ -54,6 +54,7 @@ def trunnion() -> Chain:
         locations=("E_Y0A", "E_Z0A", "E_B0A", "E_C0A", "E_X0C", "E_Y0C", "E_A0C", "E_B0C"),
         drooping=("A",),
         sensors=("X", "Y", "Z", "bed"),
+        has_spindle=True,
     )
 
 
@@ -79,7 +80,7 @@ def robot() -> Chain:
         sigma_mm=10e-3,
         stops=9,
         poses=250,
-        write=lambda folder: few_axes.write_robot(folder, 6, 180.0),
+        write=lambda folder: few_axes.write_robot(folder, 6, 100.0),
     )
 
 

@@ -30,12 +30,14 @@ KINDS = (
     "known30",
     "known60",
     "known300",
+    "further300",
     "two60",
     "nothing",
     "mixed300",
     *(f"outside-{pattern}" for pattern in PATTERNS),
 )
-"""A known effect at λ = 30, 60 or 300, two at 60 each, nothing, one at 300 beside a pattern outside at 300, and each such pattern."""
+"""A known effect at λ = 30, 60 or 300, one of `known.FURTHER` at 300, two at 60 each, nothing, one at 300 beside a pattern outside at
+300, and each such pattern."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +98,8 @@ def truth_of(case: Case) -> Truth:
     outside = None
     if case.kind == "two60":
         effects = two(rng, machine, plan, 60.0)
-    elif case.kind.startswith(("known", "mixed")):
-        size = float(case.kind.removeprefix("known").removeprefix("mixed"))
-        effects = [_known(rng, machine, plan, case.number, size)]
+    elif case.kind.startswith(("known", "further", "mixed")):
+        effects = [_known(rng, machine, plan, case)]
     if case.kind.startswith("outside"):
         outside = outside_of(rng, machine, plan, case.kind.removeprefix("outside-"))
     elif case.kind.startswith("mixed"):
@@ -108,11 +109,12 @@ def truth_of(case: Case) -> Truth:
     return Truth(plan, tuple(effects), outside, exact + machine.sigma_mm * rng.standard_normal(exact.shape))
 
 
-def _known(rng: np.random.Generator, machine: TruthMachine, plan: Plan, number: int, size: float) -> Hidden:
+def _known(rng: np.random.Generator, machine: TruthMachine, plan: Plan, case: Case) -> Hidden:
     """Of the families in turn; the next one where nothing of a family shows on these data."""
-    names = families(machine, plan)
+    names = families(machine, plan, further=case.kind.startswith("further"))
+    size = float(case.kind.lstrip("abcdefghijklmnopqrstuvwxyz"))
     for k in range(len(names)):
-        found = drawn(rng, machine, plan, names[(number + k) % len(names)], size)
+        found = drawn(rng, machine, plan, names[(case.number + k) % len(names)], size)
         if found is not None:
             return found
     raise ValueError(f"nothing that {machine.name} can have shows on its data")

@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 
 from tests import hidden
-from tests.benchmark.machines import TruthMachine
+from tests.benchmark.machines import TruthMachine, spindle
 from tests.benchmark.plan import Plan, TruthAxis
 from tests.hidden import STATIONS, Hidden
 
@@ -54,13 +54,14 @@ class Errors:
         n = len(plan)
         self.motion = {axis.name: np.zeros((n, 6)) for axis in machine.axes}
         self.location = {axis.name: np.zeros(6) for axis in machine.axes}
-        self.moved = np.zeros((n, 3))
 
     def add(self, effect: Hidden) -> None:
         """Add one effect of the contract's table; those of the instrument act elsewhere."""
         v, where, plan = effect.numbers, effect.where, self._plan
         if effect.effect == "reversal":
             self._along(where, 0.5 * v["size"] * plan.approach_of(where))
+        elif effect.effect == "reversal_curve":
+            self._along(where, 0.5 * plan.approach_of(where) * self._powers(where, v))
         elif effect.effect == "zero_offset":
             self._along(where, np.full(len(plan), v["offset"]))
         elif effect.effect == "pitch_error":
@@ -75,9 +76,7 @@ class Errors:
         elif effect.effect == "axis_location":
             self.location[where[4:]][LETTERS.index(where[2])] += _size(where) * v["offset"]
         elif effect.effect in ("positioning", "straightness", "angular_error_motion"):
-            axis = next(one for one in self._machine.axes if one.name == where[3:])
-            u = (2 * plan.at(axis.name) - axis.low - axis.high) / (axis.high - axis.low)
-            self._component(where, sum(v[name] * u ** int(name[1:]) for name in v))
+            self._component(where, self._powers(where[3:], v))
         elif effect.effect == "harmonic":
             angle = v["order"] * np.radians(plan.at(where[3:]))
             self._component(where, v["cos"] * np.cos(angle) + v["sin"] * np.sin(angle))
@@ -88,20 +87,11 @@ class Errors:
         elif effect.effect == "table_load":
             # The base's x is the error frame's.
             self.motion[where][:, 3] += URAD * v["tilt"] * np.sin(np.radians(plan.at(where)))
-        else:
-            self._slow(effect)
 
-    def _slow(self, effect: Hidden) -> None:
-        """What moves the tool side with time or temperature."""
-        v, plan = effect.numbers, self._plan
-        if effect.effect == "thermal_growth":
-            direction, sensor = effect.where.split(" by ")
-            shape = v["coefficient"] * (plan.warm[sensor] - 20.0)
-        elif effect.effect == "thermal_drift":
-            direction, shape = effect.where, v["amplitude"] * (1.0 - np.exp(-plan.time_s / v["time_constant"]))
-        else:
-            return
-        self.moved[:, "XYZ".index(direction)] += UM * shape * (plan.carrier == "tool")
+    def _powers(self, name: str, v: Mapping[str, float]) -> np.ndarray:
+        axis = next(one for one in self._machine.axes if one.name == name)
+        u = (2 * self._plan.at(name) - axis.low - axis.high) / (axis.high - axis.low)
+        return np.asarray(sum(v[power] * u ** int(power[1:]) for power in v))
 
     def _along(self, axis: str, value: np.ndarray) -> None:
         """µm or µrad along the command."""
@@ -128,6 +118,7 @@ class Chain(TruthMachine):
         home: of all axes but the one that runs.
         rounds, stops, poses: of the plan.
         sensors: of temperature.
+        has_spindle: whether the table has its speed.
         write: writes the machine file and the URDF into a folder.
     """
 
@@ -146,6 +137,7 @@ class Chain(TruthMachine):
     stops: int = 11
     poses: int = 200
     sensors: tuple[str, ...] = ("bed",)
+    has_spindle: bool = False
     write: Callable[[Path], Path] | None = None
 
     def write_machine(self, folder: Path) -> Path:
@@ -161,7 +153,7 @@ class Chain(TruthMachine):
         """All linear axes of these machines have error frames that are parallel to the base."""
         return self.link(axis).direction
 
-    def readings(self, plan: Plan, effects: Sequence[Hidden] = (), moved: np.ndarray | None = None) -> np.ndarray:
+    def _readings(self, plan: Plan, effects: Sequence[Hidden], moved: np.ndarray) -> np.ndarray:
         errors = Errors(self, plan)
         place = self.places(plan)
         for effect in effects:
@@ -170,8 +162,7 @@ class Chain(TruthMachine):
                 name, number = effect.where.split(" from round ")
                 rows = (plan.target == name) & (plan.round.astype(int) >= int(number))
                 place = place + UM * rows[:, None] * np.array([effect.numbers[f"shift_{a}"] for a in "xyz"])
-        base = self._points(plan, errors, place) + errors.moved + (0.0 if moved is None else moved)
-        return hidden.read(plan, base, effects)
+        return hidden.read(plan, self._points(plan, errors, place) + moved, effects)
 
     def set_up(self, plan: Plan) -> np.ndarray:
         base = self._points(plan, Errors(self, plan), self.places(plan))
@@ -251,6 +242,7 @@ class Chain(TruthMachine):
             np.array(number),
             time,
             {name: np.round(values, 3) for name, values in warm.items()},
+            spindle(time) if self.has_spindle else {},
         )
 
     def _stops(self, drawn: np.ndarray) -> list[tuple[np.ndarray, list[str], tuple[int, float] | None]]:

@@ -11,9 +11,9 @@ from tests.benchmark.machines import TruthMachine
 from tests.benchmark.plan import Plan
 from tests.hidden import Hidden
 
-SHAPE = ("order", "period", "phase", "time_constant")
+SHAPE = ("order", "period", "phase", "time_constant", "exponent")
 """Parameters that say what an effect looks like, not how large it is."""
-INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
+INSTRUMENT = ("affine_scale", "frame_shift", "refraction_scale", "station_drift", "target_shift")
 LEAST_LEFT = 1e-4
 """Share of an effect's sum of squares that the set-up must leave: what it absorbs is no hidden effect."""
 LARGEST_MM = 1.0
@@ -25,6 +25,8 @@ ITERATIONS = 3
 """Of the size, for λ as asked: effects are not linear in it, by some 1e-4."""
 ALONE = 0.5
 """Share of its λ that each of two effects must keep beside the other."""
+FURTHER = ("reversal_curve", "thermal_lag", "spindle_growth", "affine_scale")
+"""Families that the contract's table was given last: a kind of case of their own."""
 PLACED = 500
 """Draws after which an effect of a family is taken to be impossible on these data."""
 Rng = np.random.Generator
@@ -43,9 +45,11 @@ def scaled(effect: Hidden, factor: float) -> Hidden:
     return Hidden(effect.effect, effect.where, own)
 
 
-def families(machine: TruthMachine, plan: Plan) -> tuple[str, ...]:
-    """Those of which this machine has a place."""
-    return tuple(name for name, (places, _) in FAMILIES.items() if places(machine, plan))
+def families(machine: TruthMachine, plan: Plan, *, further: bool = False) -> tuple[str, ...]:
+    """Those of which this machine has a place; of `FURTHER` only, or of all others."""
+    return tuple(
+        name for name, (places, _) in FAMILIES.items() if (name in FURTHER) is further and places(machine, plan)
+    )
 
 
 def drawn(rng: Rng, machine: TruthMachine, plan: Plan, family: str, size: float) -> Hidden | None:
@@ -140,6 +144,22 @@ def _creep(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str,
     return {"amplitude": float(rng.choice([-1.0, 1.0])), "time_constant": float(constant)}
 
 
+def _reversal_curve(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+    """A constant and more that varies: a constant alone is a reversal."""
+    sums = np.array([*rng.uniform(-0.5, 0.5, 1), *rng.choice([-1.0, 1.0], 1), *rng.standard_normal(rng.integers(3))])
+    return {f"c{k}": float(value) for k, value in enumerate(legendre.leg2poly(sums))}
+
+
+def _lag(name: str) -> Draw:
+    def draw(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
+        span = float(np.ptp(plan.time_s))
+        constant = float(np.exp(rng.uniform(np.log(span / 20.0), np.log(span / 3.0))))
+        bent = {"exponent": float(rng.uniform(1.0, 2.0))} if name == "amplitude" else {}
+        return {name: float(rng.choice([-1.0, 1.0])), **bent, "time_constant": constant}
+
+    return draw
+
+
 def _coupled(machine: TruthMachine, plan: Plan) -> list[str]:
     names = _linear(machine)
     return [f"E_{letter}{name} by {by}" for name in names for by in names if by != name for letter in "XYZABC"]
@@ -155,6 +175,7 @@ def _tool_side(machine: TruthMachine) -> bool:
 
 FAMILIES: dict[str, tuple[Where, Draw]] = {
     "reversal": (lambda m, p: [axis.name for axis in m.axes], _normal("size")),
+    "reversal_curve": (lambda m, p: [axis.name for axis in m.axes if not axis.endless], _reversal_curve),
     "zero_offset": (lambda m, p: [axis.name for axis in m.axes], _normal("offset")),
     "pitch_error": (lambda m, p: _linear(m), _pitch),
     "squareness": (lambda m, p: list(m.squareness), _normal("angle")),
@@ -171,6 +192,11 @@ FAMILIES: dict[str, tuple[Where, Draw]] = {
         lambda m, p: [f"{a} by {sensor}" for a in "XYZ" for sensor in p.warm if _tool_side(m)],
         _normal("coefficient"),
     ),
+    "thermal_lag": (
+        lambda m, p: [f"{a} by {sensor}" for a in "XYZ" for sensor in p.warm if _tool_side(m)],
+        _lag("coefficient"),
+    ),
+    "spindle_growth": (lambda m, p: list("XYZ") if "spindle_rpm" in p.channels else [], _lag("amplitude")),
     "thermal_drift": (lambda m, p: list("XYZ") if _tool_side(m) else [], _creep),
     "cross_axis": (_coupled, _normal("coefficient")),
     "table_load": (lambda m, p: list(m.drooping), _normal("tilt")),
@@ -184,6 +210,10 @@ FAMILIES: dict[str, tuple[Where, Draw]] = {
         _normal("shift_x", "shift_y", "shift_z"),
     ),
     "station_drift": (lambda m, p: np.unique(p.station).tolist(), _normal("rate_x", "rate_y", "rate_z")),
+    "affine_scale": (
+        lambda m, p: [f"round {name}" for name in _later(p)[-1:]],
+        _normal("scale_x", "scale_y", "scale_z", "shear_xy", "shear_xz", "shear_yz"),
+    ),
     "refraction_scale": (lambda m, p: ["—"], _normal("scale")),
 }
 """By family: at which places a machine can have it on these data, and its numbers, of any size."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ class Plan:
         target, carrier, station, round: (n,) names.
         time_s: (n,) seconds.
         warm: sensor → (n,) °C.
+        channels: further columns by name.
     """
 
     axes: tuple[TruthAxis, ...]
@@ -57,6 +58,7 @@ class Plan:
     round: np.ndarray
     time_s: np.ndarray
     warm: dict[str, np.ndarray]
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -89,7 +91,7 @@ def write_table(path: Path, plan: Plan, read: np.ndarray, u_mm: float, comments:
     columns |= {"target": plan.target, "carrier": plan.carrier, "station": plan.station, "round": plan.round}
     columns |= {"time_s": plan.time_s}
     columns |= {f"approach_{axis.name}": plan.approach[:, i].astype(int) for i, axis in enumerate(plan.axes)}
-    columns |= {f"T_{name}_degC": values for name, values in plan.warm.items()}
+    columns |= {f"T_{name}_degC": values for name, values in plan.warm.items()} | plan.channels
     columns |= {f"{c}_mm": read[:, i] for i, c in enumerate("xyz")}
     columns |= {f"u_{c}_mm": np.full(len(plan), u_mm) for c in "xyz"}
     with path.open("w", newline="") as file:
