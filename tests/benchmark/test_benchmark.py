@@ -1,0 +1,510 @@
+"""The benchmark itself: its truth machines, its cases, its scores, and that a run can be interrupted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests import hidden
+from tests.benchmark import __main__ as benchmark
+from tests.benchmark import known
+from tests.benchmark.builds import machines
+from tests.benchmark.cases import KINDS, OUTSIDE, Case, outside_of, truth_machines, write_case
+from tests.benchmark.chain import Chain
+from tests.benchmark.machines import Dmu50, TruthMachine, lagged
+from tests.benchmark.methods import Command, asked
+from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
+from tests.benchmark.plan import Plan, write_table
+from tests.benchmark.real import REAL_SETS, Answer
+from tests.benchmark.scores import scores
+from tests.benchmark.table import markdown, rows, text
+from tests.hidden import Hidden
+from twin.calibration import Calibration
+from twin.covariance import Covariance
+from twin.curves import POWER
+from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness
+from twin.extension import effect_named
+from twin.kinematics import Kinematics
+from twin.machine import Machine
+from twin.measurement import load
+from twin.observation import Observation
+
+NAMES = list(machines())
+
+
+def few(name: str) -> TruthMachine:
+    """A truth machine that measures little."""
+    machine = machines()[name]
+    return Dmu50(stops=4, poses=15) if isinstance(machine, Dmu50) else replace(machine, stops=4, poses=15)
+
+
+def targets(machine: TruthMachine) -> dict[str, tuple[str, tuple[float, float, float]]]:
+    return dict(machine.targets) if isinstance(machine, Chain) else hidden.TARGETS
+
+
+def base_points(machine: TruthMachine, plan: Plan, read: np.ndarray) -> np.ndarray:
+    """(n, 3) of readings: where the targets are in the base, mm."""
+    origin, turn = hidden.STATIONS["1"]
+    x, y, z = turn
+    angle = np.linalg.norm(turn)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) / angle
+    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return read @ rotation.T + origin
+
+
+def of_twin(effect: Hidden, machine: Machine, truth: TruthMachine) -> Effect:
+    """The same effect as `twin` has it."""
+    axis = next((one for one in truth.axes if one.name == effect.where[3:]), None)
+    if effect.effect == "squareness":
+        return Squareness(effect.where, effect.numbers["angle"], machine.by_name[effect.where[4:]])
+    if effect.effect == "axis_location":
+        return AxisLocation(effect.where, effect.numbers["offset"])
+    if axis is not None and effect.effect in ("positioning", "straightness", "angular_error_motion"):
+        powers = tuple(effect.numbers[f"c{k}"] for k in range(len(effect.numbers)))
+        return ErrorMotion(effect.where, POWER, (axis.low, axis.high), powers, wrapped=False)
+    return effect_named(effect.effect, effect.where, effect.numbers, machine)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> None:
+    """With effects of every family that both have, one at a time and all together; neither is linearised."""
+    truth = few(name)
+    rng = np.random.default_rng(5)
+    plan = truth.plan(rng)
+    machine = Machine.load(truth.bundled or str(truth.write_machine(tmp_path)))
+    data = load(write_table(tmp_path / "measured.csv", plan, truth.readings(plan), truth.sigma_mm), machine)
+    places = np.array([targets(truth)[target][1] for target in plan.target])
+    nominal = Calibration.default(machine)
+    shared = [
+        family
+        for family in known.families(truth, plan)
+        if known.origin(family) == "machine" and (name != "dmu50" or family != "gravity_compliance")
+    ]
+    hides = []
+    for family in shared:
+        where, numbers = known.FAMILIES[family]
+        place = rng.choice(where(truth, plan))
+        hides.append(known.scaled(Hidden(family, place, numbers(rng, truth, plan, place)), 20.0))
+    for some in ([], *([one] for one in hides), hides):
+        effects = [of_twin(one, machine, truth) for one in some]
+        own = nominal.extended(effects, Covariance.none(), "a test") if effects else nominal
+        points = Observation(machine).points_mm(own, data, places)
+        off = base_points(truth, plan, truth.readings(plan, some)) - points
+        # Rounding of some 2 m, and the eighth decimal of temperatures: far below the asked 1e-6 mm.
+        assert np.abs(off).max() < 1e-6, [one.key for one in some]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_truth_machine_is_not_linear(name: str) -> None:
+    """Twice an angle of 1 mrad moves a point that is 100 mm away by 0.1 µm more or less than twice as much."""
+    truth = few(name)
+    plan = truth.plan(np.random.default_rng(5))
+    where = {"dmu50": "E_A0C", "trunnion": "E_A0C", "robot": "E_A0J2", "stage": "E_CX"}[name]
+    numbers = {"offset": 1000.0} if where[3] == "0" else {"c0": 1000.0}
+    once = Hidden("axis_location" if where[3] == "0" else "angular_error_motion", where, numbers)
+    zero, one, two = (truth.readings(plan, some) for some in ([], [once], [known.scaled(once, 2.0)]))
+    assert np.abs(two - 2.0 * one + zero).max() > 5e-5
+
+
+def test_a_trunnion_stands_where_its_file_says() -> None:
+    """The tool point in the workpiece frame, against `twin`'s kinematics over the whole range."""
+    truth = machines()["trunnion"]
+    assert isinstance(truth, Chain)
+    at_tool = replace(truth, targets={"K": ("tool", (0.0, 0.0, 0.0)), "T": ("work", (0.0, 0.0, 0.0))})
+    plan = at_tool.plan(np.random.default_rng(6))
+    base = base_points(at_tool, plan, at_tool.readings(plan))
+    tool, work = plan.carrier == "tool", plan.carrier == "work"
+    poses = {tuple(q): i for i, q in enumerate(plan.q) if work[i]}
+    kinematics = Kinematics(Machine.load("trunnion_ac"), None, tool_length_mm=0.0)
+    pairs = [(i, poses[tuple(q)]) for i, q in enumerate(plan.q) if tool[i] and tuple(q) in poses]
+    assert len(pairs) > 100
+    first, second = (np.array(side) for side in zip(*pairs, strict=True))
+    point = kinematics.forward(plan.q[first]).point_mm
+    # The distance is the same in any frame.
+    np.testing.assert_allclose(
+        np.linalg.norm(point, axis=1), np.linalg.norm((base[first] - base[second]), axis=1), atol=1e-8
+    )
+
+
+def read_back(path: Path, machine: TruthMachine) -> Plan:
+    """The plan of a written table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+
+    def numbers(name: str) -> np.ndarray:
+        return np.array([float(row[name]) for row in table])
+
+    def words(name: str) -> np.ndarray:
+        return np.array([row[name] for row in table])
+
+    names = [name for name in table[0] if name.startswith("T_")]
+    return Plan(
+        machine.axes,
+        np.stack([numbers(axis.column) for axis in machine.axes], axis=1),
+        np.stack([numbers(f"approach_{axis.name}") for axis in machine.axes], axis=1),
+        *(words(name) for name in ("target", "carrier", "station", "round")),
+        time_s=numbers("time_s"),
+        warm={name[2:-5]: numbers(name) for name in names},
+        channels={"spindle_rpm": numbers("spindle_rpm")} if "spindle_rpm" in table[0] else {},
+    )
+
+
+def what_the_setup_does(machine: TruthMachine, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """(3n, k) by measuring again with every target 0.1 mm elsewhere; and rigid motions of what each station reads."""
+    silent = machine.readings(plan)
+    columns = []
+    for name, (side, place) in targets(machine).items():
+        for along in 0.1 * np.eye(3):
+            there = {**targets(machine), name: (side, tuple(np.array(place) + along))}
+            with monkeypatch.context() as patch:
+                if isinstance(machine, Chain):
+                    other: TruthMachine = replace(machine, targets=there)
+                else:
+                    other = machine
+                    patch.setattr(hidden, "TARGETS", there)
+                columns.append(other.readings(plan) - silent)
+    for station in np.unique(plan.station):
+        rows = (plan.station == station)[:, None]
+        for along in np.eye(3):
+            columns += [rows * along, rows * np.cross(along, silent - silent.mean(axis=0)) * 1e-3]
+    return np.stack(columns, axis=2).reshape(3 * len(plan), -1)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("dmu50", "two60"),
+        ("trunnion", "outside-lost_motion"),
+        ("trunnion", "known30"),
+        ("robot", "mixed300"),
+        ("stage", "outside-sawtooth"),
+        ("stage", "further300"),
+        ("stage", "nothing"),
+    ],
+)
+def test_a_written_case_has_the_noncentrality_asked_for(
+    name: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the files alone: the least that any set-up leaves of what is hidden, in standard deviations of the noise."""
+    machine = few(name)
+    monkeypatch.setitem(truth_machines(), name, machine)
+    folder = write_case(Case(name, kind, 1), tmp_path)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    plan = read_back(folder / "measured.csv", machine)
+    setup = what_the_setup_does(machine, plan, monkeypatch)
+    silent = machine.readings(plan)
+    hides: list[tuple[np.ndarray, float]] = []
+    for one in truth["effects"]:
+        numbers = {each["name"]: each["value"] for each in one["parameters"]}
+        change = machine.readings(plan, [Hidden(one["effect"], one["where"], numbers)]) - silent
+        hides.append((change, float(kind.lstrip("abcdefghijklmnopqrstuvwxyz"))))
+        assert one["lambda"] == pytest.approx(hides[-1][1], rel=1e-3)
+    if truth["outside"]:
+        moved = Outside.from_dict(truth["outside"]).moved(machine, plan)
+        hides.append((machine.readings(plan, moved=moved) - silent, OUTSIDE))
+    assert len(hides) == {"two60": 2, "mixed300": 2, "nothing": 0}.get(kind, 1)
+    for change, wanted in hides:
+        scaled = change.reshape(-1) / machine.sigma_mm
+        left = scaled - setup @ np.linalg.lstsq(setup, scaled, rcond=1e-9)[0]
+        assert float(left @ left) == pytest.approx(wanted, rel=0.01)
+    # And what is read beside it is noise of the stated size.
+    with (folder / "measured.csv").open(encoding="utf-8", newline="") as file:
+        read = np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in csv.DictReader(file)])
+    noise = (read - silent - sum(change for change, _ in hides)) / machine.sigma_mm
+    # Four standard deviations of a mean square of n normals; what two effects do together differs from their sum by far less.
+    assert np.mean(noise**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / noise.size))
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pattern_outside_moves_one_side_by_its_formula(name: str, pattern: str) -> None:
+    machine = few(name)
+    rng = np.random.default_rng(7)
+    plan = machine.plan(rng)
+    for _ in range(3):
+        drawn = outside_of(rng, machine, plan, pattern)
+        moved = drawn.moved(machine, plan)
+        assert np.all(moved[plan.carrier != drawn.side] == 0.0)
+        assert set(drawn.columns) <= {*plan.columns(), *(f"approach_{axis.name}" for axis in machine.axes)}
+        again = Outside.from_dict(json.loads(json.dumps(drawn.to_dict())))
+        assert np.array_equal(again.moved(machine, plan), moved)
+        own = [axis for axis in machine.axes if axis.column in drawn.columns]
+        if pattern == "sawtooth":
+            turning = [axis for axis in machine.axes if axis.side == drawn.side and not axis.linear]
+            assert own[0].side != drawn.side or own[0] in turning[1:] or own[0].name == "C"
+        if pattern == "lost_motion" and own[0].linear and drawn.columns[0] == f"approach_{own[0].name}":
+            assert abs(machine.direction(own[0].name) @ drawn.direction) < 1e-12
+        if pattern == "short_waves":
+            assert all(HALF_WAVES[0] <= drawn.numbers[f"halves_{k}"] <= HALF_WAVES[1] for k in (1, 2))
+
+
+def test_an_endless_axis_has_whole_waves() -> None:
+    """What a pattern is at 0° it is at 360°, but for the jump of a step and of a tooth."""
+    machine = few("trunnion")
+    plan = machine.plan(np.random.default_rng(8))
+    q = plan.q.copy()
+    q[:, 4] = np.where(np.arange(len(q)) % 2 == 0, 1e-9, 360.0 - 1e-9)
+    q[:, 0] = np.linspace(0.0, 600.0, len(q) // 2 + 1).repeat(2)[: len(q)]
+    ends = replace(plan, q=q)
+    numbers = {"halves_1": 5.3, "halves_2": 3.0, "phase_1": 0.3, "phase_2": 0.1}
+    shape = PATTERNS["short_waves"].shape(ends, ("C_deg", "X_mm"), numbers)
+    whole = len(q) // 2 * 2
+    np.testing.assert_allclose(shape[:whole:2], shape[1:whole:2], atol=1e-6)
+
+
+def test_a_lag_follows() -> None:
+    """Of a step the lag is one less an exponential; of a ramp, in the end, its time constant behind."""
+    time = np.arange(0.0, 4000.0, 2.0)
+    step = lagged(time, np.ones(len(time)), 500.0, 0.0)
+    np.testing.assert_allclose(step, 1.0 - np.exp(-time / 500.0), atol=1e-12)
+    ramp = lagged(time, time, 500.0, 0.0)
+    assert ramp[-1] == pytest.approx(time[-1] - 500.0, abs=0.5)  # e⁻⁸ of 500 s, and half a step
+
+
+def test_every_family_a_machine_can_have_is_drawn() -> None:
+    """The first cases of a kind go through the families in turn."""
+    machine = few("stage")
+    plan = machine.plan(np.random.default_rng(9))
+    names = known.families(machine, plan)
+    assert set(names) >= {"reversal", "pitch_error", "positioning", "thermal_drift", "frame_shift", "refraction_scale"}
+    assert not {"squareness", "harmonic", "table_load", "cross_axis"} & set(names)
+    rng = np.random.default_rng(10)
+    found = {name: known.drawn(rng, machine, plan, name, 60.0) for name in names}
+    # A zero that is off moves every target of the slide alike: no measurement shows that.
+    assert [name for name, effect in found.items() if effect is None] == ["zero_offset"]
+
+
+# --- scores ---------------------------------------------------------------------------------------------------------------------
+
+
+def truth(effects: Sequence[dict[str, Any]] = (), outside: dict[str, Any] | None = None) -> dict[str, Any]:
+    return {"effects": list(effects), "outside": outside}
+
+
+def hides(effect: str, where: str, origin: str = "machine", **numbers: float) -> dict[str, Any]:
+    parameters = [{"name": name, "value": value} for name, value in numbers.items()]
+    return {"effect": effect, "where": where, "origin": origin, "parameters": parameters}
+
+
+def cause(
+    effect: str, where: str, *equivalent: tuple[str, str], origin: str = "machine", **numbers: Any
+) -> dict[str, Any]:
+    """``numbers``: value and u by name."""
+    return {
+        "effect": effect,
+        "where": where,
+        "origin": origin,
+        "parameters": [{"name": name, "value": value, "u": u} for name, (value, u) in numbers.items()],
+        "equivalent": [{"effect": one, "where": place} for one, place in equivalent],
+    }
+
+
+def said(
+    verdict: str | None, *causes: dict[str, Any], left: Sequence[str] | None = None, held: Sequence[float] = ()
+) -> dict:
+    diagnosis = {
+        "verdict": verdict,
+        "causes": list(causes),
+        "unexplained": None if left is None else {"depends_on": list(left)},
+        "gain": {"held_out": dict(zip(("rms_before_um", "rms_after_um"), held, strict=True))} if held else None,
+    }
+    return {"diagnosis": diagnosis if verdict else None, "seconds": 2.0}
+
+
+REVERSAL = hides("reversal", "Y", size=5.0)
+
+
+def test_a_right_answer_scores() -> None:
+    found = scores(truth([REVERSAL]), said("explained", cause("reversal", "Y", size=(5.3, 0.2)), held=(5.0, 3.0)))
+    assert found == {
+        "no answer": 0.0,
+        "seconds": 2.0,
+        "false machine": 0.0,
+        "group size": 1.0,
+        "right": 1.0,
+        "in group": 1.0,
+        "too many": 0.0,
+        "size": 1.0,
+        "gain": 1.0,
+    }
+
+
+def test_a_size_beyond_its_interval_and_a_loss_held_out() -> None:
+    found = scores(truth([REVERSAL]), said("explained", cause("reversal", "Y", size=(5.5, 0.2)), held=(3.0, 5.0)))
+    assert (found["right"], found["size"], found["gain"]) == (1.0, 0.0, 0.0)
+
+
+def test_a_size_of_several_parameters() -> None:
+    """A phase goes round, an order is exact, a coefficient that is not there is zero, one that is not stated is wrong."""
+    pitch = hides("pitch_error", "X", amplitude=3.0, period=10.0, phase=3.1)
+    named = cause("pitch_error", "X", amplitude=(3.1, 0.1), period=(10.1, 0.01), phase=(-3.1, 0.1))
+    assert scores(truth([pitch]), said("explained", named))["size"] == pytest.approx(2 / 3)
+    curve = hides("straightness", "E_ZY", c0=-2.0, c2=6.0)
+    named = cause("straightness", "E_ZY", c0=(-2.0, 0.1), c1=(0.5, 0.1))
+    assert scores(truth([curve]), said("explained", named))["size"] == pytest.approx(1 / 3)
+    harmonic = hides("harmonic", "E_XC", order=3.0, cos=4.0, sin=0.0)
+    named = cause("harmonic", "E_XC", order=(3.0, 0.0), cos=(4.0, 0.1), sin=(0.1, 0.1))
+    assert scores(truth([harmonic]), said("explained", named))["size"] == 1.0
+
+
+def test_a_group_stands_for_one_effect() -> None:
+    two = [REVERSAL, hides("squareness", "E_B0Z", angle=20.0)]
+    both = cause("zero_offset", "B", ("reversal", "Y"), ("squareness", "E_B0Z"))
+    found = scores(truth(two), said("ambiguous", both))
+    assert (found["right"], found["in group"], found["group size"], found["false machine"]) == (0.0, 0.0, 3.0, 0.0)
+    found = scores(truth(two), said("ambiguous", both, cause("squareness", "E_B0Z")))
+    assert (found["right"], found["in group"]) == (0.0, 1.0)
+
+
+def test_one_too_many_and_a_false_cause_of_the_machine() -> None:
+    found = scores(truth([REVERSAL]), said("explained", cause("reversal", "Y"), cause("pitch_error", "X")))
+    assert (found["right"], found["too many"], found["false machine"]) == (1.0, 1.0, 1.0)
+    drift = cause("station_drift", "1", origin="instrument")
+    found = scores(truth([REVERSAL]), said("explained", cause("reversal", "Y"), drift))
+    assert (found["too many"], found["false machine"]) == (1.0, 0.0)
+
+
+def test_a_pattern_outside() -> None:
+    pattern = {"depends_on": ["X_mm", "Y_mm"]}
+    found = scores(truth(outside=pattern), said("unexplained", left=["Y_mm", "time_s"]))
+    assert (found["unexplained"], found["right column"], found["false machine"]) == (1.0, 1.0, 0.0)
+    found = scores(truth(outside=pattern), said("unexplained", cause("pitch_error", "X"), left=["time_s"]))
+    assert (found["unexplained"], found["right column"], found["false machine"]) == (1.0, 0.0, 1.0)
+    found = scores(truth(outside=pattern), said("explained", cause("pitch_error", "X"), left=["X_mm"]))
+    assert found["unexplained"] == 0.0
+    # Beside a known effect the verdict may be either: what else there is must be said.
+    found = scores(truth([REVERSAL], pattern), said("explained", cause("reversal", "Y"), left=["X_mm"]))
+    assert (found["unexplained"], found["right column"], found["right"]) == (1.0, 1.0, 1.0)
+
+
+def test_silence() -> None:
+    assert scores(truth(), said("consistent"))["alarm"] == 0.0
+    assert scores(truth(), said("unexplained", left=["X_mm"]))["alarm"] == 1.0
+    missing = scores(truth([REVERSAL]), said(None))
+    assert (missing["no answer"], missing["right"], missing["in group"]) == (1.0, 0.0, 0.0)
+
+
+def test_a_table_has_means_by_method_machine_and_kind() -> None:
+    one, two = {"right": 1.0, "seconds": 1.0}, {"right": 0.0, "seconds": 2.0, "size": 0.5}
+    header, body = rows(
+        [("twin", "stage", "known30", one), ("twin", "stage", "known30", two), ("lasso", "stage", "known30", one)]
+    )
+    assert header == ["method", "machine", "case", "cases", "right", "size", "seconds"]
+    assert body == [
+        ["twin", "stage", "known30", "2", "50 %", "50 %", "1.5"],
+        ["lasso", "stage", "known30", "1", "100 %", "–", "1.0"],
+    ]
+    assert markdown(header, body).splitlines()[1] == "| --- | --- | --- | --- | --- | --- | --- |"
+    assert text(header, body).splitlines()[2].split() == [*body[1][:4], "100", "%", "–", "1.0"]
+
+
+# --- runs -----------------------------------------------------------------------------------------------------------------------
+
+PLAIN = """
+import json, sys
+from pathlib import Path
+table, machine, answer, log = sys.argv[1:]
+with open(log, "a") as file:
+    file.write(table + "\\n")
+assert Path(machine).exists() and Path(table).name == "measured.csv"
+Path(answer).write_text(json.dumps({"verdict": "consistent", "causes": [], "unexplained": None, "gain": None}))
+"""
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    (tmp_path / "plain.py").write_text(PLAIN, encoding="utf-8")
+    log = tmp_path / "log"
+    words = [sys.executable, str(tmp_path / "plain.py"), "{table}", "{machine}", "{json}", str(log)]
+    method = Command("plain", shlex.join(words))
+    cases = [Case("stage", kind, number) for kind in ("nothing", "known60") for number in (0, 1)]
+    once = benchmark.run(tmp_path, [method], cases[:3], benchmark.Workers(1))
+    assert len(log.read_text(encoding="utf-8").splitlines()) == 3 and len(once[1]) == 2
+    whole = benchmark.run(tmp_path, [method], cases, benchmark.Workers(1))
+    again = benchmark.run(tmp_path, [method], cases, benchmark.Workers(1))
+    asked_of = log.read_text(encoding="utf-8").splitlines()
+    assert len(asked_of) == 4 and len(set(asked_of)) == 4
+    assert again == whole
+    assert [row[3] for row in whole[1]] == ["2", "2"]
+    assert dict(zip(*(whole[0], whole[1][0]), strict=True))["alarm"] == "0 %"
+
+
+def test_cases_are_the_same_wherever_they_are_drawn(tmp_path: Path) -> None:
+    case = Case("stage", "mixed300", 3)
+    first, second = (write_case(case, tmp_path / name) for name in ("a", "b"))
+    for name in ("measured.csv", "truth.json"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    other = write_case(replace(case, number=4), tmp_path / "a")
+    assert (other / "measured.csv").read_bytes() != (first / "measured.csv").read_bytes()
+
+
+def test_a_command_that_fails_has_no_answer(tmp_path: Path) -> None:
+    method = Command("broken", shlex.join([sys.executable, "-c", "import sys; sys.exit('no such luck')"]))
+    found = asked(method, tmp_path / "measured.csv", "dmu50")
+    assert found["diagnosis"] is None and found["error"] == "exit status 1: no such luck"
+    assert scores(truth([REVERSAL]), found)["no answer"] == 1.0
+
+
+def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
+    """A reversal of λ = 300 on a stage: `twin` names it and its size, the rivals name it."""
+    effect = (("reversal", "X"),)
+    number = next(k for k in range(20) if names_of(Case("stage", "known300", k)) == effect)
+    case = Case("stage", "known300", number)
+    methods = [benchmark.BUILT_IN[name] for name in ("twin", "stepwise-ebic", "lasso")]
+    header, body = benchmark.run(tmp_path, methods, [case], benchmark.Workers(1))
+    for row in body:
+        one = dict(zip(header, row, strict=True))
+        assert one["right"] == "100 %" and one["no answer"] == "0 %"
+    assert body[0][header.index("size")] != "–" and body[1][header.index("size")] == "–"
+
+
+def names_of(case: Case) -> tuple[tuple[str, str], ...]:
+    from tests.benchmark.cases import truth_of
+
+    return tuple(effect.key for effect in truth_of(case).effects)
+
+
+def test_kinds_are_those_of_the_issue() -> None:
+    assert {kind for kind in KINDS if kind.startswith("outside")} == {f"outside-{pattern}" for pattern in PATTERNS}
+    assert {"known30", "known60", "known300", "two60", "nothing"} <= set(KINDS)
+
+
+# --- real sets ------------------------------------------------------------------------------------------------------------------
+
+
+def answer(*causes: dict[str, Any], share: float | None = None, **more: Any) -> Answer:
+    left = None if share is None else {"share": share, "depends_on": []}
+    diagnosis = {"verdict": "explained", "causes": list(causes), "unexplained": left, "gain": more}
+    return Answer(diagnosis, None, Path("t"), Path("m"))
+
+
+def failed(name: str, given: Answer) -> list[str]:
+    return next(one for one in REAL_SETS if one.name == name).failed(given)
+
+
+def test_what_a_real_set_must_show() -> None:
+    frame = cause("thermal_growth", "X by frame", coefficient=(33.0, 0.1))
+    assert failed("printer run3, no time", answer(frame, share=0.002)) == []
+    assert failed("printer run3, no time", answer(frame, cause("thermal_drift", "X"), share=0.3)) == [
+        "no cause but frame and bed",
+        "at most a tenth unexplained",
+    ]
+    assert len(failed("printer run3, no time", answer())) == 2
+    assert failed("printer, dead sensor", Answer(None, None, Path("t"), Path("m"))) == []
+    arm = [cause("read_back", "J2"), cause("gravity_compliance", "J3", compliance=(2.0, 0.1))]
+    held = {"rms_before_um": 130.0, "rms_after_um": 71.0}
+    assert failed("robot IRB120", answer(*arm, held_out=held)) == []
+    assert failed("robot IRB120", answer(*arm, cause("reversal", "J1"), held_out=held)) == ["no reversal of J1"]
+    curve = cause("positioning", "E_XX")
+    reversal = cause("reversal", "X", size=(-1.7, 0.3))
+    assert failed("stage z", answer(reversal)) == []
+    assert failed("stage z", answer(reversal, curve)) == ["nothing promised between positions"]
+    assert failed("stage z", answer(reversal, curve, tool_point={"after_um": 20.0})) == []
