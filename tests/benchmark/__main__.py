@@ -6,7 +6,7 @@
 
 A case is a folder in FOLDER/cases: ``measured.csv``, ``machine.txt`` (what goes after -m) and ``truth.json``. Each answer is kept in
 FOLDER/answers as it comes, so that a second run goes on where the first one stopped. The table is printed and written to
-FOLDER/table.txt and FOLDER/table.md.
+FOLDER/table.txt and FOLDER/table.md; FOLDER/wrong.txt has a line for every answer that is wrong.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tests.benchmark.cases import KINDS, Case, truth_machines, write_case, write_whole
 from tests.benchmark.methods import BUILT_IN, Command, Method, asked
 from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
-from tests.benchmark.scores import SCORES, Score, scores
+from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
 from twin.errors import InputError
 from twin.parallel import Workers, finished
@@ -44,22 +45,21 @@ class Question:
 
 
 def ask(folder: Path, question: Question) -> str:
-    """Write the case and the answer to it unless they are there; return what it scores, in words."""
+    """Write the case unless it is there, and the answer to it; return what it scores, in words."""
     case = write_case(question.case, folder)
-    kept = question.answer(folder)
-    if not kept.exists():
-        machine = (case / "machine.txt").read_text(encoding="utf-8").strip()
-        found = asked(question.method, case / "measured.csv", machine)
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(kept, found)
-    score = scored(folder, question)
+    machine = (case / "machine.txt").read_text(encoding="utf-8").strip()
+    path = question.answer(folder)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, asked(question.method, case / "measured.csv", machine))
+    score = scores(*kept(folder, question))
     return ", ".join(f"{name} {value:.3g}" for name, value in score.items())
 
 
-def scored(folder: Path, question: Question) -> Score:
-    """Scores of an answer that is kept."""
+def kept(folder: Path, question: Question) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is hidden in a case, and the answer to it."""
     truth = folder / "cases" / question.case.name / "truth.json"
-    return scores(*(json.loads(path.read_text(encoding="utf-8")) for path in (truth, question.answer(folder))))
+    hidden, answer = (json.loads(path.read_text(encoding="utf-8")) for path in (truth, question.answer(folder)))
+    return hidden, answer
 
 
 def run(
@@ -68,15 +68,17 @@ def run(
     cases: Sequence[Case],
     workers: Workers | None = None,
     *,
+    by_family: bool = False,
     verbose: bool = False,
 ) -> tuple[list[str], list[list[str]]]:
-    """Ask every method every case; header and rows of the table.
+    """Ask every method every case; header and rows of the table. What is wrong is listed in ``wrong.txt`` of the folder.
 
     Args:
         folder: of cases and answers.
         methods: whom to ask.
         cases: what to ask.
         workers: who does it.
+        by_family: a row for every family of effects that is hidden.
         verbose: report every answer on stderr.
     """
     questions = [Question(method, case) for method in methods for case in cases]
@@ -85,7 +87,17 @@ def run(
     for done, (index, said) in enumerate(finished(ask, folder, new, workers, name=lambda one: one.name), start=1):
         if verbose:
             sys.stderr.write(f"{done} of {len(new)}: {new[index].name}: {said}\n")
-    return rows([(q.method.name, q.case.machine, q.case.kind, scored(folder, q)) for q in questions])
+    answers: list[tuple[str, str, str, Score]] = []
+    wrong = []
+    for one in questions:
+        hidden, answer = kept(folder, one)
+        score = scores(hidden, answer)
+        effects = " and ".join(each["effect"] for each in hidden["effects"]) if by_family else ""
+        answers.append((one.method.name, one.case.machine, f"{one.case.kind} {effects}".strip(), score))
+        if is_wrong(score):
+            wrong.append(f"{one.name}: {in_words(hidden, answer)}\n")
+    (folder / "wrong.txt").write_text("".join(wrong), encoding="utf-8")
+    return rows(answers)
 
 
 @dataclass(frozen=True)
@@ -109,7 +121,7 @@ class RealQuestion:
 
 
 def ask_real(folder: Path, question: RealQuestion) -> None:
-    """Write the files of a real set and the answer to it unless they are there."""
+    """Write the files of a real set and the answer to it."""
     own = question.folder(folder)
     own.mkdir(parents=True, exist_ok=True)
     table, machine = question.of.files(own)
@@ -123,11 +135,11 @@ def ask_real(folder: Path, question: RealQuestion) -> None:
 def real_row(folder: Path, question: RealQuestion) -> list[str]:
     """The row of an answer that is kept."""
     own = question.folder(folder)
-    kept = json.loads((own / "answer.json").read_text(encoding="utf-8"))
+    found = json.loads((own / "answer.json").read_text(encoding="utf-8"))
     table, machine = (Path(line) for line in (own / "files.txt").read_text(encoding="utf-8").splitlines())
     calibration = own / "calibration.yaml"
-    answer = Answer(kept["diagnosis"], calibration if calibration.exists() else None, table, machine)
-    return [question.method.name, *summary(question.of.failed(answer), question.of, answer, kept["error"])]
+    answer = Answer(found["diagnosis"], calibration if calibration.exists() else None, table, machine)
+    return [question.method.name, *summary(question.of.failed(answer), question.of, answer, found["error"])]
 
 
 def run_real(
@@ -179,6 +191,7 @@ def _arguments() -> argparse.Namespace:
         action="append",
         help=f"one of {', '.join(BUILT_IN)}, or NAME='command {{table}} {{machine}} {{json}}'; may be repeated",
     )
+    parser.add_argument("--by-family", action="store_true", help="a row for every family of effects that is hidden")
     parser.add_argument("--only-draw", action="store_true", help="write the cases, ask nothing")
     parser.add_argument("--workers", type=int, help="processes of this computer: one a core if not given")
     parser.add_argument("--scheduler", help="address of a Dask scheduler, whose workers have this folder on their path")
@@ -210,7 +223,7 @@ def main() -> None:
             pass
         return
     methods = options.method or [BUILT_IN["twin"]]
-    tables = [run(folder, methods, cases, options.workers, verbose=True)]
+    tables = [run(folder, methods, cases, options.workers, by_family=options.by_family, verbose=True)]
     if options.real:
         tables.append(run_real(folder, methods, options.workers, verbose=True))
     shown = [table for table in tables if table[1]]

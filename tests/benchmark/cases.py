@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests.benchmark.builds import machines
-from tests.benchmark.known import drawn, families, origin, two
+from tests.benchmark.known import PLACED, drawn, families, origin, two
 from tests.benchmark.machines import TruthMachine
 from tests.benchmark.outside import PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
@@ -125,7 +125,7 @@ def outside_of(
 ) -> Outside:
     """Draw a pattern and scale it to a noncentrality."""
     silent = machine.readings(plan)
-    while True:
+    for _ in range(PLACED):
         found = PATTERNS[pattern].draw(rng, machine, plan)
         change = machine.readings(plan, moved=found.moved(machine, plan)) - silent
         raw = float(np.sum((change / machine.sigma_mm) ** 2))
@@ -136,6 +136,7 @@ def outside_of(
         found = Outside.from_dict(found.to_dict() | {"size_um": found.size_um * float(np.sqrt(size / seen))})
         if np.abs(found.moved(machine, plan)).max() < LARGEST_MM:
             return found
+    raise ValueError(f"no {pattern} shows on the data of {machine.name}")
 
 
 def write_case(case: Case, folder: Path) -> Path:

@@ -28,7 +28,7 @@ ALONE = 0.5
 FURTHER = ("reversal_curve", "thermal_lag", "spindle_growth", "affine_scale")
 """Families that the contract's table was given last: a kind of case of their own."""
 PLACED = 500
-"""Draws after which an effect of a family is taken to be impossible on these data."""
+"""Draws after which an effect of a family, a pair or a pattern is taken to be impossible on these data."""
 Rng = np.random.Generator
 Where = Callable[[TruthMachine, Plan], list[str]]
 Draw = Callable[[Rng, TruthMachine, Plan, str], dict[str, float]]
@@ -86,7 +86,7 @@ def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden
     """Two effects of different families, each of which keeps `ALONE` of its λ beside the other."""
     names = families(machine, plan)
     silent = machine.readings(plan)
-    while True:
+    for _ in range(PLACED):
         found = [drawn(rng, machine, plan, str(name), size) for name in rng.choice(np.array(names), 2, replace=False)]
         pair = [effect for effect in found if effect is not None]
         if len(pair) < 2:
@@ -95,6 +95,7 @@ def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden
         cosine = float(first @ second / np.sqrt((first @ first) * (second @ second)))
         if 1.0 - cosine**2 > ALONE:
             return pair
+    raise ValueError(f"no two effects of {machine.name} keep their λ beside each other")
 
 
 def _linear(machine: TruthMachine) -> list[str]:

@@ -104,6 +104,28 @@ def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:
     return {"gain": float(held["rms_after_um"] < held["rms_before_um"])}
 
 
+def is_wrong(score: Score) -> bool:
+    """Whether anything of an answer is wrong but sizes and gain."""
+    bad = ("no answer", "alarm", "too many", "false machine")
+    good = ("in group", "unexplained", "right column")
+    return any(score.get(name, 0.0) > 0.0 for name in bad) or any(score.get(name, 1.0) < 1.0 for name in good)
+
+
+def in_words(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """What is hidden, and what was said, in a line."""
+    hidden = [f"{one['effect']} {one['where']}" for one in truth["effects"]]
+    if truth["outside"] is not None:
+        pattern = truth["outside"]
+        hidden.append(f"{pattern['pattern']} of {' and '.join(pattern['columns'])} on the {pattern['side']} side")
+    said = answer["diagnosis"]
+    if said is None:
+        return f"{', '.join(hidden) or 'nothing'} → no answer: {answer['error']}"
+    named = [" or ".join(" ".join(key) for key in [(c["effect"], c["where"]), *_equivalent(c)]) for c in said["causes"]]
+    if said.get("unexplained"):
+        named.append(f"unexplained by {', '.join(said['unexplained']['depends_on'])}")
+    return f"{', '.join(hidden) or 'nothing'} → {said['verdict']}: {', '.join(named) or 'nothing'}"
+
+
 def mean(found: Sequence[Score], name: str) -> float:
     """Mean of one score over the answers that have it; NaN if none has."""
     values = [one[name] for one in found if name in one]

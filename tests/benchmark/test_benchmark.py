@@ -25,7 +25,7 @@ from tests.benchmark.methods import Command, asked
 from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
 from tests.benchmark.real import REAL_SETS, Answer
-from tests.benchmark.scores import scores
+from tests.benchmark.scores import in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
 from tests.hidden import Hidden
 from twin.calibration import Calibration
@@ -393,6 +393,21 @@ def test_silence() -> None:
     assert (missing["no answer"], missing["right"], missing["in group"]) == (1.0, 0.0, 0.0)
 
 
+def test_what_is_wrong_is_said_in_a_line() -> None:
+    pattern = {"pattern": "jump", "columns": ["X_mm"], "side": "tool", "depends_on": ["X_mm"]}
+    hidden = truth([REVERSAL], pattern)
+    named = said("ambiguous", cause("reversal", "Y", ("zero_offset", "Y")), cause("pitch_error", "X"), left=["X_mm"])
+    assert is_wrong(scores(hidden, named))
+    assert in_words(hidden, named) == (
+        "reversal Y, jump of X_mm on the tool side → "
+        "ambiguous: reversal Y or zero_offset Y, pitch_error X, unexplained by X_mm"
+    )
+    right = said("ambiguous", cause("reversal", "Y", ("zero_offset", "Y")), left=["X_mm"])
+    assert not is_wrong(scores(hidden, right))
+    assert is_wrong(scores(truth(), said("unexplained", left=["X_mm"])))
+    assert not is_wrong(scores(truth(), said("consistent")))
+
+
 def test_a_table_has_means_by_method_machine_and_kind() -> None:
     one, two = {"right": 1.0, "seconds": 1.0}, {"right": 0.0, "seconds": 2.0, "size": 0.5}
     header, body = rows(
@@ -435,6 +450,12 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert again == whole
     assert [row[3] for row in whole[1]] == ["2", "2"]
     assert dict(zip(*(whole[0], whole[1][0]), strict=True))["alarm"] == "0 %"
+    # Of two cases with something in them.
+    wrong = (tmp_path / "wrong.txt").read_text(encoding="utf-8").splitlines()
+    assert [line.split(":")[0] for line in wrong] == ["plain stage-known60-1-000", "plain stage-known60-1-001"]
+    assert all(line.endswith("→ consistent: nothing") for line in wrong)
+    families = benchmark.run(tmp_path, [method], cases, benchmark.Workers(1), by_family=True)
+    assert [row[2].split()[0] for row in families[1]] == ["nothing", "known60", "known60"]
 
 
 def test_cases_are_the_same_wherever_they_are_drawn(tmp_path: Path) -> None:
