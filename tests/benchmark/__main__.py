@@ -14,12 +14,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tests.benchmark.cases import KINDS, Case, truth_machines, write_case, write_whole
+from tests.benchmark.gain import removed
 from tests.benchmark.methods import BUILT_IN, Command, Method, asked
 from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
 from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
@@ -50,7 +52,13 @@ def ask(folder: Path, question: Question) -> str:
     machine = (case / "machine.txt").read_text(encoding="utf-8").strip()
     path = question.answer(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, asked(question.method, case / "measured.csv", machine))
+    found = asked(question.method, case / "measured.csv", machine)
+    if found["calibration"] is not None:
+        with tempfile.TemporaryDirectory() as own:
+            calibration = Path(own) / "calibration.yaml"
+            calibration.write_text(found["calibration"], encoding="utf-8")
+            found["removed"] = removed(question.case, case / "measured.csv", machine, calibration)
+    write_whole(path, found)
     score = scores(*kept(folder, question))
     return ", ".join(f"{name} {value:.3g}" for name, value in score.items())
 

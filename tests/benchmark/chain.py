@@ -186,7 +186,6 @@ class Chain(TruthMachine):
         return self._points(plan, none, every) - self._points(plan, none, np.zeros((len(plan), 3)))
 
     def places(self, plan: Plan) -> np.ndarray:
-        """(n, 3) each row's target in the frame of its side, mm."""
         return np.array([self.targets[name][1] for name in plan.target])
 
     def _points(self, plan: Plan, errors: Errors, place: np.ndarray) -> np.ndarray:

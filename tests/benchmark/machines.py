@@ -87,6 +87,10 @@ class TruthMachine(ABC):
     def direction(self, axis: str) -> np.ndarray:
         """(3,) in the base: where a linear axis moves its side, all axes at zero."""
 
+    @abstractmethod
+    def places(self, plan: Plan) -> np.ndarray:
+        """(n, 3) each row's target in the frame of its side, mm."""
+
     def left_over(self, plan: Plan, change: np.ndarray) -> np.ndarray:
         """(3n,) a change of the readings in standard deviations of the noise, less what the set-up absorbs.
 
@@ -197,6 +201,9 @@ class Dmu50(TruthMachine):
 
     def direction(self, axis: str) -> np.ndarray:
         return np.asarray(np.eye(3)["XYZ".index(axis)])
+
+    def places(self, plan: Plan) -> np.ndarray:
+        return np.array([hidden.TARGETS[name][1] for name in plan.target])
 
 
 def _hidden(plan: Plan) -> hidden.Plan:

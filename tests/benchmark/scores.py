@@ -14,6 +14,7 @@ SCORES: Final = {
     "group size": "names that a cause stands for: itself and its `equivalent`",
     "size": "parameters within 1.96 u of the truth, of causes whose name is right",
     "gain": "held-out residual smaller with the causes than without, where a cause of the machine is there and named",
+    "removed": "share of the machine's true error, squared, that the written calibration takes out, by the truth machine",
     "too many": "more causes than hidden effects",
     "false machine": "a cause of the machine that is not there, nor anything in its `equivalent`",
     "unexplained": "the verdict is `unexplained`; beside a known effect: `unexplained` says what else is there",
@@ -43,6 +44,8 @@ def scores(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Score:
     found["false machine"] = float(
         any(c["origin"] == "machine" and not group & set(hidden) for c, group in zip(causes, groups, strict=True))
     )
+    if answer.get("removed") is not None:
+        found["removed"] = float(answer["removed"])
     if groups:
         found["group size"] = sum(len(group) for group in groups) / len(groups)
     if hidden:

@@ -20,6 +20,7 @@ from tests.benchmark import known
 from tests.benchmark.builds import machines
 from tests.benchmark.cases import KINDS, OUTSIDE, Case, outside_of, truth_machines, write_case
 from tests.benchmark.chain import Chain
+from tests.benchmark.gain import removed
 from tests.benchmark.machines import Dmu50, TruthMachine, lagged
 from tests.benchmark.methods import Command, asked
 from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
@@ -82,7 +83,7 @@ def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> N
     plan = truth.plan(rng)
     machine = Machine.load(truth.bundled or str(truth.write_machine(tmp_path)))
     data = load(write_table(tmp_path / "measured.csv", plan, truth.readings(plan), truth.sigma_mm), machine)
-    places = np.array([targets(truth)[target][1] for target in plan.target])
+    places = truth.places(plan)
     nominal = Calibration.default(machine)
     shared = [
         family
@@ -485,6 +486,26 @@ def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
         one = dict(zip(header, row, strict=True))
         assert one["right"] == "100 %" and one["no answer"] == "0 %"
     assert body[0][header.index("size")] != "–" and body[1][header.index("size")] == "–"
+    # λ = 300 is known to 6 %: of its square the estimate leaves one part in 300, more by chance.
+    assert int(body[0][header.index("removed")].removesuffix(" %")) > 95
+
+
+def test_what_a_calibration_removes(tmp_path: Path) -> None:
+    """Of a reversal its own size takes out all, half of it three quarters, twice it nothing, its opposite less than nothing."""
+    case = next(
+        one for one in (Case("stage", "known60", k) for k in range(40)) if names_of(one) == (("reversal", "X"),)
+    )
+    folder = write_case(case, tmp_path)
+    machine = (folder / "machine.txt").read_text(encoding="utf-8").strip()
+    own = Machine.load(machine)
+    size = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["effects"][0]["parameters"][0]["value"]
+    for factor, share in ((1.0, 1.0), (0.5, 0.75), (2.0, 0.0), (-1.0, -3.0)):
+        effect = effect_named("reversal", "X", {"size": factor * size}, own)
+        Calibration.zero(own).extended([effect], Covariance.none(), "a test").save(tmp_path / "c.yaml")
+        # One minus the square of what is left: exact but for the digits of the file.
+        assert removed(case, folder / "measured.csv", machine, tmp_path / "c.yaml") == pytest.approx(share, abs=1e-3)
+    nothing = write_case(Case("stage", "nothing", 0), tmp_path)
+    assert removed(Case("stage", "nothing", 0), nothing / "measured.csv", machine, tmp_path / "c.yaml") is None
 
 
 def names_of(case: Case) -> tuple[tuple[str, str], ...]:

@@ -1,0 +1,51 @@
+"""What a written calibration is worth, by the truth machine: how much of the machine's true error it takes out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.benchmark.cases import Case, truth_machines, truth_of
+from tests.benchmark.chain import rotations
+from tests.benchmark.known import origin
+from tests.hidden import STATIONS
+from twin.calibration import Calibration
+from twin.errors import InputError
+from twin.machine import Machine
+from twin.measurement import load
+from twin.observation import Observation
+
+
+def removed(case: Case, table: Path, machine: str, calibration: Path) -> float | None:
+    """Share of the sum of squares of the machine's hidden error that a calibration takes out, on the same rows without noise.
+
+    The set-up is projected out of the error and of what is left of it. Effects of the instrument are no error of the machine: where
+    nothing of the machine is hidden the share is None; a calibration that cannot be evaluated takes out nothing.
+
+    Args:
+        case: what is hidden.
+        table: its measurement table, for the channels.
+        machine: its machine file.
+        calibration: the file that a method wrote.
+    """
+    truth, drawn = truth_machines()[case.machine], truth_of(case)
+    effects = [one for one in drawn.effects if origin(one.effect) == "machine"]
+    if not effects and drawn.outside is None:
+        return None
+    plan = drawn.plan
+    moved = None if drawn.outside is None else drawn.outside.moved(truth, plan)
+    error = truth.readings(plan, effects, moved) - truth.readings(plan)
+    own = Machine.load(machine)
+    data = load(table, own)
+    try:
+        with_it, without = (
+            Observation(own).points_mm(one, data, truth.places(plan))
+            for one in (Calibration.load(calibration, own), Calibration.default(own))
+        )
+    except InputError:
+        return 0.0
+    turn = rotations(np.array([STATIONS[name][1] for name in plan.station]))
+    corrected = np.einsum("nji,nj->ni", turn, with_it - without)
+    before, after = (np.sum(truth.left_over(plan, one) ** 2) for one in (error, error - corrected))
+    return float(1.0 - after / before)
