@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests.benchmark.builds import machines
+from tests.benchmark.carried import largest
 from tests.benchmark.known import PLACED, drawn, families, origin, two
 from tests.benchmark.machines import TruthMachine
 from tests.benchmark.outside import PATTERNS, Outside
@@ -25,6 +26,8 @@ OUTSIDE = 300.0
 """λ of a pattern outside the catalogue."""
 LEAST_LEFT = 0.05
 """Share of its sum of squares that the set-up must leave of such a pattern."""
+MOST_CARRIED = 0.5
+"""Share of its λ that any known effect may carry: one that carries more would rightly be named."""
 LARGEST_MM = 0.2
 KINDS = (
     "known30",
@@ -134,6 +137,8 @@ def outside_of(
             continue
         # A shift in the base: linear in its size to the last bit.
         found = Outside.from_dict(found.to_dict() | {"size_um": found.size_um * float(np.sqrt(size / seen))})
+        if largest(machine, plan, change)[1] > MOST_CARRIED:
+            continue
         if np.abs(found.moved(machine, plan)).max() < LARGEST_MM:
             return found
     raise ValueError(f"no {pattern} shows on the data of {machine.name}")
@@ -183,10 +188,12 @@ def to_dict(case: Case, machine: TruthMachine, truth: Truth) -> dict[str, Any]:
     outside = None
     if truth.outside is not None:
         moved = truth.outside.moved(machine, plan)
+        (effect, where), share = largest(machine, plan, machine.readings(plan, moved=moved) - silent)
         outside = truth.outside.to_dict() | {
             "depends_on": list(truth.outside.depends_on(machine, plan)),
             "rms_um": 1e3 * float(np.sqrt(np.mean(np.sum(moved[plan.carrier == truth.outside.side] ** 2, axis=1)))),
             "lambda": size(machine.readings(plan, moved=moved)),
+            "carried": {"effect": effect, "where": where, "share": share},
         }
     return {
         "schema": "twin.benchmark.truth/1",

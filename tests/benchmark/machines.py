@@ -98,7 +98,7 @@ class TruthMachine(ABC):
             plan: what is measured.
             change: (n, 3) mm.
         """
-        basis = _absorbed(self, plan)
+        basis = absorbed(self, plan)
         scaled = change.reshape(-1) / self.sigma_mm
         return np.asarray(scaled - basis @ (basis.T @ scaled))
 
@@ -154,7 +154,7 @@ def _affine(effect: Hidden) -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _absorbed(machine: TruthMachine, plan: Plan) -> np.ndarray:
+def absorbed(machine: TruthMachine, plan: Plan) -> np.ndarray:
     """(3n, r) orthonormal basis of what the set-up absorbs."""
     columns = machine.set_up(plan)
     q, r = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))

@@ -18,7 +18,8 @@ from tests import hidden
 from tests.benchmark import __main__ as benchmark
 from tests.benchmark import known
 from tests.benchmark.builds import machines
-from tests.benchmark.cases import KINDS, OUTSIDE, Case, outside_of, truth_machines, write_case
+from tests.benchmark.carried import shares
+from tests.benchmark.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of, truth_machines, write_case
 from tests.benchmark.chain import Chain
 from tests.benchmark.gain import removed
 from tests.benchmark.machines import Dmu50, TruthMachine, lagged
@@ -246,6 +247,28 @@ def test_a_pattern_outside_moves_one_side_by_its_formula(name: str, pattern: str
             assert abs(machine.direction(own[0].name) @ drawn.direction) < 1e-12
         if pattern == "short_waves":
             assert all(HALF_WAVES[0] <= drawn.numbers[f"halves_{k}"] <= HALF_WAVES[1] for k in (1, 2))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_known_effect_can_carry(name: str) -> None:
+    """Of itself all; of a pattern that is said to be in no catalogue nothing carries more than half."""
+    machine = few(name)
+    rng = np.random.default_rng(11)
+    plan = machine.plan(rng)
+    silent = machine.readings(plan)
+    for family in known.families(machine, plan):
+        effect = known.drawn(rng, machine, plan, family, 30.0)
+        if effect is None or family in ("squareness", "table_load", "gravity_compliance"):
+            continue
+        change = machine.readings(plan, [effect]) - silent
+        # A period and a time constant lie between two that are tried.
+        least = 0.8 if family == "pitch_error" else 0.98 if family == "thermal_drift" else 1.0 - 1e-4
+        assert shares(machine, plan, change)[effect.key] > least
+    # Half of all jumps that are drawn are mostly a curve or a growth: these are no cases.
+    for _ in range(6):
+        drawn = outside_of(rng, machine, plan, "jump")
+        found = shares(machine, plan, machine.readings(plan, moved=drawn.moved(machine, plan)) - silent)
+        assert max(found.values()) <= MOST_CARRIED
 
 
 def test_an_endless_axis_has_whole_waves() -> None:
