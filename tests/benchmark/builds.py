@@ -85,7 +85,7 @@ def robot() -> Chain:
 
 
 def stage() -> Chain:
-    """A slide of 500 mm with two targets, and two on its bed."""
+    """A slide of 500 mm with two targets, and two on its bed, all at known places."""
     return Chain(
         name="stage",
         axes=(TruthAxis("X", True, 0.0, 500.0, "tool"),),
@@ -101,5 +101,6 @@ def stage() -> Chain:
         stops=26,
         poses=60,
         sensors=("X", "bed"),
+        places_known=True,
         write=few_axes.write_stage,
     )

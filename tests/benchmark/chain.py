@@ -6,7 +6,7 @@ Units: mm and radians; errors in mm and radians.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
 
@@ -119,6 +119,7 @@ class Chain(TruthMachine):
         rounds, stops, poses: of the plan.
         sensors: of temperature.
         has_spindle: whether the table has its speed.
+        places_known: whether the table gives the targets' places. Of a single axis the directions across it are known by nothing else.
         write: writes the machine file and the URDF into a folder.
     """
 
@@ -138,6 +139,7 @@ class Chain(TruthMachine):
     poses: int = 200
     sensors: tuple[str, ...] = ("bed",)
     has_spindle: bool = False
+    places_known: bool = False
     write: Callable[[Path], Path] | None = None
 
     def write_machine(self, folder: Path) -> Path:
@@ -171,8 +173,9 @@ class Chain(TruthMachine):
         columns = []
         for along in np.eye(3):
             every = np.broadcast_to(along, base.shape)
+            moved = [] if self.places_known else [(plan.target, self.carried(plan, along))]
             for names, change in (
-                (plan.target, self.carried(plan, along)),
+                *moved,
                 (plan.station, every),
                 (plan.station, np.cross(every, base - origin)),
             ):
@@ -231,7 +234,7 @@ class Chain(TruthMachine):
             name: 20.0 + rng.uniform(1.5, 3.0) * (1.0 - np.exp(-time / 4000.0)) + 0.3 * np.sin(time / 1500.0 + 2.0 * i)
             for i, name in enumerate(self.sensors)
         }
-        return Plan(
+        found = Plan(
             self.axes,
             np.round(np.array(q), 3),
             np.array(approach),
@@ -243,6 +246,9 @@ class Chain(TruthMachine):
             {name: np.round(values, 3) for name, values in warm.items()},
             spindle(time) if self.has_spindle else {},
         )
+        if not self.places_known:
+            return found
+        return replace(found, channels={f"place_{a}_mm": self.places(found)[:, i] for i, a in enumerate("xyz")})
 
     def _stops(self, drawn: np.ndarray) -> list[tuple[np.ndarray, list[str], tuple[int, float] | None]]:
         """Poses of one round, the targets that are read at each, and a direction of approach that the run makes sure of."""
