@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial import legendre
 
+from tests.benchmark.carried import shares
 from tests.benchmark.machines import TruthMachine
 from tests.benchmark.plan import Plan
 from tests.hidden import Hidden
@@ -24,7 +25,7 @@ SHORTEST_PERIOD = 6.0
 ITERATIONS = 3
 """Of the size, for λ as asked: effects are not linear in it, by some 1e-4."""
 ALONE = 0.5
-"""Share of its λ that each of two effects must keep beside the other."""
+"""Share of its λ that each of two effects must keep beside the other, in whatever form."""
 FURTHER = ("reversal_curve", "thermal_lag", "spindle_growth", "affine_scale")
 """Families that the contract's table was given last: a kind of case of their own."""
 PLACED = 500
@@ -91,9 +92,18 @@ def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden
         pair = [effect for effect in found if effect is not None]
         if len(pair) < 2:
             continue
-        first, second = (machine.left_over(plan, machine.readings(plan, [one]) - silent) for one in pair)
-        cosine = float(first @ second / np.sqrt((first @ first) * (second @ second)))
-        if 1.0 - cosine**2 > ALONE:
+        changes = [machine.readings(plan, [one]) - silent for one in pair]
+        first, second = (machine.left_over(plan, one) for one in changes)
+        alike = float((first @ second) ** 2 / ((first @ first) * (second @ second)))
+        # Nor may either be a form of the other: a constant is one of a curve.
+        alike = max(
+            alike,
+            *(
+                shares(machine, plan, change).get(other.key, 0.0)
+                for change, other in zip(changes, pair[::-1], strict=True)
+            ),
+        )
+        if alike < ALONE:
             return pair
     raise ValueError(f"no two effects of {machine.name} keep their λ beside each other")
 

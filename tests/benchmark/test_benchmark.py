@@ -311,6 +311,17 @@ def test_every_family_a_machine_can_have_is_drawn() -> None:
     assert known.drawn(rng, unknown, unknown.plan(rng), "zero_offset", 60.0) is None
 
 
+def test_two_effects_do_not_stand_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A zero offset is the constant of a positioning curve: of these two no pair is made."""
+    machine = few("stage")
+    plan = machine.plan(np.random.default_rng(14))
+    kept = {name: known.FAMILIES[name] for name in ("positioning", "zero_offset", "reversal")}
+    monkeypatch.setattr(known, "FAMILIES", kept)
+    rng = np.random.default_rng(15)
+    pairs = [{one.effect for one in known.two(rng, machine, plan, 60.0)} for _ in range(10)]
+    assert {"positioning", "reversal"} in pairs and {"positioning", "zero_offset"} not in pairs
+
+
 def test_the_directions_of_a_stage_are_known(tmp_path: Path) -> None:
     """Straightness of Y and Z of one axis differ only by how its station is turned about it: the places of the targets decide."""
     machine = machines()["stage"]
