@@ -2,8 +2,7 @@
 
 Both get what `twin diagnose` gets: the whitened residual, and the columns of every form of every named candidate, with the set-up
 projected out of both (x − QQᵀx; for a calibration without covariance, where that is a projection). Neither has an answer of its own for
-"none of these"; the surrogates are left out, and what `tests.battery` never hides (`UNHIDDEN`; not with ``--every``). Run rows of
-the table by
+"none of these"; left out is what `tests.battery` never hides (`UNHIDDEN`; not with ``--every``). Run rows of the table by
 
     python -m tests.rivals ROW... [--draws 50] [--noise isotropic|repeats|tracker|tracker-repeats] [--poses 390] [--seed 1] [--every]
                                [--workers N] [--scheduler tcp://…]
@@ -32,7 +31,6 @@ from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.pool import SEEN
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Column
-from twin.diagnosis.surrogates import EFFECT, depends_on
 from twin.parallel import Workers, in_order
 
 ALIKE = 0.95
@@ -354,9 +352,9 @@ def _methods(
 
     def own() -> tuple[tuple[Key, ...], tuple[str, ...]]:
         searcher.pool.judge(problem)
-        forms = searcher.run()[1].forms
-        unnamed = (name for form in forms if form.candidate.effect == EFFECT for name in depends_on(form.candidate)[1])
-        return tuple(form.key for form in forms if form.candidate.effect != EFFECT), tuple(unnamed)
+        found = searcher.run().structure
+        unnamed = (name for trace in found.traces for name in trace.pattern.names)
+        return tuple(form.key for form in found.forms), tuple(unnamed)
 
     return {
         "twin": own,
