@@ -30,6 +30,8 @@ from twin.machine import Machine
 from twin.measurement import load
 
 LIMIT_S: Final = 900.0
+BROKEN: Final = (ArithmeticError, LookupError, TypeError, ValueError)
+"""How a method that is broken may fail: it has no answer, and the others go on."""
 
 
 class Method(ABC):
@@ -145,7 +147,10 @@ def asked(method: Method, table: Path, machine: str) -> dict[str, Any]:
         answer = Path(folder) / "diagnosis.json"
         began = time.perf_counter()
         written = Path(folder) / "calibration.yaml"
-        error = method.diagnose(table, machine, answer, written)
+        try:
+            error = method.diagnose(table, machine, answer, written)
+        except BROKEN as failure:
+            error = f"{type(failure).__name__}: {failure}"
         seconds = time.perf_counter() - began
         diagnosis = None
         if not error:

@@ -102,9 +102,10 @@ def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:
     there = {(one["effect"], one["where"]) for one in truth["effects"] if one["origin"] == "machine"}
     right = any((cause["effect"], cause["where"]) in there for cause in said["causes"])
     held = (said.get("gain") or {}).get("held_out")
-    if not right or not held or held["rms_after_um"] is None:
+    before, after = (held.get(f"rms_{when}_um") for when in ("before", "after")) if held else (None, None)
+    if not right or before is None or after is None:
         return {}
-    return {"gain": float(held["rms_after_um"] < held["rms_before_um"])}
+    return {"gain": float(after < before)}
 
 
 def is_wrong(score: Score) -> bool:

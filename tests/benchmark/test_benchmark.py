@@ -23,7 +23,7 @@ from tests.benchmark.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of
 from tests.benchmark.chain import Chain
 from tests.benchmark.gain import removed
 from tests.benchmark.machines import Dmu50, TruthMachine, lagged
-from tests.benchmark.methods import Command, asked
+from tests.benchmark.methods import Command, Method, asked
 from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
 from tests.benchmark.real import REAL_SETS, Answer
@@ -523,6 +523,20 @@ def test_a_command_that_fails_has_no_answer(tmp_path: Path) -> None:
     found = asked(method, tmp_path / "measured.csv", "dmu50")
     assert found["diagnosis"] is None and found["error"] == "exit status 1: no such luck"
     assert scores(truth([REVERSAL]), found)["no answer"] == 1.0
+
+
+class Broken(Method):
+    name = "broken"
+
+    def diagnose(self, table: Path, machine: str, answer: Path, calibration: Path) -> str:
+        raise np.linalg.LinAlgError("singular matrix")
+
+
+def test_a_method_that_breaks_does_not_stop_the_others(tmp_path: Path) -> None:
+    header, body = benchmark.run(tmp_path, [Broken()], [Case("stage", "nothing", 0)], benchmark.Workers(1))
+    assert dict(zip(header, body[0], strict=True))["no answer"] == "100 %"
+    wrong = (tmp_path / "wrong.txt").read_text(encoding="utf-8")
+    assert wrong == "broken stage-nothing-1-000: nothing → no answer: LinAlgError: singular matrix\n"
 
 
 def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
