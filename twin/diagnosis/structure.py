@@ -323,9 +323,9 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
     whole = likelihood.pool.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
-        if form.candidate.effect in NUMBERS:
-            continue  # that a machine has it is certain, only its size is not
-        others = [one for one in forms if one is not form]
+        # A machine has all its constants: what they carry together is asked.
+        alike = [one for one in forms if form.candidate.effect in NUMBERS and one.candidate.effect in NUMBERS]
+        others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.pool.explained_by(others)
         beside = float(likelihood.imitated(form) @ left)
         ratio = carried / max(beside, 1e-9)
