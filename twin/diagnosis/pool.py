@@ -357,6 +357,14 @@ class Pool:
             total -= float(self._costs[form.index, dof]) if dof else self.cost(form, 1.0)
         return total
 
+    def blocks(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Numbers (n,), columns (n, w) and inner products (n, w, w) of the forms, by number of columns."""
+        return list(zip(self._rows, self._columns, self._inner, strict=True))
+
+    def cross(self, columns: np.ndarray) -> np.ndarray:
+        """(columns, all) inner products of some columns with all, beside the set-up."""
+        return self._with(columns)
+
     def prepare(self, forms: Sequence[Form]) -> None:
         """Work out the inner products of some forms with all others in one go; of part of the data those that cost next to nothing."""
         cheap = self.products.at_hand
