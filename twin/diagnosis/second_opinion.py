@@ -6,7 +6,7 @@ readings gives a probability to every cause, and does so by other means. Where t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, final
@@ -32,24 +32,24 @@ class SingleEffect:
     """One effect that is one of many causes.
 
     Attributes:
-        odds: that there is an effect, against none.
+        log_odds: natural log of the odds that there is an effect, against none.
         posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
         credible: the smallest set of causes that holds `CREDIBLE` of it, the likeliest first.
     """
 
-    odds: float
+    log_odds: float
     posterior: Mapping[Key, float]
     credible: tuple[Key, ...]
 
     @property
     def found(self) -> bool:
         """Whether the odds bound the rate of false alarms at one in 20."""
-        return self.odds >= ODDS
+        return self.log_odds >= float(np.log(ODDS))
 
     def probability(self, keys: Collection[Key]) -> float:
         """Posterior probability that the effect exists and is one of some causes."""
         share = sum(self.posterior.get(key, 0.0) for key in set(keys))
-        return float(min(share, 1.0) / (1.0 + 1.0 / self.odds))
+        return float(min(share, 1.0) / (1.0 + np.exp(-self.log_odds)))
 
 
 @final
@@ -111,7 +111,7 @@ class Comparison:
         return bool(self.further) or any(cause.instead for cause in self.causes)
 
 
-def second_opinion(pool: Pool, most: int = MOST) -> SecondOpinion:
+def second_opinion(pool: Pool, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
     """Posterior of the causes of a pool.
 
     The prior of a form is its part of the search's price: effects share it as they share the rate of false alarms, the places of an
@@ -119,9 +119,11 @@ def second_opinion(pool: Pool, most: int = MOST) -> SecondOpinion:
 
     Args:
         pool: the data and the forms; what was forbidden to the search is judged by its own prior here.
+        start: forms that the search chose: the iteration starts from them as well as from nothing.
         most: effects at most.
     """
-    found = SingleEffects(_alternatives(pool), pool.slope, pool.cross, pool.dof).fitted(most)
+    effects = SingleEffects(_alternatives(pool), pool.slope, pool.cross, pool.dof)
+    found = effects.fitted(most, [form.index for form in start])
     keys = [form.key for form in pool.forms]
     ordered = sorted(found, key=lambda effect: (not effect.found, -effect.log_odds))
     return SecondOpinion(tuple(_by_key(effect, keys, pool.key_of) for effect in ordered))
@@ -197,4 +199,4 @@ def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffec
     ordered = {names[int(i)]: float(total[i]) for i in order if total[i] > 0.0}
     held = int(np.searchsorted(np.cumsum(total[order]), CREDIBLE)) + 1
     credible = tuple(names[int(i)] for i in order[:held])
-    return SingleEffect(float(np.exp(effect.log_odds)), MappingProxyType(ordered), credible)
+    return SingleEffect(effect.log_odds, MappingProxyType(ordered), credible)
