@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -27,7 +28,11 @@ def alternatives(
         forms = np.array([k for k, group in enumerate(groups) if len(group) == width])
         own = np.array([groups[k] for k in forms])
         inner = gram[own[:, :, None], own[:, None, :]]
-        found.append(Alternatives(forms, own, inner, weights[forms], np.zeros(own.shape), np.zeros(len(forms))))
+        found.append(
+            Alternatives(
+                forms, own, inner, weights[forms], np.ones(own.shape), np.zeros(own.shape), np.zeros(len(forms))
+            )
+        )
     return found
 
 
@@ -225,6 +230,10 @@ def test_size_beyond_plausible_counts_against_a_form() -> None:
     columns[:, 2] = columns[:, 1] / 100.0
     residual = rng.standard_normal(60) + columns[:, 1] * 0.5
     assert fitted(columns, [[0], [1], [2]], residual)[0].posterior[1] > 0.999
+    small, gram = 50.0, columns.T @ columns
+    own = replace(alternatives(columns, [[0], [1], [2]])[0], largest=np.array([[1.0], [1.0 / small], [small]]))
+    bounded = SingleEffects([own], columns.T @ residual, lambda k: gram[k]).fitted(1)[0]
+    assert bounded.posterior[2] > 0.999
 
 
 def test_known_size_is_used() -> None:
@@ -236,7 +245,7 @@ def test_known_size_is_used() -> None:
     for size in (1.0, 0.5):
         residual = rng.standard_normal(60) + columns[:, 0] * 0.02 * size
         centre = np.array([[0.02], [0.0]])
-        own = Alternatives(plain.forms, plain.columns, plain.inner, plain.prior, centre, np.array([0.05, 0.0]))
+        own = replace(plain, centre=centre, width=np.array([0.05, 0.0]))
         found = [SingleEffects([one], columns.T @ residual, lambda k: gram[k]).fitted(1)[0] for one in (own, plain)]
         known.append(found[0].log_odds - found[1].log_odds)
     assert known[0] > 1.0
@@ -313,9 +322,3 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
         comparison = compared(found, [[key]])
         assert not comparison.disagree
         assert comparison.causes[0].probability == pytest.approx(found.probability([key]))
-
-
-def test_patterns_without_a_name_take_no_part(data_set: DataSet) -> None:
-    pool = data_set.searcher.pool
-    unnamed = {form.key for form in pool.forms if form.candidate.origin == "unknown"}
-    assert unnamed.isdisjoint(second_opinion(pool).effects[0].posterior)

@@ -115,7 +115,7 @@ def second_opinion(pool: Pool, start: Sequence[Form] = (), most: int = MOST) -> 
     """Posterior of the causes of a pool.
 
     The prior of a form is its part of the search's price: effects share it as they share the rate of false alarms, the places of an
-    effect by their number of independent forms. Patterns without a name take no part.
+    effect by their number of independent forms. A size known beforehand, or bounded by physics, is part of it.
 
     Args:
         pool: the data and the forms; what was forbidden to the search is judged by its own prior here.
@@ -176,19 +176,16 @@ def _alternatives(pool: Pool) -> list[Alternatives]:
     found = []
     for rows, columns, inner in pool.blocks():
         forms = [pool.forms[i] for i in rows]
-        centre, width = np.zeros(columns.shape), np.zeros(len(rows))
+        largest, centre, width = np.ones(columns.shape), np.zeros(columns.shape), np.zeros(len(rows))
         for i, form in enumerate(forms):
+            if np.isfinite(form.candidate.largest):
+                largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
             if form.candidate.effect in WHOLE:
                 centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
-        found.append(Alternatives(rows, columns, inner, np.array([_prior(form) for form in forms]), centre, width))
+        # A form's part of the price of the search, which counts independent forms.
+        prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])
+        found.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
     return found
-
-
-def _prior(form: Form) -> float:
-    """Prior probability of a form, not normalised."""
-    if form.candidate.origin == "unknown":
-        return 0.0
-    return float(np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells))
 
 
 def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffect:

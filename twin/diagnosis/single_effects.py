@@ -47,6 +47,7 @@ class Alternatives:
         columns: (n, w) its columns.
         inner: (n, w, w) their inner products.
         prior: (n,) prior probability, not normalised.
+        largest: (n, w) coefficients of the largest size that is possible.
         centre: (n, w) prior mean of the coefficients; zero unless the size is known beforehand.
         width: (n,) relative prior standard deviation of a size that is known beforehand; unused elsewhere.
     """
@@ -55,6 +56,7 @@ class Alternatives:
     columns: np.ndarray
     inner: np.ndarray
     prior: np.ndarray
+    largest: np.ndarray
     centre: np.ndarray
     width: np.ndarray
 
@@ -219,7 +221,7 @@ class _Kind:
     """Forms with the same number of columns, in coordinates in which the noise has unit variance and the prior is diagonal.
 
     The prior of a form's coefficients is isotropic (columns have plausible sizes), scaled so that the expected noncentrality is one
-    of `SIZES`, none of them beyond what plausible sizes make. Forms and directions that the data do not show are left out.
+    of `SIZES`, none of them beyond what the largest size makes. Forms and directions that the data do not show are left out.
     """
 
     def __init__(self, own: Alternatives, dof: float) -> None:
@@ -233,7 +235,8 @@ class _Kind:
         self._turn = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
         total = values.sum(axis=1)
         self._variance = SIZES[None, :, None] * (values / total[:, None])[:, None, :]
-        weight = SIZE_PRIOR * (SIZES <= np.maximum(total, SIZES[0])[:, None])
+        most = np.einsum("nii,ni->n", own.inner[some], own.largest[some] ** 2)
+        weight = SIZE_PRIOR * (SIZES <= np.maximum(most, SIZES[0])[:, None])
         with np.errstate(divide="ignore"):
             self._log_weight = np.log(weight / weight.sum(axis=1)[:, None])
         self._mean = np.sqrt(values) * np.einsum("nij,ni->nj", vectors, own.centre[some])
