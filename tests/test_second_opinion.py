@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from tests.battery import Case, DataSet
-from twin.diagnosis.second_opinion import Key, SecondOpinion, SingleEffect, compared, second_opinion
+from twin.diagnosis.second_opinion import CREDIBLE, Key, SecondOpinion, SingleEffect, compared, second_opinion
 from twin.diagnosis.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
 
 DRAWS = 2000
@@ -283,6 +283,8 @@ def test_probability_of_a_group_adds_its_causes() -> None:
         ([(1e6, {A: 1.0})], [], [], 1),
         # Two correlated causes are named, one effect could be either: the second is unseen, not contradicted.
         ([(1e6, {A: 0.5, B: 0.5})], [[A], [B]], [(), ()], 0),
+        # Another is one of the two and a third cause: that stands in the place of the other.
+        ([(1e6, {A: 0.6, B: 0.4}), (1e4, {C: 1.0})], [[A], [B]], [(), (C,)], 0),
         # One cause in two forms.
         ([(1e6, {A: 1.0}), (1e4, {A: 0.9, C: 0.1})], [[A], [B]], [(), ()], 0),
         # A second effect in the likeness of the first stands where the search has another cause.
@@ -322,3 +324,23 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
         comparison = compared(found, [[key]])
         assert not comparison.disagree
         assert comparison.causes[0].probability == pytest.approx(found.probability([key]))
+
+
+def test_credible_set_holds_causes_that_look_alike(data_set: DataSet) -> None:
+    """Two cross-axis errors that move the tool alike share the posterior; the set is no larger than it must be."""
+    pool, problem = data_set.searcher.pool, data_set.problem
+    alike = {("cross_axis", "E_XX by Z"), ("cross_axis", "E_XZ by X")}
+    form = next(one for one in pool.forms if one.key in alike)
+    signature = problem.signature(form.cell.columns)[:, 0]
+    size = np.sqrt(60.0 / float(problem.inner(signature[:, None])[0, 0]))
+    problem.judge(signature * size)
+    pool.judge(problem)
+    effect = second_opinion(pool).effects[0]
+    assert alike <= set(effect.credible)
+    share = np.array([effect.posterior[key] for key in effect.credible])
+    assert share.sum() >= CREDIBLE
+    assert share[:-1].sum() < CREDIBLE
+    assert np.all(np.diff(share) <= 0.0)
+    assert effect.posterior["cross_axis", "E_XX by Z"] == pytest.approx(
+        effect.posterior["cross_axis", "E_XZ by X"], rel=0.05
+    )

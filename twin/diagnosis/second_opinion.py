@@ -133,8 +133,8 @@ def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Compa
     """Compare the causes of the search with the second opinion.
 
     Each effect corresponds to at most one group, so that the posterior probability in common is largest. An effect found that is left
-    over disagrees with the search if its credible set has no key in common with any group, or if a group has none in common with any
-    effect: then it stands in the place of that group. Two effects with the same likeliest cause are one cause in two forms.
+    over disagrees with the search if no effect corresponds to one of the groups, in whose place it then stands, or if its credible set
+    has no key in common with any group. Two effects with the same likeliest cause are one cause in two forms.
 
     Args:
         opinion: of the same data.
@@ -150,13 +150,12 @@ def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Compa
     likeliest = {opinion.effects[e].credible[0] for e in partner.values()}
     left = [e for e, effect in enumerate(opinion.effects) if effect.found and e not in partner.values()]
     left = [e for e in left if opinion.effects[e].credible[0] not in likeliest]
-    seen = {key for effect in opinion.found for key in effect.credible}
-    unseen = [g for g, group in enumerate(groups) if g not in partner and seen.isdisjoint(group)]
+    alone = [g for g in range(len(groups)) if g not in partner]
     named = {key for group in groups for key in group}
     instead: dict[int, int] = {}
     further = []
     for e in left:
-        free = [g for g in unseen if g not in instead]
+        free = [g for g in alone if g not in instead]
         if free:
             instead[max(free, key=lambda g: common[g, e])] = e
         elif named.isdisjoint(opinion.effects[e].credible):
