@@ -29,11 +29,13 @@ SIZES: Final = 30.0 * 10.0 ** np.arange(9)
 SIZE_PRIOR: Final = 1.0 / ((np.arange(len(SIZES)) + 1.0) * (np.arange(len(SIZES)) + 2.0))
 """Prior weight of each, before normalisation: half of it on effects that are just large enough to be found."""
 NEGLECTED: Final = 1e-2
-"""Standard deviations that do not matter: of an expected contribution when forms are left out, or from one sweep to the next."""
+"""Standard deviations by which the forms left out of an expected contribution may change what remains."""
+MOVED: Final = 0.1
+"""Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
 RARE: Final = 1e-6
 """Posterior probability that is always left out of it."""
 SETTLED: Final = 1e-3
-"""Change of any posterior probability below which the iteration ends."""
+"""Change of any posterior probability, likewise."""
 SWEEPS: Final = 100
 
 
@@ -167,7 +169,7 @@ class SingleEffects:
                     new = self._with_slope(new)
                     effects = [*effects[:k], new, *effects[k + 1 :]]
                     shift = float((new.coefficients - old.coefficients) @ (new.slope - old.slope))
-                    if float(moved.max()) > SETTLED or shift > NEGLECTED**2:
+                    if float(moved.max()) > SETTLED or shift > MOVED**2:
                         changed = True
                 else:
                     changed = True
