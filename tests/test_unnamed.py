@@ -1,4 +1,4 @@
-"""Patterns without a name: their functions, the chance of their score, and the likelihood of causes beside them, against plain numpy."""
+"""Patterns without a name: functions, chance of a score, likelihood of causes beside them; against plain numpy."""
 
 from __future__ import annotations
 

@@ -24,8 +24,9 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
-from twin.diagnosis.result import Cause, Diagnosis, Gain, Rival, Trend, Unexplained, Verdict
+from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
 from twin.diagnosis.search import excessive
+from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
 from twin.distributions import chi2_sf, f_log_sf, f_sf
@@ -41,6 +42,7 @@ MOSTLY_EXPLAINED: Final = 0.1
 """Share of the excess that causes may leave and still count as the explanation."""
 CURVES: Final = ("positioning", "straightness", "angular_error_motion", "error_motion", "pitch_error", "harmonic")
 """Effects that are a function of one axis's position."""
+AT_BOUND: Final = 0.99
 DENSE: Final = 20
 """Positions of an axis from which on what repeats at them holds between them as well."""
 RANKED: Final = 12
@@ -63,8 +65,16 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     excess = max(problem.chi2 - problem.dof, estimated.explained, 1e-30)
     promised = [_promised(pool, form, forms) for form in forms]
     causes = [_cause(found, beside, forms, estimated, k, excess, calibration, promised[k]) for k in range(len(forms))]
+    # Beside patterns the variances hold what a cause can imitate: the likelihood has decided, and no posterior is given.
+    comparison = None if found.structure.traces else _compared(found, forms, causes)
+    if comparison is not None:
+        causes = [
+            replace(cause, probability=own.probability, credible=own.instead or own.credible)
+            for cause, own in zip(causes, comparison.causes, strict=True)
+        ]
     also, silent = reported(pool, forms, lambda moved: unwhitened(problem, moved))
     silent += [_not_beyond(pool, forms, form, excess) for form in dropped]
+    silent += [_further(effect) for effect in (() if comparison is None else comparison.further)]
     silent += [_fallen(form) for form in found.structure.fallen]
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
     named = [beside[k] for k in order]
@@ -84,7 +94,7 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     hidden = _unidentifiable(problem, pool, found.known)
     weights, read = problem.network.whitening, problem.network.read
     return Diagnosis(
-        verdict=_verdict([*ordered, *also], left),
+        verdict=_verdict([*ordered, *also], left, comparison is not None and comparison.disagree),
         rms_um=rms(residual, read),
         absorbed_rms_um=rms(unwhitened(problem, problem.projected), read),
         expected_rms_um=_expected(problem),
@@ -154,11 +164,12 @@ def _cause(
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
     if not promised:
         text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
+    quantities = estimated.quantities[k]
     return Cause(
         effect=form.candidate.effect,
         where=form.candidate.where,
         origin=form.candidate.origin,
-        parameters=estimated.quantities[k],
+        parameters=quantities,
         p_value=found.pool.chance(log_p),
         share=float(np.clip(explained / excess, 0.0, 1.0)),
         equivalent=equivalent(found, beside[k], rest),
@@ -166,8 +177,16 @@ def _cause(
         pattern_um=locked(unwhitened(found.problem, estimated.signature[:, k])),
         effects=estimated.effects[k] if promised else (),
         promised=promised,
+        bounded=_bounded(form, quantities),
         rivals=_rivals(pool, beside[k], rest, margin, excess),
     )
+
+
+def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
+    """Whether a parameter stands where it cannot go further."""
+    tried = [cell.fixed["time_constant"] for cell in form.candidate.cells if "time_constant" in cell.fixed]
+    limits = {"time_constant": max(tried, default=np.inf)}
+    return any(abs(q.value) >= AT_BOUND * limits.get(q.name, form.candidate.largest) for q in quantities)
 
 
 def _promised(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
@@ -219,12 +238,24 @@ def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:
     return Covariance(tuple(names[i] for i in at), locked(np.array(estimated.covariance.matrix[np.ix_(at, at)])))
 
 
-def _verdict(causes: Sequence[Cause], left: Unexplained | None) -> Verdict:
+def _compared(found: Findings, forms: Sequence[Form], causes: Sequence[Cause]) -> Comparison:
+    groups = [(form.key, *cause.equivalent) for form, cause in zip(forms, causes, strict=True)]
+    return compared(second_opinion(found.pool, found.structure.forms), groups)
+
+
+def _further(effect: SingleEffect) -> str:
+    names = ", ".join(" ".join(key) for key in effect.credible)
+    return (
+        f"a second method finds one of {names} as well (odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1): not named"
+    )
+
+
+def _verdict(causes: Sequence[Cause], left: Unexplained | None, disagree: bool) -> Verdict:
     if left is not None and left.share > MOSTLY_EXPLAINED:
         return "unexplained"
     if not causes:
-        return "consistent"
-    return "ambiguous" if any(cause.equivalent for cause in causes) else "explained"
+        return "ambiguous" if disagree else "consistent"
+    return "ambiguous" if disagree or any(cause.equivalent for cause in causes) else "explained"
 
 
 def _unexplained(

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import POWER
+from twin.diagnosis.bounds import largest
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given, pieces
 from twin.diagnosis.signatures import (
@@ -57,24 +58,6 @@ LOOKED_AT: Final = 500
 """Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
 TIME_CONSTANTS: Final = 36
-POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
-    ("reversal", "um"): 1000.0,
-    ("reversal", "urad"): 5000.0,
-    ("pitch_error", "um"): 500.0,
-    ("squareness", "urad"): 10_000.0,
-    ("axis_location", "um"): 20_000.0,
-    ("axis_location", "urad"): 20_000.0,
-    ("zero_offset", "um"): 20_000.0,
-    ("zero_offset", "urad"): 50_000.0,
-    ("thermal_expansion", "um/(m.K)"): 100.0,
-    ("thermal_growth", "um/K"): 500.0,
-    ("table_load", "urad"): 2000.0,
-    # A stiffness of 5 kN·m/rad is that of a small robot's wrist gear, 1 N/µm that of a weak slide.
-    ("gravity_compliance", "urad/(N.m)"): 200.0,
-    ("gravity_compliance", "um/N"): 1.0,
-    ("refraction_scale", "ppm"): 20.0,
-}
-"""Effect and unit → magnitude beyond which no machine or instrument has it."""
 AT_HAND: Final = 64
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
@@ -189,13 +172,7 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
     found += _base_side(machine, state, missing)
     found += _loads(machine, state)
     found += _instrument(machine, data, state, missing)
-    return Catalogue(tuple(_bounded(candidate) for candidate in found), tuple(missing))
-
-
-def _bounded(candidate: Candidate) -> Candidate:
-    units = [unit for _, unit in candidate.names[:1]]
-    largest = [POSSIBLE.get((candidate.effect, unit), np.inf) for unit in units]
-    return replace(candidate, largest=min(candidate.largest, *largest)) if largest else candidate
+    return Catalogue(tuple(replace(one, largest=largest(one.effect, one.names)) for one in found), tuple(missing))
 
 
 def _single(

@@ -23,8 +23,8 @@ from twin.diagnosis.products import Products
 from twin.diagnosis.signatures import Column
 from twin.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 
-ALARMS: Final = 0.04
-"""Share of data sets with nothing in them in which anything is found, all forms together."""
+ALARMS: Final = 0.03
+"""Share of data sets with nothing in them in which a cause is found, all forms together; patterns have their own share."""
 SILENT: Final = 200
 """Data sets of scatter alone that the price of the search is taken from."""
 FURTHER: Final = 2.5

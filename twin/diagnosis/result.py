@@ -60,7 +60,10 @@ class Cause:
         pattern_um: (n, 3) what it does to each reading.
         effects: what extends the model; empty for an instrument's.
         promised: whether it is in the extended calibration; not what repeats at the positions measured, but foretells none left out.
+        bounded: whether a parameter stands at a physical bound, or a time constant at the length of the measurement.
         rivals: what came next in its place and is ruled out, best first.
+        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.second_opinion`; None beside patterns without a name.
+        credible: 95 % credible set of the effect that corresponds to it there, or that was found in its place.
     """
 
     effect: str
@@ -74,7 +77,10 @@ class Cause:
     pattern_um: np.ndarray
     effects: tuple[Effect, ...] = ()
     promised: bool = True
+    bounded: bool = False
     rivals: tuple[Rival, ...] = ()
+    probability: float | None = None
+    credible: tuple[tuple[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in the JSON."""
@@ -88,6 +94,9 @@ class Cause:
             "equivalent": [{"effect": effect, "where": where} for effect, where in self.equivalent],
             "evidence": self.evidence,
             "promised": self.promised,
+            "bounded": self.bounded,
+            "probability": self.probability,
+            "credible": [{"effect": effect, "where": where} for effect, where in self.credible],
         }
 
 

@@ -14,6 +14,7 @@ from twin.diagnosis.words import (
     contests,
     grouped,
     held_out_words,
+    likelihood_words,
     listed,
     lower,
     measured,
@@ -126,6 +127,8 @@ def _cause(cause: Cause) -> list[str]:
         lines += _wrapped(
             f"{percent(cause.share)} of what is beyond the scatter, {probability(cause.p_value)}", start=4, hang=6
         )
+    if cause.probability is not None:
+        lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
     for rival in cause.rivals[:1]:
         name = f"{plain(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
         lines += _wrapped(f"ruled out in its place: {name}, {odds(rival.log_odds)}", start=4, hang=6)

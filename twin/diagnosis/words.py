@@ -524,3 +524,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
 def held_out_words(of: str) -> str:
     """What was held out: rounds, positions, poses, or blocks of time."""
     return "blocks of time" if of == "blocks" else of
+
+
+def likelihood_words(probability: float, alone: bool) -> str:
+    """What the second method says of a cause, or of it and what could as well be."""
+    told = "above 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+    return (
+        f"a second method, of its own prior, gives {'it' if alone else 'it or one of those it could as well be'} {told}"
+    )
