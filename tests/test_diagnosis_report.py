@@ -74,7 +74,7 @@ def found(dmu50: Machine, calibration: Calibration, folder: Path) -> Mapping[str
         read = hidden.noisy(hidden.points(plan, effects), rng, "isotropic", SIGMA_MM)
         path = hidden.write(folder / f"{name}.csv", plan, read, u_mm=SIGMA_MM)
         results[name] = diagnose(load(path, dmu50), dmu50, calibration)
-    left = Unexplained(0.3, ("X_mm", "Z_mm"), "tool", "a pattern that fits nothing")
+    left = Unexplained(0.3, ("X_mm", "Z_mm"), "tool", "a pattern that fits nothing", 2.0)
     results["part of it"] = replace(results["lost motion"], verdict="unexplained", unexplained=left)
     return results
 
@@ -320,7 +320,9 @@ def test_the_json_is_the_contracts(found: Mapping[str, Diagnosis]) -> None:
     contract = "schema verdict residual causes unexplained unidentifiable gain next_measurement".split()
     ours = "not_evaluated trends scatter set_aside notices warnings".split()
     assert set(told) == {*contract, *ours}
-    assert set(told["causes"][0]) == set("effect where origin parameters p_value share equivalent evidence".split())
+    keys = "effect where origin parameters p_value share equivalent evidence probability bounded".split()
+    assert set(told["causes"][0]) == {*keys, "promised", "credible"}
+    assert set(told["gain"]["held_out"]) == {"of", "groups", "rms_before_um", "rms_after_um", "ci95_um"}
 
 
 def test_every_cause_has_words(dmu50: Machine, calibration: Calibration, found: Mapping[str, Diagnosis]) -> None:

@@ -18,7 +18,7 @@ from twin.calibration import Calibration
 from twin.covariance import Covariance
 from twin.diagnosis import diagnose
 from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.folds import folds
+from twin.diagnosis.folds import parts as parts_of
 from twin.diagnosis.pool import SAMPLED
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.products import Products
@@ -36,6 +36,13 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
     plan = hidden.rounded(hidden.plan(rng, poses=poses, same=False))
     read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
     return load(hidden.write(folder / "measured.csv", plan, read, u_mm=3e-3), machine)
+
+
+def split(problem: Problem) -> np.ndarray:
+    """(n,) the part each reading is held out with."""
+    found = parts_of(problem.network.data, problem.network.machine, ())
+    assert found is not None
+    return found.part
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +67,7 @@ def close(found: np.ndarray, truth: np.ndarray, size: np.ndarray | float) -> Non
 
 def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     problem, searcher = searched
-    _, parts = folds(problem.network.data)
+    parts = split(problem)
     rng = np.random.default_rng(1)
     vectors = rng.standard_normal((len(parts), 3, 70))
     found = Signatures(problem.view, searcher.pool.products.columns, parts).along(lambda block: vectors[block.rows])
@@ -88,7 +95,7 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
     nuisance, prior = problem.nuisance, problem.prior
     some = whole[:, ::97]
     for out in (None, *range(3)):
-        gone = np.zeros(len(problem.view.rows), dtype=bool) if out is None else folds(problem.network.data)[1] == out
+        gone = np.zeros(len(problem.view.rows), dtype=bool) if out is None else split(problem) == out
         keep = np.where(np.repeat(gone, 3), 0.0, 1.0)
         part = problem if out is None else problem.without(gone)
         assert part is not None
@@ -117,13 +124,13 @@ def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[P
     small = replace(doubted, joint=Covariance(doubted.joint.names, locked(matrix)))
     again = Problem(problem.network, problem.setup, small)
     for part in range(3):
-        assert again.without(folds(problem.network.data)[1] == part) is not None
+        assert again.without(split(problem) == part) is not None
 
 
 @pytest.mark.parametrize("which", ["a part", "any points"])
 def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
     problem, searcher = searched
-    _, parts = folds(problem.network.data)
+    parts = split(problem)
     products = Products(problem, searcher.pool.products.columns, searcher.pool._columns, parts=parts)
     gone = np.flatnonzero(parts == 1)
     if which == "any points":

@@ -12,14 +12,23 @@ re-aligned, a station that creeps, a bumped target, the refractive index, positi
 what can be wrong with the calibration itself: a polynomial fitted without its constant, terms the machine does not have, a
 wrong sign, a curve under another name or at another joint. A cause is judged by what it explains after everything the set-up
 and the calibration's own uncertainty can absorb has been projected out; every form tried is paid for, so that data with nothing
-hidden raise an alarm in at most 5 of 100 sets. Smooth functions of each column and pair of columns compete without a name: what
-they carry better than all names together is `unexplained`, with the columns it depends on.
+hidden raise an alarm in at most 5 of 100 sets. A cause that would have to be larger than physics allows, or many times larger than
+what is to be explained, is none.
 
-The verdict is `consistent`, `explained`, `ambiguous` (a cause these data cannot tell from others, which are named, with points
-that would tell them) or `unexplained`. Causes of the instrument never enter a calibration. The gain is shown on rounds that
-neither selection nor fit has seen, and at the tool. `--extended` writes the calibration with what was found of the machine,
-parameters and covariance (`effects:` entries `{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase:
-0.5}}` beside the curves), and `compensate`, `scene` and `info` use it:
+Beside the causes, every column and every pair of columns is tested for a pattern without a name, on each side of the machine:
+short waves, steps, lost motion that depends on the position (`twin.diagnosis.unnamed`). Where one is left, the causes are judged
+anew by likelihood beside it (`twin.diagnosis.structure`). A cause that carries most of what goes with its columns keeps its name,
+and what its form leaves is given in µm as unexplained; a cause that only imitates a part of a pattern is not named.
+
+The verdict is `consistent`, `explained` (the causes carry nine tenths), `ambiguous` (a cause these data cannot tell from others,
+which are named, with points that would tell them) or `unexplained`. Each cause carries the probability that a second, Bayesian
+method gives it (sum of single effects, `twin.diagnosis.second_opinion`); where the two disagree, the verdict is `ambiguous`.
+Causes of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left out
+(`promised: false`). Every figure of gain is that of the calibration as it is written, evaluated on the readings anew; held out is
+what the claim is about: positions or poses for functions of position, rounds or blocks of time for changes in time, with an
+interval from six groups on. `--extended` writes the calibration with what was found of the machine, parameters and covariance
+(`effects:` entries `{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase: 0.5}}` beside the curves),
+and `compensate`, `scene` and `info` use it:
 
 - Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`; where one is missing the program is refused, naming
   it.

@@ -292,7 +292,7 @@ def _chances(traces: Sequence[Trace]) -> list[float]:
 
 def _trends(found: Findings) -> tuple[Trend, ...]:
     """Columns the misfit goes with, one by one, before any cause is taken out."""
-    single = [pattern for pattern in found.patterns if len(pattern.channels) == 1 and not pattern.channels[0].direction]
+    single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
     best: dict[tuple[str, str], Trace] = {}
     for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.scatter.dof):
         best.setdefault((trace.pattern.side, trace.pattern.names[0]), trace)

@@ -528,7 +528,6 @@ def held_out_words(of: str) -> str:
 
 def likelihood_words(probability: float, alone: bool) -> str:
     """What the second method says of a cause, or of it and what could as well be."""
-    told = "above 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
-    return (
-        f"a second method, of its own prior, gives {'it' if alone else 'it or one of those it could as well be'} {told}"
-    )
+    size = "more than 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+    what = "is there" if alone else "or one of those it could as well be is there"
+    return f"probability that it {what}: {size} (a second method, independent of the search)"
