@@ -46,6 +46,7 @@ class Model:
         values: (columns,) of the causes, in the order of `together`.
         random: (columns,) of the patterns, µm.
         covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
+        followed: degrees of freedom that the patterns follow the readings with.
     """
 
     twice: float
@@ -55,6 +56,7 @@ class Model:
     values: np.ndarray
     random: np.ndarray
     covariance: np.ndarray
+    followed: float
 
 
 @final
@@ -140,7 +142,8 @@ class Likelihood:
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
         random = np.zeros(len(self.columns))
         random[used] = found * deviation
-        return Model(twice, variances, more, explained, values, random, back), moved
+        followed = float(np.sum(1.0 - np.diag(inverse)))
+        return Model(twice, variances, more, explained, values, random, back, followed), moved
 
     def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""

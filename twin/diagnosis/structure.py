@@ -76,11 +76,17 @@ class Structure:
         return Beside(self.likelihood.random(self.model), self.model.scatter)
 
     def fitted(self, forms: Sequence[Form]) -> tuple[float, np.ndarray]:
-        """What the patterns explain beside some of the causes, and (3n,) what they do to the whitened readings."""
+        """What the patterns explain beside some of the causes, and (3n,) what they do to the whitened readings.
+
+        As large as the patterns are expected to be: what is most likely at every reading is smaller by its own variance.
+        """
         if self.likelihood is None:
             return 0.0, np.zeros(len(self.problem.residual))
         model = self.likelihood.fit(forms, self.model)
-        return self.likelihood.explained(forms, model), self.likelihood.pattern(forms, model)
+        pattern = self.likelihood.pattern(forms, model)
+        size = max(float(pattern @ pattern), 1e-300)
+        larger = np.sqrt(1.0 + model.scatter * model.followed / size)
+        return self.likelihood.explained(forms, model), pattern * larger
 
 
 @final
