@@ -23,7 +23,8 @@ from twin import cli
 from twin.axis_run import AxisLayout, load_readings
 from twin.control import read_tables
 from twin.curves import POWER
-from twin.diagnosis import account, words
+from twin.diagnosis import words
+from twin.diagnosis.evidence import evidence
 from twin.diagnosis.flaws import flaw
 from twin.errors import InputError, printable
 from twin.identification.spread import Misfit
@@ -189,7 +190,7 @@ def test_an_effect_without_a_sentence_of_its_own_is_still_named() -> None:
     quantity = SimpleNamespace(name="size", value=3.0, u=0.5, unit="um")
     form: Any = SimpleNamespace(candidate=SimpleNamespace(effect="new_effect", where="X"))
     found: Any = SimpleNamespace(quantities=((quantity,),))
-    assert account._evidence(form, found, 0) == "X: an error of the kind new effect (6 standard uncertainties)"
+    assert evidence(form, found, 0) == "X: an error of the kind new effect (6 standard uncertainties)"
 
 
 def test_a_number_that_is_not_finite_is_unknown_in_words() -> None:

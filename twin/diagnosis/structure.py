@@ -235,6 +235,7 @@ def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
             continue
         whole = without_parts(likelihood, forms, model)
         if len(whole) == len(forms):
+            forms, model = _plainer(likelihood, forms, model)
             return Structure(tuple(forms), likelihood, model, problem, ())
         barred |= {int(pool.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
@@ -277,6 +278,26 @@ def _exchanged(
             if other is not form and gained > BETTER and _possible(pool, trial, found):
                 return trial, found
     return None
+
+
+def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
+    """Curves that no datum leaves a constant or a slope, replaced by the machine's constant that these data cannot tell from them."""
+    pool = likelihood.pool
+    for form in list(forms):
+        if form.cell.fixed.get("first") != 0.0:
+            continue
+        others = [one for one in forms if one is not form]
+        explained, dof = likelihood.scan(others, likelihood.fit(others, model))
+        margin = explained - pool.costs(dof)
+        taken = {one.key for one in others}
+        numbers = [f for f in pool.forms if f.candidate.effect in NUMBERS and f.key not in taken and dof[f.index]]
+        for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
+            trial = [*others, number]
+            found = likelihood.fit(trial, model)
+            lost = model.twice - _cost(pool, form) - found.twice + _cost(pool, number)
+            if lost < DOUBT and _possible(pool, trial, found):
+                forms, model = trial, found
+    return forms, model
 
 
 def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
