@@ -69,7 +69,10 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     comparison = None if found.structure.traces else _compared(found, forms, causes)
     if comparison is not None:
         causes = [
+            # Of a curve that foretells nothing the form is not known, and so not how probable it is.
             replace(cause, probability=own.probability, credible=own.instead or own.credible)
+            if cause.promised
+            else cause
             for cause, own in zip(causes, comparison.causes, strict=True)
         ]
     also, silent = reported(pool, forms, lambda moved: unwhitened(problem, moved))

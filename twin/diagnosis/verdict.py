@@ -94,8 +94,8 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         found += advised(causes[0])
     else:
         for one in causes[:SHOWN]:
-            told = advice(one.effect, one.where)
-            found.append((plain(one.effect, one.where), f"{told.look} {told.do}"))
+            look = advice(one.effect, one.where).look
+            found.append((plain(one.effect, one.where), f"{look} {to_do(one)}"))
         if any(one.origin == "instrument" for one in causes):
             found.append(("Beware", "Compensate nothing of what belongs to the instrument."))
     return [fact for fact in found if fact[1]]
@@ -104,7 +104,17 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 def advised(cause: Cause) -> list[tuple[str, str]]:
     """Where to look, what to do, what not."""
     told = advice(cause.effect, cause.where)
-    return [("Look here", told.look), ("Do", told.do), ("Beware", told.never)]
+    return [("Look here", told.look), ("Do", to_do(cause)), ("Beware", told.never)]
+
+
+def to_do(cause: Cause) -> str:
+    """What to do about a cause: nothing is compensated that is in no calibration."""
+    if cause.promised:
+        return advice(cause.effect, cause.where).do
+    return (
+        "Nothing is compensated: what repeats at these positions does not foretell others. Measure at positions closer together, "
+        "not evenly spaced."
+    )
 
 
 def sentence(cause: Cause) -> str:
@@ -200,8 +210,7 @@ def _when_ambiguous(diagnosis: Diagnosis) -> list[tuple[str, str]]:
                 )
             )
         else:
-            told = advice(one.effect, one.where)
-            found.append((name, f"{told.look} {told.do}"))
+            found.append((name, f"{advice(one.effect, one.where).look} {to_do(one)}"))
     wanted = contests(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(one.rows for one in wanted):
         found.append(("Do", f"First measure the points under {NEXT}: they tell which it is. Then compensate."))
