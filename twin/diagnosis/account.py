@@ -162,8 +162,6 @@ def _cause(
     explained = found.pool.scores(others, [form.index])[0, 0]
     log_p = _log_p_beside(found, estimated, forms, form)
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
-    explained_beside, dof_beside, _ = pool.scores(rest, [form.index])[0]
-    margin = float(explained_beside - pool.cost(beside[k], dof_beside))
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
     if not promised:
         text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
@@ -181,7 +179,7 @@ def _cause(
         effects=estimated.effects[k] if promised else (),
         promised=promised,
         bounded=_bounded(form, quantities),
-        rivals=_rivals(pool, beside[k], rest, margin, excess),
+        rivals=_rivals(pool, beside[k], rest, excess),
     )
 
 
@@ -267,9 +265,8 @@ def _unexplained(
     """What the causes leave: the patterns, or more scatter than stated."""
     problem, structure = found.problem, found.structure
     if structure.traces:
-        explained, pattern = structure.fitted(forms)
-        patterns_um = unwhitened(problem, pattern)
-        share = float(np.clip(explained / excess, 0.0, 1.0))
+        patterns_um = unwhitened(problem, structure.pattern(forms))
+        share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
         columns = tuple(dict.fromkeys(name for trace in structure.traces for name in trace.pattern.names))
         sides = {trace.pattern.side for trace in structure.traces}
         carrier = sides.pop() if len(sides) == 1 else "both"
@@ -290,7 +287,7 @@ def _unexplained(
 
 
 def _chances(traces: Sequence[Trace]) -> list[float]:
-    return [float(np.exp(min(trace.log_p + trace.log_price, 0.0))) for trace in traces]
+    return [float(np.exp(trace.log_paid)) for trace in traces]
 
 
 def _trends(found: Findings) -> tuple[Trend, ...]:
@@ -300,9 +297,9 @@ def _trends(found: Findings) -> tuple[Trend, ...]:
     for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.scatter.dof):
         best.setdefault((trace.pattern.side, trace.pattern.names[0]), trace)
     return tuple(
-        Trend(column, side, trace.explained, float(np.exp(min(trace.log_p + trace.log_price, 0.0))))
+        Trend(column, side, trace.explained, float(np.exp(trace.log_paid)))
         for (side, column), trace in best.items()
-        if trace.log_p + trace.log_price < np.log(SEEN_AT)
+        if trace.log_paid < np.log(SEEN_AT)
     )
 
 
@@ -355,7 +352,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     kept = [plain.forms[one.index] for one in others]
     explained, _ = plain.scan(kept)
     own = float(explained[form.index])
-    allowed = found.structure.fitted([*kept, plain.forms[form.index]])[0] + DOUBT
+    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DOUBT
     best = {key: 0.0 for key in keys}
     for one in plain.forms:
         if one.key in best:
@@ -365,8 +362,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
 
 def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
     """What explains as much in a cause's place, its price paid."""
-    own_explained, own_dof = (float(values[form.index]) for values in pool.scan(others))
-    margin = own_explained - pool.cost(form, own_dof)
+    margin = _margin(pool, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [i for i, one in enumerate(pool.forms) if one.key not in used]
     scores = pool.scores(others, tried)
@@ -385,8 +381,15 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
     return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
 
 
-def _rivals(pool: Pool, form: Form, others: Sequence[Form], margin: float, excess: float) -> tuple[Rival, ...]:
+def _margin(pool: Pool, form: Form, others: Sequence[Form]) -> float:
+    """What a cause explains beside others, its price paid."""
+    explained, dof = (float(values[form.index]) for values in pool.scan(others))
+    return explained - pool.cost(form, dof)
+
+
+def _rivals(pool: Pool, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
     """What came next in a cause's place and is ruled out."""
+    margin = _margin(pool, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [one for one in pool.forms if one.key not in used]
     best: dict[tuple[str, str], Rival] = {}

@@ -1,7 +1,7 @@
 """How large a cause can be: magnitudes beyond which no machine and no instrument has it, whatever a fit says.
 
 Of a stiffness the softest there is: 5 kN·m/rad is that of the gear in a small robot's wrist, 1 N/µm that of a weak slide. Of the
-refractive index 20 ppm: air 20 K from what the instrument was told. The others are some ten times what workshops see.
+refractive index 20 ppm: air 20 K from the temperature set on the instrument. The others are some ten times what workshops see.
 """
 
 from __future__ import annotations

@@ -466,7 +466,7 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
             missing.append(("thermal_drift", direction, "time_s"))
             continue
         span = max(float(np.ptp(state["time_s"])), 1.0)
-        # Longer than the measurement none can be told from a straight line.
+        # Longer than the measurement none can be distinguished from a straight line.
         constants = np.geomspace(span / 40.0, span, TIME_CONSTANTS).tolist()
         units = of_units([ThermalDrift(frame, direction, vector, 1.0, tau) for tau in constants], machine, state)
         cells = tuple(Cell((unit,), {"time_constant": tau}) for tau, unit in zip(constants, units, strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from twin.budget import volume
 from twin.calibration import Calibration
 from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.folds import Parts, parts
+from twin.diagnosis.functions import Rows
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
@@ -57,10 +58,10 @@ def unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:
     return np.where(problem.network.read, found * 1e6, np.nan)
 
 
-def plain(problem: Problem, whitened: np.ndarray) -> np.ndarray:
-    """(n, 3, k) as it was before it was whitened; zero where nothing was read."""
-    read = problem.network.read
-    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening, np.eye(3))
+def plain(problem: Problem, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
+    """(rows, 3, k) as it was before it was whitened; zero where nothing was read."""
+    read = problem.network.read[rows]
+    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
     return np.asarray(np.linalg.solve(safe, np.where(read[:, :, None], whitened, 0.0)))
 
 
@@ -85,22 +86,14 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
     pool.judge(problem)
     if split is None:
         return None
-    table = np.zeros((int(split.group.max()) + 1, 3))
-    for k in range(int(split.part.max()) + 1):
-        rows = split.part == k
-        part = problem.without(rows)
-        if part is None:
-            return None
-        small = pool.on(part)
+
+    def judged(small: Pool) -> tuple[Sequence[Form], Sequence[Form]]:
         kept = again(small, chosen(small, starts=1).forms, found.structure)
-        signature = foretold(problem, small, [form for form in kept if form.key not in barred])
-        held = np.repeat(rows, 3)
-        squares = [
-            _squares(problem, part.following(residual)[held], rows)
-            for residual in (problem.residual, problem.residual - signature)
-        ]
-        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
-        np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
+        return (), [form for form in kept if form.key not in barred]
+
+    table = _on_parts(pool, split, judged)
+    if table is None:
+        return None
     total = table.sum(axis=0)
     before, after = np.sqrt(total[:2] / total[2])
     return HeldOut(split.of, len(table), float(before), float(after), interval(table))
@@ -137,14 +130,6 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
     return whole - half, whole + half
 
 
-def _squares(problem: Problem, residual: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(rows,) sum of squares in µm² of whitened residuals."""
-    read = problem.network.read[rows]
-    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
-    found = np.linalg.solve(safe, residual.reshape(-1, 3)[:, :, None])[:, :, 0] * 1e6
-    return np.asarray(np.sum(np.where(read, found, 0.0) ** 2, axis=1))
-
-
 def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:
     """95 % interval of what one cause gains at positions that it was not fitted to, all others kept; None where none is given.
 
@@ -154,6 +139,20 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
         others: the other causes.
         split: the positions.
     """
+    table = _on_parts(pool, split, lambda _: (others, [*others, form]))
+    return None if table is None else interval(table)
+
+
+def _on_parts(
+    pool: Pool, split: Parts, judged: Callable[[Pool], tuple[Sequence[Form], Sequence[Form]]]
+) -> np.ndarray | None:
+    """(groups, 3) sums of squares of what is held out, µm², with one set of causes and with another, and how many values.
+
+    Args:
+        pool: all data.
+        split: what is held out together.
+        judged: the rest of the data → the two sets, which are fitted to it.
+    """
     problem = pool.problem
     table = np.zeros((int(split.group.max()) + 1, 3))
     for k in range(int(split.part.max()) + 1):
@@ -162,14 +161,13 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
         if part is None:
             return None
         small = pool.on(part)
-        held = np.repeat(rows, 3)
-        squares = [
-            _squares(problem, part.following(problem.residual - foretold(problem, small, kept))[held], rows)
-            for kept in (others, [*others, form])
-        ]
+        squares = []
+        for forms in judged(small):
+            left = part.following(problem.residual - foretold(problem, small, forms)).reshape(-1, 3, 1)[rows]
+            squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
-    return interval(table)
+    return table
 
 
 def tool_mm(machine: Machine) -> float:

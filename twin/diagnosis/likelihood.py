@@ -115,14 +115,19 @@ class Likelihood:
                 break
         return self._at(columns, fixed, variances, scatter)[0]
 
-    def _at(
-        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, scatter: float
-    ) -> tuple[Model, np.ndarray]:
-        """The likelihood at some variances, and better ones."""
+    def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Columns whose variance is worth following, their deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
         used = np.flatnonzero(variances[self.group] * self._size[self.group] > SMALL)
         deviation = np.sqrt(variances[self.group[used]])
         inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
         inner[np.diag_indices_from(inner)] += 1.0
+        return used, deviation, inner
+
+    def _at(
+        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, scatter: float
+    ) -> tuple[Model, np.ndarray]:
+        """The likelihood at some variances, and better ones."""
+        used, deviation, inner = self._followed(variances)
         cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
         slope = self._slope[used] * deviation
         inverse = np.linalg.inv(inner)
@@ -137,13 +142,13 @@ class Likelihood:
         # From that of the stated scatter alone, which is −χ².
         twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
-        known = np.bincount(self.group[used], 1.0 - np.diag(inverse), groups)
+        share = 1.0 - np.diag(inverse)
+        known = np.bincount(self.group[used], share, groups)
         squares = np.bincount(self.group[used], found**2, groups)
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
         random = np.zeros(len(self.columns))
         random[used] = found * deviation
-        followed = float(np.sum(1.0 - np.diag(inverse)))
-        return Model(twice, variances, more, explained, values, random, back, followed), moved
+        return Model(twice, variances, more, explained, values, random, back, float(share.sum())), moved
 
     def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""
@@ -153,10 +158,7 @@ class Likelihood:
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
         """What every form explains beside causes and patterns, in units of the scatter, and its degrees of freedom."""
-        used = np.flatnonzero(model.variances[self.group] * self._size[self.group] > SMALL)
-        deviation = np.sqrt(model.variances[self.group[used]])
-        inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
-        inner[np.diag_indices_from(inner)] += 1.0
+        used, deviation, inner = self._followed(model.variances)
         lower = np.linalg.cholesky(inner)
         cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
@@ -204,8 +206,6 @@ class Likelihood:
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """The patterns' columns with their standard deviations, µm."""
-        deviation = np.sqrt(model.variances * model.scatter)
-        used = model.variances[self.group] * self._size[self.group] > SMALL
-        return [
-            (column, float(deviation[g])) for column, g, own in zip(self.columns, self.group, used, strict=True) if own
-        ]
+        used, deviation, _ = self._followed(model.variances)
+        sizes = (deviation * np.sqrt(model.scatter)).tolist()
+        return [(self.columns[i], size) for i, size in zip(used.tolist(), sizes, strict=True)]

@@ -115,11 +115,12 @@ class Pattern:
             (one,) = self.channels
             return np.asarray(one.values[rows][:, one.order <= self.highest] * own)
         first, second = (c.values[rows][:, c.order <= min(c.paired, self.highest)] for c in self.channels)
-        products = (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
+        products = first[:, :, None] * second[:, None, :]
         if self.channels[0].direction:
-            every = np.concatenate([first[:, :, None], first[:, :, None] * second[:, None, :]], axis=2)
-            return np.asarray(every.reshape(len(first), -1) * own)
-        return np.asarray(np.concatenate([first, second, products], axis=1) * own)
+            found = np.concatenate([first[:, :, None], products], axis=2).reshape(len(first), -1)
+        else:
+            found = np.concatenate([first, second, products.reshape(len(first), -1)], axis=1)
+        return np.asarray(found * own)
 
     def columns(self, level: int, directions: Sequence[int]) -> list[Column]:
         """Signatures, µm a unit, of the functions up to an order along some directions; those of a direction together."""

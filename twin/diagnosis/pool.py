@@ -295,15 +295,7 @@ class Pool:
             cross: (r, all) inner products of the directions with all columns.
             slope: (r,) with the residual.
         """
-        columns = together(forms)
-        reduced = self._with(columns) - cross[:, columns].T @ cross
-        left = self.slope - cross.T @ slope
-        factor = cross.T
-        if len(columns):
-            inverse, root = pseudo(reduced[:, columns])
-            factor = np.concatenate([factor, reduced.T @ root], axis=1)
-            left = left - (inverse @ left[columns]) @ reduced
-        return self._scanned(factor, left)
+        return self._scanned(*self._after(forms, (cross, slope)))
 
     def _scanned(self, factor: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What every form explains, and its degrees of freedom, where factor · factorᵀ is taken from the inner products."""
@@ -400,14 +392,22 @@ class Pool:
             seen.add(key)
         return np.sort(np.array(list(found), dtype=int))
 
-    def _after(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """(all, r) what is taken from inner products by forms that are in (factor · factorᵀ), and the slope left."""
-        columns = together(forms)
+    def _after(
+        self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(all, r) what is taken from inner products by what is in (factor · factorᵀ), and the slope left.
+
+        Args:
+            forms: that are in.
+            beside: (r, all) and (r,) of directions that are in as well, as of `scan_beside`.
+        """
+        cross, slope = (np.zeros((0, len(self.slope))), np.zeros(0)) if beside is None else beside
+        left, columns = self.slope - cross.T @ slope, together(forms)
         if len(columns) == 0:
-            return np.zeros((len(self.slope), 0)), self.slope
-        cross = self._with(columns)
-        inverse, root = pseudo(cross[:, columns])
-        return cross.T @ root, self.slope - (inverse @ self.slope[columns]) @ cross
+            return cross.T, left
+        own = self._with(columns) - cross[:, columns].T @ cross
+        inverse, root = pseudo(own[:, columns])
+        return np.concatenate([cross.T, own.T @ root], axis=1), left - (inverse @ left[columns]) @ own
 
     def _left(self, form: Form, others: Sequence[Form]) -> np.ndarray:
         kind, place = self._place[form.index]

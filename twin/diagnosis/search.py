@@ -108,7 +108,7 @@ def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
 
 
 def chosen(pool: Pool, starts: int = STARTS) -> Selection:
-    """The best set in which every cause is possible (`possible`).
+    """The best set in which no cause is larger than it can be (`excessive`).
 
     Args:
         pool: the forms.

@@ -75,18 +75,23 @@ class Structure:
             return None
         return Beside(self.likelihood.random(self.model), self.model.scatter)
 
-    def fitted(self, forms: Sequence[Form]) -> tuple[float, np.ndarray]:
-        """What the patterns explain beside some of the causes, and (3n,) what they do to the whitened readings.
+    def explained(self, forms: Sequence[Form]) -> float:
+        """What the patterns explain beside some of the causes."""
+        return (
+            0.0 if self.likelihood is None else self.likelihood.explained(forms, self.likelihood.fit(forms, self.model))
+        )
+
+    def pattern(self, forms: Sequence[Form]) -> np.ndarray:
+        """(3n,) what the patterns do to the whitened readings beside some of the causes.
 
         As large as the patterns are expected to be: what is most likely at every reading is smaller by its own variance.
         """
         if self.likelihood is None:
-            return 0.0, np.zeros(len(self.problem.residual))
+            return np.zeros(len(self.problem.residual))
         model = self.likelihood.fit(forms, self.model)
         pattern = self.likelihood.pattern(forms, model)
         size = max(float(pattern @ pattern), 1e-300)
-        larger = np.sqrt(1.0 + model.scatter * model.followed / size)
-        return self.likelihood.explained(forms, model), pattern * larger
+        return np.asarray(pattern * np.sqrt(1.0 + model.scatter * model.followed / size))
 
 
 @final

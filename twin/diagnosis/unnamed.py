@@ -56,7 +56,12 @@ class Trace:
     @property
     def found(self) -> bool:
         """Whether it is more than chance, the search paid for."""
-        return self.log_p + self.log_price < np.log(ALARMS)
+        return self.log_paid < np.log(ALARMS)
+
+    @property
+    def log_paid(self) -> float:
+        """Log of the chance of as much anywhere, the search paid for."""
+        return min(self.log_p + self.log_price, 0.0)
 
 
 def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[Trace]:
