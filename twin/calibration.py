@@ -18,9 +18,18 @@ from twin.control import BasicClass, ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
-from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name
+from twin.effects import (
+    AxisLocation,
+    ControlCorrection,
+    Effect,
+    ErrorMotion,
+    GravityCompliance,
+    Payload,
+    Squareness,
+    split_name,
+)
 from twin.errors import InputError, nearest
-from twin.extension import effect_named, entry_of
+from twin.extension import PAYLOAD, effect_named, entry_of, payload_entries, payload_named
 from twin.files import write_whole
 from twin.machine import Machine
 from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
@@ -145,7 +154,7 @@ class Calibration:
                 value=entries.machine,
             )
         check = _Check(path, lines, machine)
-        extra = tuple(check.effect(i, entry) for i, entry in enumerate(entries.effects))
+        extra = check.effects(entries.effects)
         curves = {name: check.curve(name, entry) for name, entry in entries.curves.items()}
         for kind, given, allowed in (
             ("squareness", entries.squareness, machine.squareness_names),
@@ -200,7 +209,7 @@ class Calibration:
             "location": {name: float(value) for name, value in self.location.items()},
         }
         if self.extra:
-            data["effects"] = [entry_of(effect) for effect in self.extra]
+            data["effects"] = [*payload_entries(self.extra), *(entry_of(effect) for effect in self.extra)]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
@@ -477,11 +486,32 @@ class _Check:
             expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
-    def effect(self, index: int, entry: _EffectEntry) -> Effect:
-        try:
-            return effect_named(entry.effect, entry.where, entry.parameters, self.machine)
-        except InputError as error:
-            raise self.fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
+    def effects(self, entries: Sequence[_EffectEntry]) -> tuple[Effect, ...]:
+        payloads: dict[int, Payload] = {}
+        found: list[Effect] = []
+        # The payloads first: every joint that gives way does so under them as well.
+        for index, entry in sorted(enumerate(entries), key=lambda one: (one[1].effect != PAYLOAD, one[0])):
+            try:
+                if entry.effect == PAYLOAD:
+                    payloads[index] = payload_named(entry.where, entry.parameters)
+                else:
+                    effect = effect_named(
+                        entry.effect, entry.where, entry.parameters, self.machine, list(payloads.values())
+                    )
+                    found.append(effect)
+            except InputError as error:
+                raise self.fail(
+                    ("effects", index), error.what, str(error.expected), error.value, error.nearest
+                ) from None
+        sides = [payload.side for payload in payloads.values()]
+        for index, payload in payloads.items():
+            if not any(isinstance(effect, GravityCompliance) for effect in found):
+                expected = "a gravity_compliance of the joints that give way under it"
+                raise self.fail(("effects", index), "a payload that acts on nothing", expected, "none in the file")
+            if sides.count(payload.side) > 1:
+                expected = f"one payload on the {payload.side} side"
+                raise self.fail(("effects", index), "more than one payload", expected, sides.count(payload.side))
+        return tuple(found)
 
     def curve(self, name: str, entry: _CurveEntry) -> Curve:
         place: Place = ("curves", name)

@@ -3,13 +3,14 @@
     effects:
       - {effect: reversal, where: Y, parameters: {size: 5.1}}
 
-Names, places and parameters are those of the contract's table (§5).
+Names, places and parameters are those of the contract's table (§5). A payload is no effect by itself: it is part of the load of every
+`gravity_compliance` in the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +22,7 @@ from twin.effects import (
     Frame,
     GravityCompliance,
     Harmonic,
+    Payload,
     PitchError,
     Reversal,
     TableLoad,
@@ -29,11 +31,15 @@ from twin.effects import (
     ThermalGrowth,
     ZeroOffset,
 )
+from twin.effects.load import SIDES, loads
 from twin.errors import InputError, nearest
 from twin.machine import Axis, Machine
 from twin.symbolic import gravity_load
 
 Vector = tuple[float, float, float]
+PAYLOAD: Final = "payload"
+HEAVIEST_KG: Final = 1e5
+FARTHEST_MM: Final = 1e4
 
 
 def tool_base_frame(machine: Machine) -> tuple[Frame, np.ndarray] | None:
@@ -59,25 +65,68 @@ def base_vector(turn: np.ndarray, direction: str) -> Vector:
     return x, y, z
 
 
-def load_of(machine: Machine, axis: str) -> Callable[[Mapping[str, Any]], Any]:
-    """What gravity does along an axis, N or N·m, at positions as effects are given them (arrays or expressions)."""
+def loads_of(machine: Machine, axis: str) -> Callable[[Mapping[str, Any]], Sequence[Any]]:
+    """The nine loads of `gravity_load` along an axis, at positions as effects are given them (arrays or expressions)."""
     function = gravity_load(machine)
     batch = BatchFunction(function)
-    index = machine.names.index(axis)
+    index, count = machine.names.index(axis), len(machine.names)
 
-    def load(positions: Mapping[str, Any]) -> Any:
+    def found(positions: Mapping[str, Any]) -> Sequence[Any]:
         import casadi as ca
 
         parts = [positions[one.name] * one.scale for one in machine.axes]
         if any(isinstance(part, ca.SX) for part in parts):
-            return function(ca.vertcat(*parts))[index]
+            return list(ca.horzsplit(function(ca.vertcat(*parts))[index, :]))
         (values,) = batch(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1))
-        return values[:, index]
+        return list(values[:, index::count].T)
 
-    return load
+    return found
 
 
-def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine: Machine) -> Effect:
+def gravity_compliance(
+    machine: Machine, axis: str, compliance: float, payloads: Sequence[Payload] = ()
+) -> GravityCompliance:
+    """The effect on a machine that carries some payloads."""
+    weights, every = loads(payloads), loads_of(machine, axis)
+
+    def load(positions: Mapping[str, Any]) -> Any:
+        return sum(weight * one for weight, one in zip(weights, every(positions), strict=True) if weight != 0.0)
+
+    return GravityCompliance(machine.by_name[axis], load, compliance, tuple(payloads))
+
+
+def payload_named(where: str, numbers: Mapping[str, float]) -> Payload:
+    """A payload of the contract's table.
+
+    Args:
+        where: ``tool`` or ``work``.
+        numbers: its parameters by name.
+
+    Raises:
+        InputError: no such place or parameter; a parameter that is missing, or that no payload can have.
+    """
+    side: Literal["tool", "work"]
+    if where == "tool":
+        side = "tool"
+    elif where == "work":
+        side = "work"
+    else:
+        raise InputError(
+            "no such place for payload", expected="tool or work", value=where, nearest=nearest(where, SIDES)
+        )
+    mass, *centre = _numbers(PAYLOAD, where, numbers)
+    if not 0.0 <= mass <= HEAVIEST_KG:
+        raise InputError(f"mass of payload {where}", expected=f"0 to {HEAVIEST_KG:g} kg", value=mass)
+    far = max(centre, key=abs)
+    if abs(far) > FARTHEST_MM:
+        raise InputError(f"centre of payload {where}", expected=f"within {FARTHEST_MM:g} mm of the frame", value=far)
+    x, y, z = centre
+    return Payload(side, mass, (x, y, z))
+
+
+def effect_named(
+    effect: str, where: str, numbers: Mapping[str, float], machine: Machine, payloads: Sequence[Payload] = ()
+) -> Effect:
     """An effect of the contract's table.
 
     Args:
@@ -85,30 +134,24 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
         where: its place.
         numbers: its parameters by name.
         machine: the machine.
+        payloads: what the machine carries beside what the URDF says.
 
     Raises:
         InputError: no such effect, place or parameter; a parameter that is missing.
     """
-    if effect not in PARAMETERS:
+    if effect not in PARAMETERS or effect == PAYLOAD:
+        known = [one for one in PARAMETERS if one != PAYLOAD]
         raise InputError(
             "no such effect",
-            expected=f"one of {', '.join(PARAMETERS)}",
+            expected=f"one of {', '.join(known)}",
             value=effect,
-            nearest=nearest(effect, PARAMETERS),
+            nearest=nearest(effect, known),
         )
-    wanted = PARAMETERS[effect]
-    if set(numbers) != set(wanted):
-        raise InputError(
-            f"parameters of {effect} {where}",
-            expected=", ".join(wanted),
-            value=", ".join(numbers) or "nothing",
-            nearest=next((near for one in numbers if one not in wanted and (near := nearest(one, wanted))), None),
-        )
-    value = [float(numbers[name]) for name in wanted]
+    value = _numbers(effect, where, numbers)
     if effect in ("reversal", "zero_offset", "gravity_compliance"):
         axis = _axis(machine, effect, where)
         if effect == "gravity_compliance":
-            return GravityCompliance(axis, load_of(machine, where), value[0])
+            return gravity_compliance(machine, where, value[0], payloads)
         return Reversal(axis, value[0]) if effect == "reversal" else ZeroOffset(axis, value[0])
     if effect in ("pitch_error", "thermal_expansion"):
         axis = _axis(machine, effect, where, linear=True)
@@ -152,6 +195,7 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "reversal": ("size",),
     "zero_offset": ("offset",),
     "gravity_compliance": ("compliance",),
+    PAYLOAD: ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
     "pitch_error": ("amplitude", "period", "phase"),
     "thermal_expansion": ("coefficient",),
     "thermal_growth": ("coefficient",),
@@ -161,6 +205,33 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "cross_axis": ("coefficient",),
 }
 """Linear and non-linear parameters of every effect that is no curve, squareness or location."""
+
+
+def _numbers(effect: str, where: str, numbers: Mapping[str, float]) -> list[float]:
+    wanted = PARAMETERS[effect]
+    if set(numbers) != set(wanted):
+        raise InputError(
+            f"parameters of {effect} {where}",
+            expected=", ".join(wanted),
+            value=", ".join(numbers) or "nothing",
+            nearest=next((near for one in numbers if one not in wanted and (near := nearest(one, wanted))), None),
+        )
+    return [float(numbers[name]) for name in wanted]
+
+
+def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
+    """The entries that `payload_named` reads back, of the payloads some effects have in their load."""
+    carried = [payload for effect in effects if isinstance(effect, GravityCompliance) for payload in effect.payloads]
+    return [
+        {
+            "effect": PAYLOAD,
+            "where": payload.side,
+            "parameters": dict(
+                zip(PARAMETERS[PAYLOAD], map(float, (payload.mass_kg, *payload.centre_mm)), strict=True)
+            ),
+        }
+        for payload in dict.fromkeys(carried)
+    ]
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:

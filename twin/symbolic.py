@@ -78,22 +78,26 @@ def _joint_in_base(machine: Machine, joint: int, q: Any, e: Any) -> Pose:
 
 @lru_cache(maxsize=16)  # every diagnosis asks for it, for each axis; a machine never changes
 def gravity_load(machine: Machine) -> ca.Function:
-    """What gravity does along each axis of the machine as drawn: q (axes,) → (axes,) N or N·m, minus the slope of its potential.
+    """What gravity does along each axis of the machine as drawn: q (axes,) → (axes, 9) N or N·m, minus the slope of its potential.
 
-    From the masses of the URDF; zero where it gives none.
+    Of the masses of the URDF, zero where it gives none; of 1 kg at the tool frame, of 1 kg·m along its x, y and z; likewise at the
+    work frame (`twin.effects.load.Payload`).
     """
     model = machine.model
     q = ca.SX.sym("q", len(machine.axes))
     gravity = ca.DM(np.asarray(model.gravity.linear))
     none = ca.SX.zeros(6 * len(machine.frames))
-    potential = ca.SX(0.0)
+    potential = [ca.SX(0.0)]
     for joint in range(1, model.njoints):
         inertia = model.inertias[joint]
         if inertia.mass > 0.0:
             pose = _joint_in_base(machine, joint, q, none)
             centre = pose.rotation @ ca.DM(np.asarray(inertia.lever)) + pose.translation
-            potential = potential - inertia.mass * ca.dot(gravity, centre)
-    return ca.Function("load", [q], [ca.densify(-ca.jacobian(potential, q)).T], ["q"], ["load"])
+            potential[0] = potential[0] - inertia.mass * ca.dot(gravity, centre)
+    for frame in (machine.tool_frame, machine.work_frame):
+        pose = frame_pose(machine, frame, q, none)
+        potential += [-ca.dot(gravity, pose.translation), *ca.vertsplit(-(pose.rotation.T @ gravity))]
+    return ca.Function("load", [q], [ca.densify(-ca.jacobian(ca.vertcat(*potential), q)).T], ["q"], ["load"])
 
 
 def error_vector(

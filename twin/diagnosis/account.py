@@ -21,6 +21,7 @@ from twin.diagnosis.gain import at_tool, held_out, of_file, plain, positions_hel
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
+from twin.diagnosis.payload import payload_causes
 from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
@@ -79,6 +80,8 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     silent += [_not_beyond(pool, forms, form, excess) for form in dropped]
     silent += [_further(effect) for effect in (() if comparison is None else comparison.further)]
     silent += [_fallen(form) for form in found.structure.fallen]
+    causes, loads = payload_causes(pool, forms, causes, lambda moved: unwhitened(problem, moved))
+    also += loads
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
     named = [beside[k] for k in order]
     ordered = [causes[k] for k in order]

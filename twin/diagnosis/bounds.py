@@ -11,6 +11,8 @@ from typing import Final
 
 import numpy as np
 
+from twin.machine import Machine
+
 POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("reversal", "um"): 1000.0,
     ("reversal", "urad"): 5000.0,
@@ -28,6 +30,18 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("refraction_scale", "ppm"): 20.0,
 }
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
+
+
+FARTHEST_MM: Final = 500.0
+"""How far a payload's centre of gravity can be from the frame that carries it, along each axis."""
+
+
+def heaviest_kg(machine: Machine) -> float:
+    """The largest payload considered: three times the moving parts' masses in the URDF.
+
+    A rotary table carries more than it weighs, a robot less; few URDFs have the whole mass.
+    """
+    return 3.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
 
 
 def largest(effect: str, names: Sequence[tuple[str, str]]) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import POWER
-from twin.diagnosis.bounds import largest
+from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg, largest
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given, pieces
 from twin.diagnosis.signatures import (
@@ -21,6 +21,7 @@ from twin.diagnosis.signatures import (
     first_component,
     of_components,
     of_effect,
+    of_shapes,
     of_units,
     of_values,
 )
@@ -31,6 +32,7 @@ from twin.effects import (
     ErrorMotion,
     GravityCompliance,
     Harmonic,
+    Payload,
     PitchError,
     Reversal,
     Squareness,
@@ -42,7 +44,9 @@ from twin.effects import (
     split_name,
     unit_of,
 )
-from twin.extension import at_rest, base_vector, load_of, tool_base_frame
+from twin.effects.along import along
+from twin.effects.load import SIDES
+from twin.extension import PAYLOAD, at_rest, base_vector, gravity_compliance, loads_of, tool_base_frame
 from twin.identification.unknowns import CurveSpace
 from twin.machine import DIRECTIONS, Axis, Machine
 from twin.measurement import Measurements, state_of
@@ -170,7 +174,7 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
     found += _harmonics(machine, data, state)
     found += _coupled(machine, state)
     found += _base_side(machine, state, missing)
-    found += _loads(machine, state)
+    found += _loads(machine, state, calibration)
     found += _instrument(machine, data, state, missing)
     return Catalogue(tuple(replace(one, largest=largest(one.effect, one.names)) for one in found), tuple(missing))
 
@@ -483,7 +487,7 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
     return found
 
 
-def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+def _loads(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
     found = []
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
@@ -494,12 +498,50 @@ def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
                 one = TableLoad(axis.name, base_vector(turn, "X"), 1.0)
                 build = _re(TableLoad, axis.name, base_vector(turn, "X"))
                 found.append(_single("table_load", axis.name, one, machine, state, ("tilt", "urad"), build))
-        load = load_of(machine, axis.name)
-        one_load = GravityCompliance(axis, load, 1.0)
-        unit = "um/N" if axis.linear else "urad/(N.m)"
-        build = _re(GravityCompliance, axis, load)
-        found.append(_single("gravity_compliance", axis.name, one_load, machine, state, ("compliance", unit), build))
+        found.append(_yielding(machine, axis, state, calibration))
     return found
+
+
+def _yielding(machine: Machine, axis: Axis, state: Mapping[str, Any], calibration: Calibration) -> Candidate:
+    """A joint that gives way: under its own weight and the payload that is known, or under one that is not.
+
+    Any payload is four numbers to each joint: its mass and its first moments, times the joint's compliance. That it is the same to all
+    of them, and how heavy it can be, is seen to where several are found (`twin.diagnosis.payload`).
+    """
+    told = [effect for effect in calibration.extra if isinstance(effect, GravityCompliance)]
+    known = tuple(dict.fromkeys(payload for effect in told for payload in effect.payloads))
+    unit, heaviest = "um/N" if axis.linear else "urad/(N.m)", heaviest_kg(machine)
+    every = loads_of(machine, axis.name)
+    first = 1 + 4 * SIDES.index("tool" if axis.side == "tool" else "work")
+    sizes = heaviest * np.array([1.0, *[1e-3 * FARTHEST_MM] * 3])
+    effect = gravity_compliance(machine, axis.name, 1.0, known)
+    cells = [Cell(tuple(of_effect(effect, machine, state)))]
+    if not told and heaviest > 0.0:
+        shapes = of_shapes(
+            effect.frame,
+            machine,
+            state,
+            lambda some: [
+                along(axis, one)
+                for values in [every(some)]
+                for one in (values[0], *(size * values[first + k] for k, size in enumerate(sizes)))
+            ],
+        )
+        cells.append(Cell(tuple(shapes), {PAYLOAD: 1.0}))
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+        return (gravity_compliance(machine, axis.name, float(values[0]), payloads_of(axis.side, fixed) or known),)
+
+    names = tuple((name, unit) for name in ("compliance", "by mass", "by x", "by y", "by z"))
+    return Candidate("gravity_compliance", axis.name, "machine", names, tuple(cells), float(len(cells)), build)
+
+
+def payloads_of(side: str, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
+    """The payload that a form was refined with; none if it was not."""
+    if "mass" not in fixed:
+        return ()
+    x, y, z = (fixed[f"centre_{letter}_mm"] for letter in "xyz")
+    return (Payload("tool" if side == "tool" else "work", fixed["mass"], (x, y, z)),)
 
 
 def _instrument(

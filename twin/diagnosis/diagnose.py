@@ -15,11 +15,12 @@ from twin.diagnosis.estimate import estimate
 from twin.diagnosis.folds import parts
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import patterns
+from twin.diagnosis.payload import chosen
 from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, prices
+from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, settled
 from twin.effects import PitchError, ThermalDrift

@@ -9,13 +9,13 @@ import numpy as np
 
 from twin.budget import volume
 from twin.calibration import Calibration
+from twin.diagnosis import payload
 from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.folds import Parts, parts
 from twin.diagnosis.functions import Rows
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
-from twin.diagnosis.search import chosen
 from twin.diagnosis.structure import Findings, again
 from twin.distributions import student_isf
 from twin.effects import Effect
@@ -71,10 +71,10 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
 
 
 def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[str, str]]) -> HeldOut | None:
-    """Residuals of readings that neither the selection nor the fit has seen, without and with the causes chosen then.
+    """Residuals of readings that the fit has not seen, without and with the causes that are worth their price on the others.
 
-    What the search learnt from all readings, where a period lies or what cannot be, is forgotten first. None where nothing can be held
-    out.
+    The search begins with the causes that stand; where a period lies or what cannot be is forgotten first. None where nothing can be
+    held out.
 
     Args:
         found: the causes and patterns.
@@ -84,11 +84,12 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
     problem, pool = found.problem, found.pool
     split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
     pool.judge(problem)
+    payload.again(pool, forms)
     if split is None:
         return None
 
     def judged(small: Pool) -> tuple[Sequence[Form], Sequence[Form]]:
-        kept = again(small, chosen(small, starts=1).forms, found.structure)
+        kept = again(small, payload.chosen_on(small, forms).forms, found.structure)
         return (), [form for form in kept if form.key not in barred]
 
     table = _on_parts(pool, split, judged)

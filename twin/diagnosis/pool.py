@@ -121,9 +121,11 @@ class Pool:
         self._all_costs = self._costs = _costs(self.forms, self.level, self.dof)
 
     def beside(self, problem: Problem) -> Pool:
-        """The same forms, refined ones too, at the same level, on the same readings with more beside them."""
+        """The same forms, refined and barred ones too, at the same level, on the same readings with more beside them."""
         forms = [(form.candidate, form.cell, form.price) for form in self.forms]
-        return Pool(problem, forms, self.dof, level=self.level)
+        found = Pool(problem, forms, self.dof, level=self.level)
+        found._costs = self._costs
+        return found
 
     def calibrate(self) -> None:
         """Set the level at which forms are believed so that scatter alone passes for a cause in `ALARMS` of all data sets.
@@ -165,8 +167,12 @@ class Pool:
 
     def forbid(self, keys: Collection[tuple[str, str]]) -> None:
         """Believe no form of some candidates, whatever it explains, until other data are judged."""
+        self.bar([form for form in self.forms if form.key in keys])
+
+    def bar(self, forms: Sequence[Form]) -> None:
+        """Believe none of some forms, likewise."""
         self._costs = np.array(self._costs)
-        self._costs[[form.index for form in self.forms if form.key in keys]] = np.inf
+        self._costs[[form.index for form in forms]] = np.inf
 
     def chance(self, log_p: float) -> float:
         """A p-value, the whole search paid for, from a form's log p with its price."""

@@ -62,16 +62,20 @@ class Selection:
     worth: float
 
 
-def select(pool: Pool, starts: int = STARTS) -> Selection:
+def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
     """The best set: from several first choices, forward, each step re-examined by removing and exchanging.
 
     Args:
         pool: the forms.
-        starts: first choices.
+        begun: a set to begin with instead, whose causes stay where each is worth it.
     """
     found = Selection((), 0.0)
     if not pool.forms:
         return found
+    if begun:
+        pool.prepare(begun)
+        forms = grown(pool, list(begun))
+        return Selection(tuple(forms), pool.worth(forms))
     margin = pool.margins([])
     order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
     first: dict[int, int] = {}
@@ -80,7 +84,7 @@ def select(pool: Pool, starts: int = STARTS) -> Selection:
     if not first:
         return found
     pool.prepare([pool.forms[i] for i in list(first.values())[:LIKELY]])
-    likely = [[pool.forms[i]] for i in list(first.values())[:starts]]
+    likely = [[pool.forms[i]] for i in list(first.values())[:STARTS]]
     for start in likely:
         forms = grown(pool, start)
         worth = pool.worth(forms)
@@ -107,20 +111,22 @@ def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
     return tuple(grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
 
 
-def chosen(pool: Pool, starts: int = STARTS) -> Selection:
+def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
     """The best set in which no cause is larger than it can be (`excessive`).
 
     Args:
         pool: the forms.
-        starts: first choices.
+        best: the best set, whatever its size (`select`).
+        anew: whether the search is made anew without a cause that is too large, or goes on from the others.
     """
     while True:
-        best = select(pool, starts)
         excess = [excessive(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: what it made up for may be possible without it.
-        pool.forbid({best.forms[int(np.argmax(excess))].key})
+        worst = best.forms[int(np.argmax(excess))].key
+        pool.forbid({worst})
+        best = select(pool, () if anew else [form for form in best.forms if form.key != worst])
 
 
 def excessive(pool: Pool, form: Form, forms: Sequence[Form]) -> float:

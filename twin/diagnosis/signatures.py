@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.diagnosis.functions import Functions, Rows, given, of_state, pieces
-from twin.effects import Effect
+from twin.effects import Effect, Frame
 from twin.identification.network import View
 from twin.machine import Machine
 from twin.spatial import cross_matrix
@@ -107,7 +107,7 @@ def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> lis
         machine: the machine.
         state: positions and channels of all points.
     """
-    return _of_shapes(effect, machine, state, effect.derivatives)
+    return of_shapes(effect.frame, machine, state, effect.derivatives)
 
 
 def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
@@ -117,16 +117,24 @@ def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Colum
 
 def of_units(effects: Sequence[Effect], machine: Machine, state: Mapping[str, Any]) -> list[Column]:
     """The same of several effects in one frame, whose functions are worked out together."""
-    return _of_shapes(effects[0], machine, state, lambda some: [effect.components(some) for effect in effects])
+    return of_shapes(effects[0].frame, machine, state, lambda some: [effect.components(some) for effect in effects])
 
 
-def _of_shapes(
-    effect: Effect,
+def of_shapes(
+    frame: Frame,
     machine: Machine,
     state: Mapping[str, Any],
     shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]],
 ) -> list[Column]:
-    at = first_component(machine, effect.frame.axis, effect.frame.role)
+    """Columns of several functions of the state in one frame.
+
+    Args:
+        frame: where they act.
+        machine: the machine.
+        state: positions and channels of all points.
+        shapes: part of the state → of each, component → µm or µrad a unit.
+    """
+    at = first_component(machine, frame.axis, frame.role)
     functions, each = of_state(state, shapes)
     return [of_components([(at + i, functions, k, 1.0) for i, k in own]) for own in each]
 

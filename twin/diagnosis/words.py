@@ -373,6 +373,7 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
         "table_load": lambda where: f"table on {where} droops as {where} turns",
         "frame_shift": _again,
         "gravity_compliance": lambda where: f"{where} gives way under the weight it carries",
+        "payload": lambda where: f"a load on the {where} side that the machine's description does not have",
         "zero_offset": lambda where: f"zero of {where} off",
         "read_back": lambda where: f"reported positions of {where} were read too early",
         "following_error": lambda where: f"{where} stopped short of where it was told to go",
@@ -397,6 +398,7 @@ FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
         "table_load": "droop of the table",
         "frame_shift": "instrument re-aligned",
         "gravity_compliance": "yielding under weight",
+        "payload": "loads that the description does not have",
         "zero_offset": "zeros of axes",
         "read_back": "whether the control's reports can be trusted",
         "refraction_scale": "scale of all lengths",
@@ -473,6 +475,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         ),
         "gravity_compliance": (
             "Service: clamp, drive and bearing of {axis}; what it carries.",
+            f"{EXTENDED}, for this load.",
+            "Do not use it for another load.",
+        ),
+        "payload": (
+            "Set-up: what was mounted on the {where} side when it was measured; weigh it.",
             f"{EXTENDED}, for this load.",
             "Do not use it for another load.",
         ),

@@ -5,7 +5,7 @@ from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, un
 from twin.effects.control import ControlCorrection
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
 from twin.effects.error_motion import ErrorMotion
-from twin.effects.load import GravityCompliance
+from twin.effects.load import GravityCompliance, Payload
 from twin.effects.location import AxisLocation
 from twin.effects.squareness import Squareness
 from twin.effects.thermal import ThermalDrift, ThermalExpansion, ThermalGrowth
@@ -20,6 +20,7 @@ __all__ = [
     "GravityCompliance",
     "Harmonic",
     "Parameter",
+    "Payload",
     "PitchError",
     "Reversal",
     "Squareness",

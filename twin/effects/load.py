@@ -1,13 +1,46 @@
-"""A joint that gives way under the load gravity puts on it."""
+"""A joint that gives way under the load gravity puts on it: the machine's own weight, and what it carries."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
 
 from twin.effects.along import along
 from twin.effects.base import Effect, Frame, Parameter
 from twin.machine import Axis
+
+SIDES: Final = ("tool", "work")
+
+
+@final
+@dataclass(frozen=True)
+class Payload:
+    """A mass that the URDF does not have, fixed to the tool frame (spindle nose, flange) or to the work frame.
+
+    Attributes:
+        side: ``tool`` or ``work``.
+        mass_kg: of it.
+        centre_mm: of gravity, in that frame.
+    """
+
+    side: Literal["tool", "work"]
+    mass_kg: float
+    centre_mm: tuple[float, float, float]
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(9,) how much it has of each load of `twin.symbolic.gravity_load`: kg and kg·m."""
+        found, first = np.zeros(9), 1 + 4 * SIDES.index(self.side)
+        found[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * one for one in self.centre_mm)])
+        return found
+
+
+def loads(payloads: Sequence[Payload]) -> np.ndarray:
+    """(9,) how much there is of each load of `twin.symbolic.gravity_load`: the machine's own once, and what it carries."""
+    return np.asarray(np.eye(9)[0] + sum((payload.weights for payload in payloads), np.zeros(9)))
 
 
 @final
@@ -16,14 +49,22 @@ class GravityCompliance(Effect):
 
     Args:
         axis: the axis.
-        load: N or N·m along the axis at given positions (`twin.symbolic.gravity_load`).
+        load: N or N·m along the axis at given positions (`twin.symbolic.gravity_load`), of own weight and payloads.
         compliance: µm/N or µrad/(N·m).
+        payloads: what the machine carries beside what the URDF says.
     """
 
-    def __init__(self, axis: Axis, load: Callable[[Mapping[str, Any]], Any], compliance: float) -> None:
+    def __init__(
+        self,
+        axis: Axis,
+        load: Callable[[Mapping[str, Any]], Any],
+        compliance: float,
+        payloads: tuple[Payload, ...] = (),
+    ) -> None:
         self.name = f"gravity_compliance:{axis.name}"
         self.axis = axis
         self.compliance = compliance
+        self.payloads = payloads
         self._load = load
 
     @property
@@ -37,7 +78,7 @@ class GravityCompliance(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The compliance."""
+        """The compliance; a payload is given, no estimate."""
         return (Parameter(f"{self.name}.compliance", "um/N" if self.axis.linear else "urad/(N.m)", self.compliance),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:

@@ -1,0 +1,279 @@
+"""What the machine carries beside what its URDF says, found by how the joints give way under it.
+
+A joint's deflection is its compliance times its load, and the load is that of its own weight plus that of the payload: linear in the
+compliance alone, and in mass and first moments of the payload times the compliance. The search takes these products of every joint as
+free (`twin.diagnosis.catalogue`); where it finds any, this puts one payload in their place that is the same to all joints and no
+heavier than it can be, and has the search made again. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12:
+base parameters are linear in the torques, and so here in the deflections.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.arrays import locked
+from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
+from twin.diagnosis.catalogue import Cell, payloads_of
+from twin.diagnosis.pool import Form, Pool, log_chance, pseudo, together
+from twin.diagnosis.result import Cause, Quantity, readable_unit
+from twin.diagnosis.search import Selection, possible, select
+from twin.diagnosis.signatures import of_effect
+from twin.effects import Payload
+from twin.effects.load import SIDES
+from twin.extension import PAYLOAD, gravity_compliance
+from twin.measurement import state_of
+
+EFFECT: Final = "gravity_compliance"
+MASS: Final = "mass"
+ROUNDS: Final = 4
+FIRST: Final = (0.03, 0.2, 1.0)
+"""Shares of the heaviest payload that a fit begins with."""
+STILL: Final = 0.01
+"""Share of the largest payload by which it may still move."""
+STEPS: Final = 200
+LOST: Final = 1e-9
+"""Relative size below which a direction is not seen."""
+AT_BOUND: Final = 0.99
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Load:
+    """The joints of one side that give way, beside the other causes.
+
+    A payload is four numbers here: its mass as a share of the heaviest, its centre as a share of the farthest.
+
+    Attributes:
+        side: ``tool`` or ``work``.
+        heaviest: kg.
+        joints: the causes.
+        free: of each joint the form whose payload is free, of five columns: own weight, mass, three first moments.
+        gram: (5k, 5k) inner products of those columns of k joints, beside the other causes, in units of their parameters.
+        slope: (5k,) with the residual.
+    """
+
+    side: str
+    heaviest: float
+    joints: tuple[Form, ...]
+    free: tuple[Form, ...]
+    gram: np.ndarray
+    slope: np.ndarray
+
+    def under(self, four: np.ndarray) -> tuple[float, np.ndarray]:
+        """What the joints explain under a payload, and (k,) their compliances."""
+        shapes = self._shapes(four)
+        inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
+        slope = shapes.T @ self.slope
+        return float(slope @ inverse @ slope), np.asarray(inverse @ slope)
+
+    def _shapes(self, four: np.ndarray) -> np.ndarray:
+        return np.kron(np.eye(len(self.joints)), weights(four)[:, None])
+
+    def payload(self) -> Payload:
+        """The one that explains most."""
+        best: tuple[float, np.ndarray] | None = None
+        for share in FIRST:
+            fit = minimize(
+                lambda four: -self.under(four)[0],
+                np.array([share, 0.0, 0.0, 0.0]),
+                method="L-BFGS-B",
+                bounds=[(0.0, 1.0), *[(-1.0, 1.0)] * 3],
+                options={"maxiter": STEPS},
+            )
+            if best is None or fit.fun < best[0]:
+                best = float(fit.fun), np.asarray(fit.x)
+        four = np.zeros(4) if best is None else best[1]
+        x, y, z = (FARTHEST_MM * float(one) for one in four[1:])
+        return Payload("tool" if self.side == "tool" else "work", self.heaviest * float(four[0]), (x, y, z))
+
+    def four(self, payload: Payload) -> np.ndarray:
+        """(4,) of a payload."""
+        return np.array([payload.mass_kg / self.heaviest, *(one / FARTHEST_MM for one in payload.centre_mm)])
+
+    def covariances(self, four: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k,) times more uncertain that the compliances are as the payload is no better known, and (4,) variances of that.
+
+        Args:
+            four: the payload.
+            u: (k,) standard uncertainties of the compliances under exactly this payload.
+        """
+        _, values = self.under(four)
+        step = np.eye(4) * 1e-6
+        by_four = [(weights(four + one) - weights(four - one)) / 2e-6 for one in step]
+        slopes = np.concatenate([self._shapes(four), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
+        known = slopes.T @ self.gram @ slopes
+        count = len(values)
+        given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
+        known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
+        # A mass or a centre of which the data say nothing is anywhere where it can be.
+        known[count:, count:] += 3.0 * np.eye(4)
+        found = np.diag(np.linalg.pinv(known, hermitian=True))
+        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), found[count:]
+
+
+def weights(four: np.ndarray) -> np.ndarray:
+    """(5,) of the loads: own weight, mass, first moments."""
+    return np.concatenate([[1.0, four[0]], four[0] * four[1:]])
+
+
+def chosen(pool: Pool) -> Selection:
+    """The best set of causes that are possible, with one payload a side in the load of all joints that give way.
+
+    Args:
+        pool: the forms; where joints ask for a payload they have it in their load from then on.
+    """
+    best, anew = select(pool), True
+    for _ in range(ROUNDS):
+        loads = [load for side in SIDES if (load := _asked(pool, best.forms, side)) is not None]
+        if not any([_put(pool, load.payload()) for load in loads]):
+            break
+        _bar(pool)
+        known = {form.key: form for form in pool.forms if MASS in form.cell.fixed}
+        best, anew = select(pool, [known.get(form.key, form) for form in best.forms]), False
+    return possible(pool, best, anew)
+
+
+def again(pool: Pool, forms: Sequence[Form]) -> None:
+    """Have the payloads that some causes were found with in the load of all joints, after other data were judged."""
+    machine = pool.problem.network.machine
+    yielding = [form for form in forms if form.candidate.effect == EFFECT]
+    for payload in {
+        one for form in yielding for one in payloads_of(machine.by_name[form.candidate.where].side, form.cell.fixed)
+    }:
+        _put(pool, payload)
+
+
+def chosen_on(part: Pool, forms: Sequence[Form]) -> Selection:
+    """The best set of causes on a part of the data, from one that was found on all of them; payloads as they are there.
+
+    Args:
+        part: of the pool.
+        forms: of the pool; each stays where it is worth it.
+    """
+    _bar(part)
+    return possible(part, select(part, [part.forms[form.index] for form in forms]), False)
+
+
+def _bar(pool: Pool) -> None:
+    """No joint has a payload of its own."""
+    pool.bar([form for form in pool.forms if PAYLOAD in form.cell.fixed])
+
+
+def _asked(pool: Pool, forms: Sequence[Form], side: str) -> _Load | None:
+    """The joints of a side that give way, if any of them asks for a payload or was given one."""
+    joints = [form for form in forms if form.candidate.effect == EFFECT and _side(pool, form) == side]
+    if not any(PAYLOAD in form.cell.fixed or MASS in form.cell.fixed for form in joints):
+        return None
+    free = {form.key: form for form in pool.forms if PAYLOAD in form.cell.fixed}
+    own = [free[form.key] for form in joints]
+    every = [*(form for form in forms if form not in joints), *own]
+    columns, gram = together(every), pool.gram(every)
+    at = np.concatenate([np.searchsorted(columns, form.columns) for form in own])
+    rest = np.setdiff1d(np.arange(len(columns)), at)
+    slope = pool.slope[columns]
+    inverse, _ = pseudo(gram[np.ix_(rest, rest)])
+    along = gram[np.ix_(at, rest)] @ inverse
+    size = np.concatenate([[column.scale for column in form.cell.columns] for form in own])
+    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
+    heaviest = heaviest_kg(pool.problem.network.machine)
+    return _Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
+
+
+def _put(pool: Pool, payload: Payload) -> bool:
+    """Have a payload in the load of every joint of its side; whether that changes anything."""
+    machine = pool.problem.network.machine
+    state = state_of(pool.problem.network.data, machine)
+    numbers = {"mass": payload.mass_kg}
+    numbers |= {f"centre_{letter}_mm": one for letter, one in zip("xyz", payload.centre_mm, strict=True)}
+    size = {"mass": heaviest_kg(machine)} | {f"centre_{letter}_mm": FARTHEST_MM for letter in "xyz"}
+    moved = False
+    for form in list(pool.forms):
+        if form.candidate.effect != EFFECT or PAYLOAD in form.cell.fixed or _side(pool, form) != payload.side:
+            continue
+        before = form.cell.fixed
+        if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
+            continue
+        effect = gravity_compliance(machine, form.candidate.where, 1.0, (payload,))
+        pool.refine(form, Cell(tuple(of_effect(effect, machine, state)), numbers))
+        moved = True
+    return moved
+
+
+def _side(pool: Pool, form: Form) -> str:
+    """Of the machine: the side whose payload an axis carries."""
+    return "tool" if pool.problem.network.machine.by_name[form.candidate.where].side == "tool" else "work"
+
+
+def payload_causes(
+    pool: Pool, forms: Sequence[Form], causes: Sequence[Cause], pattern_um: Callable[[np.ndarray], np.ndarray]
+) -> tuple[list[Cause], list[Cause]]:
+    """The causes with what they are uncertain by because the payload is an estimate as well, and the payloads.
+
+    Args:
+        pool: the forms.
+        forms: the causes that stand.
+        causes: what was said of them as if the payload were known.
+        pattern_um: (3n,) whitened → (n, 3) µm.
+    """
+    causes, found = list(causes), []
+    for side in SIDES:
+        load = _asked(pool, forms, side)
+        if load is None:
+            continue
+        (payload,) = payloads_of(side, load.joints[0].cell.fixed)
+        four = load.four(payload)
+        at = [forms.index(form) for form in load.joints]
+        u = np.array([causes[k].parameters[0].u for k in at])
+        more, variances = load.covariances(four, u)
+        explained, compliances = load.under(four)
+        own, _ = load.under(np.zeros(4))
+        heaviest = payload.mass_kg > AT_BOUND * load.heaviest
+        for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
+            (first, *_), cause = causes[k].parameters, causes[k]
+            product = f"{value * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
+            text = f"{cause.evidence}; compliance times mass of the payload {product}"
+            causes[k] = replace(
+                cause,
+                parameters=(replace(first, u=first.u * times),),
+                evidence=text,
+                bounded=cause.bounded or heaviest,
+            )
+        log_p = float(log_chance(np.array(max(explained - own, 0.0)), 4.0, pool.dof)) + load.joints[0].price
+        excess = max(pool.problem.chi2 - pool.problem.dof, explained)
+        text = f"the {side} side carries a mass that the URDF does not have: joints give way under it"
+        if heaviest:
+            text += (
+                f". The mass is at the largest considered ({load.heaviest:.3g} kg): the machine's own weight shows less than "
+                "its URDF says, as if the control corrected it; only the products of mass and compliance are known"
+            )
+        size = np.concatenate([[column.scale for column in form.cell.columns] for form in load.free])
+        columns = [column for form in load.free for column in form.cell.columns]
+        shape = np.kron(compliances, weights(four) - weights(np.zeros(4)))
+        found.append(
+            Cause(
+                effect=PAYLOAD,
+                where=side,
+                origin="machine",
+                parameters=_quantities(payload, np.sqrt(variances), load.heaviest),
+                p_value=pool.chance(min(log_p, 0.0)),
+                share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
+                equivalent=(),
+                evidence=text,
+                pattern_um=locked(pattern_um((pool.problem.signature(columns) / size) @ shape)),
+                bounded=heaviest,
+            )
+        )
+    return causes, found
+
+
+def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
+    places = zip("xyz", payload.centre_mm, u[1:].tolist(), strict=True)
+    return (
+        Quantity(MASS, payload.mass_kg, "kg", float(u[0]) * heaviest),
+        *(Quantity(f"centre_{letter}_mm", value, "mm", own * FARTHEST_MM) for letter, value, own in places),
+    )
