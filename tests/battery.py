@@ -164,7 +164,11 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
         effect = list(families)[rng.integers(len(families))]
         candidate = families[effect][rng.integers(len(families[effect]))]
         # What a dropped constant does is a form of the same curve, not another effect.
-        cells = [one for one in candidate.cells if "stops" not in one.fixed and not one.fixed.get("first", 0.0)]
+        cells = [
+            one
+            for one in candidate.cells
+            if not {"stops", "payload"} & one.fixed.keys() and not one.fixed.get("first", 0.0)
+        ]
         cell = cells[rng.integers(len(cells))]
         fixed, columns = dict(cell.fixed), list(cell.columns)
         # Periods and time constants as they come, not as the search has them on its grid.
@@ -184,6 +188,8 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen
+        if effect == "gravity_compliance":
+            values = np.abs(values)
         if candidate.space is not None:
             # In the datum of the calibration: a constant is a zero, a slope of a straightness a squareness.
             values[: 2 if effect == "straightness" else 1] = 0.0

@@ -59,6 +59,12 @@ def changed(folder: Path, old: str, new: str) -> tuple[Path, int]:
         (QUILL, f'<link name="quill"><inertial><mass value="nan"/>{INERTIA}</inertial></link>', "<mass", "a number"),
         (
             QUILL,
+            f'<link name="quill"><inertial><mass value="9"/><origin xyz="0 52 0"/>{INERTIA}</inertial></link>',
+            "the centre of mass of quill is 52 m away",
+            "metres, within",
+        ),
+        (
+            QUILL,
             '<link name="quill"><inertial><mass value="9"/></inertial></link>',
             "<inertial> is not complete",
             "<inertia>",

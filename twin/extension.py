@@ -65,20 +65,20 @@ def base_vector(turn: np.ndarray, direction: str) -> Vector:
     return x, y, z
 
 
-def loads_of(machine: Machine, axis: str) -> Callable[[Mapping[str, Any]], Sequence[Any]]:
-    """The nine loads of `gravity_load` along an axis, at positions as effects are given them (arrays or expressions)."""
+def loads_of(machine: Machine) -> Callable[[Mapping[str, Any]], Mapping[str, Sequence[Any]]]:
+    """Of every axis the nine loads of `gravity_load`, at positions as effects are given them (arrays or expressions)."""
     function = gravity_load(machine)
-    batch = BatchFunction(function)
-    index, count = machine.names.index(axis), len(machine.names)
+    batch, names = BatchFunction(function), machine.names
 
-    def found(positions: Mapping[str, Any]) -> Sequence[Any]:
+    def found(positions: Mapping[str, Any]) -> Mapping[str, Sequence[Any]]:
         import casadi as ca
 
         parts = [positions[one.name] * one.scale for one in machine.axes]
         if any(isinstance(part, ca.SX) for part in parts):
-            return list(ca.horzsplit(function(ca.vertcat(*parts))[index, :]))
+            every = function(ca.vertcat(*parts))
+            return {name: ca.horzsplit(every[k, :]) for k, name in enumerate(names)}
         (values,) = batch(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1))
-        return list(values[:, index::count].T)
+        return {name: list(values[:, k :: len(names)].T) for k, name in enumerate(names)}
 
     return found
 
@@ -87,10 +87,10 @@ def gravity_compliance(
     machine: Machine, axis: str, compliance: float, payloads: Sequence[Payload] = ()
 ) -> GravityCompliance:
     """The effect on a machine that carries some payloads."""
-    weights, every = loads(payloads), loads_of(machine, axis)
+    weights, every = loads(payloads), loads_of(machine)
 
     def load(positions: Mapping[str, Any]) -> Any:
-        return sum(weight * one for weight, one in zip(weights, every(positions), strict=True) if weight != 0.0)
+        return sum(weight * one for weight, one in zip(weights, every(positions)[axis], strict=True) if weight != 0.0)
 
     return GravityCompliance(machine.by_name[axis], load, compliance, tuple(payloads))
 

@@ -27,6 +27,8 @@ MOST_NESTED: Final = 100
 """Deepest nesting of XML elements; a URDF needs six."""
 FARTHEST_M: Final = 1e3
 """Largest coordinate and size. Beyond it, double precision does not resolve a picometre."""
+FARTHEST_MASS: Final = 5.0
+"""Times the length of all joints in a row, at least a metre: how far a centre of mass can be from its link."""
 SHORTEST_AXIS: Final = 1e-6
 """Shortest axis vector that still has a direction; Pinocchio scales it to length one."""
 MOVING: Final = ("prismatic", "revolute", "continuous")
@@ -118,6 +120,7 @@ def read_urdf(path: Path) -> str:
         raise InputError("not a URDF", expected="a <robot> element", file=path, line=robot.line, value=robot.name)
     _check_parts(robot, path)
     _check_tree(robot, path)
+    _check_masses(robot, path)
     return text
 
 
@@ -239,6 +242,34 @@ def _check_tree(robot: Element, path: Path) -> None:
         carried[child] = joint
         below[parent].append(child)
     _check_roots(known, carried, below, path)
+
+
+def _check_masses(robot: Element, path: Path) -> None:
+    """Raise `InputError` if a link's centre of mass is farther from the link than any part of the machine can be."""
+    steps = [_numbers(origin, "xyz") for joint in robot.each("joint") for origin in joint.each("origin")]
+    travels = [
+        [float(limit.attributes.get("upper", 0.0)) - float(limit.attributes.get("lower", 0.0))]
+        for joint in robot.each("joint")
+        if joint.attributes.get("type") == "prismatic"
+        for limit in joint.each("limit")
+    ]
+    farthest = FARTHEST_MASS * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
+    for link in robot.each("link"):
+        for origin in (origin for inertial in link.each("inertial") for origin in inertial.each("origin")):
+            away = math.hypot(*_numbers(origin, "xyz"))
+            if away > farthest:
+                raise InputError(
+                    f"the centre of mass of {link.attributes['name']} is {away:g} m away",
+                    expected=f"metres, within {farthest:.3g} m of the link, {FARTHEST_MASS:g} times the length of all joints",
+                    file=path,
+                    line=origin.line,
+                    value=origin.attributes["xyz"],
+                )
+
+
+def _numbers(one: Element, name: str) -> list[float]:
+    """Of an attribute that was checked; none if it is not given."""
+    return [float(word) for word in one.attributes.get(name, "").split()]
 
 
 def _check_joint(joint: Element, path: Path) -> None:

@@ -120,6 +120,10 @@ def _normal(*names: str) -> Draw:
     return lambda rng, machine, plan, where: {name: float(rng.standard_normal()) for name in names}
 
 
+def _positive(*names: str) -> Draw:
+    return lambda rng, machine, plan, where: {name: float(abs(rng.standard_normal())) for name in names}
+
+
 def _span(machine: TruthMachine, name: str) -> float:
     return next(axis.high - axis.low for axis in machine.axes if axis.name == name)
 
@@ -211,7 +215,7 @@ FAMILIES: dict[str, tuple[Where, Draw]] = {
     "thermal_drift": (lambda m, p: list("XYZ") if _tool_side(m) else [], _creep),
     "cross_axis": (_coupled, _normal("coefficient")),
     "table_load": (lambda m, p: list(m.drooping), _normal("tilt")),
-    "gravity_compliance": (lambda m, p: list(m.loaded), _normal("compliance")),
+    "gravity_compliance": (lambda m, p: list(m.loaded), _positive("compliance")),
     "frame_shift": (
         lambda m, p: [f"round {name}" for name in _later(p)],
         _normal("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z"),

@@ -32,16 +32,15 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
 
 
+YIELDING: Final = ("gravity_compliance",)
+"""Effects whose size is a stiffness: a joint moves with its load, never against it."""
 FARTHEST_MM: Final = 500.0
 """How far a payload's centre of gravity can be from the frame that carries it, along each axis."""
 
 
 def heaviest_kg(machine: Machine) -> float:
-    """The largest payload considered: three times the moving parts' masses in the URDF.
-
-    A rotary table carries more than it weighs, a robot less; few URDFs have the whole mass.
-    """
-    return 3.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+    """The largest payload considered: ten times the moving parts' masses in the URDF; robots and tables carry what they weigh."""
+    return 10.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
 
 
 def largest(effect: str, names: Sequence[tuple[str, str]]) -> float:

@@ -10,9 +10,10 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import POWER
-from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg, largest
+from twin.diagnosis.bounds import largest
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given, pieces
+from twin.diagnosis.loads import payloads_of, yielding
 from twin.diagnosis.signatures import (
     LARGEST,
     Column,
@@ -21,7 +22,6 @@ from twin.diagnosis.signatures import (
     first_component,
     of_components,
     of_effect,
-    of_shapes,
     of_units,
     of_values,
 )
@@ -32,7 +32,6 @@ from twin.effects import (
     ErrorMotion,
     GravityCompliance,
     Harmonic,
-    Payload,
     PitchError,
     Reversal,
     Squareness,
@@ -44,8 +43,6 @@ from twin.effects import (
     split_name,
     unit_of,
 )
-from twin.effects.along import along
-from twin.effects.load import SIDES
 from twin.extension import PAYLOAD, at_rest, base_vector, gravity_compliance, loads_of, tool_base_frame
 from twin.identification.unknowns import CurveSpace
 from twin.machine import DIRECTIONS, Axis, Machine
@@ -489,6 +486,7 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
 
 def _loads(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
     found = []
+    loads = loads_of(machine)(state)
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
             joint = next(f.joint for f in machine.frames if f.axis == axis.name and f.role == "motion")
@@ -498,50 +496,23 @@ def _loads(machine: Machine, state: Mapping[str, Any], calibration: Calibration)
                 one = TableLoad(axis.name, base_vector(turn, "X"), 1.0)
                 build = _re(TableLoad, axis.name, base_vector(turn, "X"))
                 found.append(_single("table_load", axis.name, one, machine, state, ("tilt", "urad"), build))
-        found.append(_yielding(machine, axis, state, calibration))
+        found.append(_yielding(machine, axis, np.stack(loads[axis.name], axis=1), calibration))
     return found
 
 
-def _yielding(machine: Machine, axis: Axis, state: Mapping[str, Any], calibration: Calibration) -> Candidate:
-    """A joint that gives way: under its own weight and the payload that is known, or under one that is not.
-
-    Any payload is four numbers to each joint: its mass and its first moments, times the joint's compliance. That it is the same to all
-    of them, and how heavy it can be, is seen to where several are found (`twin.diagnosis.payload`).
-    """
+def _yielding(machine: Machine, axis: Axis, load: np.ndarray, calibration: Calibration) -> Candidate:
+    """A joint that gives way: under its own weight and the payload that the calibration has, or, if it has none, under any."""
     told = [effect for effect in calibration.extra if isinstance(effect, GravityCompliance)]
     known = tuple(dict.fromkeys(payload for effect in told for payload in effect.payloads))
-    unit, heaviest = "um/N" if axis.linear else "urad/(N.m)", heaviest_kg(machine)
-    every = loads_of(machine, axis.name)
-    first = 1 + 4 * SIDES.index("tool" if axis.side == "tool" else "work")
-    sizes = heaviest * np.array([1.0, *[1e-3 * FARTHEST_MM] * 3])
-    effect = gravity_compliance(machine, axis.name, 1.0, known)
-    cells = [Cell(tuple(of_effect(effect, machine, state)))]
-    if not told and heaviest > 0.0:
-        shapes = of_shapes(
-            effect.frame,
-            machine,
-            state,
-            lambda some: [
-                along(axis, one)
-                for values in [every(some)]
-                for one in (values[0], *(size * values[first + k] for k, size in enumerate(sizes)))
-            ],
-        )
-        cells.append(Cell(tuple(shapes), {PAYLOAD: 1.0}))
+    own, free = yielding(machine, axis, load, known)
+    cells = (Cell((own,)), *([Cell(free, {PAYLOAD: 1.0})] if free and not told else []))
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
-        return (gravity_compliance(machine, axis.name, float(values[0]), payloads_of(axis.side, fixed) or known),)
+        return (gravity_compliance(machine, axis.name, float(values[0]), payloads_of(axis, fixed) or known),)
 
+    unit = "um/N" if axis.linear else "urad/(N.m)"
     names = tuple((name, unit) for name in ("compliance", "by mass", "by x", "by y", "by z"))
-    return Candidate("gravity_compliance", axis.name, "machine", names, tuple(cells), float(len(cells)), build)
-
-
-def payloads_of(side: str, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
-    """The payload that a form was refined with; none if it was not."""
-    if "mass" not in fixed:
-        return ()
-    x, y, z = (fixed[f"centre_{letter}_mm"] for letter in "xyz")
-    return (Payload("tool" if side == "tool" else "work", fixed["mass"], (x, y, z)),)
+    return Candidate("gravity_compliance", axis.name, "machine", names, cells, float(len(cells)), build)
 
 
 def _instrument(

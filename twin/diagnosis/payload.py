@@ -18,7 +18,8 @@ from scipy.optimize import minimize
 
 from twin.arrays import locked
 from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
-from twin.diagnosis.catalogue import Cell, payloads_of
+from twin.diagnosis.catalogue import Cell
+from twin.diagnosis.loads import MASS, payloads_of, side_of
 from twin.diagnosis.pool import Form, Pool, log_chance, pseudo, together
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import Selection, possible, select
@@ -26,10 +27,10 @@ from twin.diagnosis.signatures import of_effect
 from twin.effects import Payload
 from twin.effects.load import SIDES
 from twin.extension import PAYLOAD, gravity_compliance
+from twin.machine import Axis
 from twin.measurement import state_of
 
 EFFECT: Final = "gravity_compliance"
-MASS: Final = "mass"
 ROUNDS: Final = 4
 FIRST: Final = (0.03, 0.2, 1.0)
 """Shares of the heaviest payload that a fit begins with."""
@@ -130,7 +131,7 @@ def chosen(pool: Pool) -> Selection:
     best, anew = select(pool), True
     for _ in range(ROUNDS):
         loads = [load for side in SIDES if (load := _asked(pool, best.forms, side)) is not None]
-        if not any([_put(pool, load.payload()) for load in loads]):
+        if not any([_put(pool, _believed(pool, load)) for load in loads]):
             break
         _bar(pool)
         known = {form.key: form for form in pool.forms if MASS in form.cell.fixed}
@@ -138,13 +139,17 @@ def chosen(pool: Pool) -> Selection:
     return possible(pool, best, anew)
 
 
+def _believed(pool: Pool, load: _Load) -> Payload:
+    """The payload that explains most, if that is worth its price; none, of no mass, if it is not."""
+    found = load.payload()
+    more = load.under(load.four(found))[0] - load.under(np.zeros(4))[0]
+    return found if more > pool.cost(load.free[0], 4.0) else replace(found, mass_kg=0.0)
+
+
 def again(pool: Pool, forms: Sequence[Form]) -> None:
     """Have the payloads that some causes were found with in the load of all joints, after other data were judged."""
-    machine = pool.problem.network.machine
     yielding = [form for form in forms if form.candidate.effect == EFFECT]
-    for payload in {
-        one for form in yielding for one in payloads_of(machine.by_name[form.candidate.where].side, form.cell.fixed)
-    }:
+    for payload in {one for form in yielding for one in payloads_of(_axis(pool, form), form.cell.fixed)}:
         _put(pool, payload)
 
 
@@ -166,10 +171,10 @@ def _bar(pool: Pool) -> None:
 
 def _asked(pool: Pool, forms: Sequence[Form], side: str) -> _Load | None:
     """The joints of a side that give way, if any of them asks for a payload or was given one."""
-    joints = [form for form in forms if form.candidate.effect == EFFECT and _side(pool, form) == side]
+    free = {form.key: form for form in pool.forms if PAYLOAD in form.cell.fixed}
+    joints = [form for form in forms if form.key in free and side_of(_axis(pool, form)) == side]
     if not any(PAYLOAD in form.cell.fixed or MASS in form.cell.fixed for form in joints):
         return None
-    free = {form.key: form for form in pool.forms if PAYLOAD in form.cell.fixed}
     own = [free[form.key] for form in joints]
     every = [*(form for form in forms if form not in joints), *own]
     columns, gram = together(every), pool.gram(every)
@@ -193,7 +198,7 @@ def _put(pool: Pool, payload: Payload) -> bool:
     size = {"mass": heaviest_kg(machine)} | {f"centre_{letter}_mm": FARTHEST_MM for letter in "xyz"}
     moved = False
     for form in list(pool.forms):
-        if form.candidate.effect != EFFECT or PAYLOAD in form.cell.fixed or _side(pool, form) != payload.side:
+        if form.candidate.effect != EFFECT or PAYLOAD in form.cell.fixed or side_of(_axis(pool, form)) != payload.side:
             continue
         before = form.cell.fixed
         if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
@@ -204,9 +209,8 @@ def _put(pool: Pool, payload: Payload) -> bool:
     return moved
 
 
-def _side(pool: Pool, form: Form) -> str:
-    """Of the machine: the side whose payload an axis carries."""
-    return "tool" if pool.problem.network.machine.by_name[form.candidate.where].side == "tool" else "work"
+def _axis(pool: Pool, form: Form) -> Axis:
+    return pool.problem.network.machine.by_name[form.candidate.where]
 
 
 def payload_causes(
@@ -225,7 +229,10 @@ def payload_causes(
         load = _asked(pool, forms, side)
         if load is None:
             continue
-        (payload,) = payloads_of(side, load.joints[0].cell.fixed)
+        known = payloads_of(_axis(pool, load.joints[0]), load.joints[0].cell.fixed)
+        if not known:
+            continue
+        (payload,) = known
         four = load.four(payload)
         at = [forms.index(form) for form in load.joints]
         u = np.array([causes[k].parameters[0].u for k in at])
@@ -237,6 +244,7 @@ def payload_causes(
             (first, *_), cause = causes[k].parameters, causes[k]
             product = f"{value * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
             text = f"{cause.evidence}; compliance times mass of the payload {product}"
+            text += ", the compliance a lower limit" if heaviest else ""
             causes[k] = replace(
                 cause,
                 parameters=(replace(first, u=first.u * times),),

@@ -495,6 +495,6 @@ def together(forms: Sequence[Form]) -> np.ndarray:
 def pseudo(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inverse over the directions the data see, and its root."""
     values, vectors = np.linalg.eigh(gram)
-    seen = (values > SEEN) & (values > 1e-9 * values[-1])
+    seen = (values > SEEN) & (values > 1e-9 * values.max(initial=0.0))
     root = vectors[:, seen] / np.sqrt(values[seen])
     return np.asarray(root @ root.T), np.asarray(root)

@@ -11,6 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.diagnosis.bounds import YIELDING
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.misplaced import EFFECT as MISPLACED
 from twin.diagnosis.pool import FURTHER, Form, Pool
@@ -159,6 +160,8 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
     scale = np.array([column.scale for column in form.cell.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
+    if form.candidate.effect in YIELDING and len(values) == 1 and values[0] < -DOUBTED * u[0]:
+        return np.inf
     if form.candidate.effect in WHOLE:
         found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
     return found

@@ -107,7 +107,7 @@ def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> lis
         machine: the machine.
         state: positions and channels of all points.
     """
-    return of_shapes(effect.frame, machine, state, effect.derivatives)
+    return _of_shapes(effect.frame, machine, state, effect.derivatives)
 
 
 def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
@@ -117,23 +117,15 @@ def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Colum
 
 def of_units(effects: Sequence[Effect], machine: Machine, state: Mapping[str, Any]) -> list[Column]:
     """The same of several effects in one frame, whose functions are worked out together."""
-    return of_shapes(effects[0].frame, machine, state, lambda some: [effect.components(some) for effect in effects])
+    return _of_shapes(effects[0].frame, machine, state, lambda some: [effect.components(some) for effect in effects])
 
 
-def of_shapes(
+def _of_shapes(
     frame: Frame,
     machine: Machine,
     state: Mapping[str, Any],
     shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]],
 ) -> list[Column]:
-    """Columns of several functions of the state in one frame.
-
-    Args:
-        frame: where they act.
-        machine: the machine.
-        state: positions and channels of all points.
-        shapes: part of the state → of each, component → µm or µrad a unit.
-    """
     at = first_component(machine, frame.axis, frame.role)
     functions, each = of_state(state, shapes)
     return [of_components([(at + i, functions, k, 1.0) for i, k in own]) for own in each]

@@ -1,0 +1,59 @@
+"""What a joint that gives way does to the readings: under the machine's own weight, and under a payload of any kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
+from twin.diagnosis.functions import given
+from twin.diagnosis.signatures import Column, first_component, of_components
+from twin.effects import Payload
+from twin.effects.load import SIDES, loads
+from twin.machine import Axis, Machine
+
+MASS: Final = "mass"
+UNLOADED: Final = 1e-6
+"""N or N·m: rounding of a load that is none."""
+
+
+def yielding(
+    machine: Machine, axis: Axis, load: np.ndarray, known: Sequence[Payload]
+) -> tuple[Column, tuple[Column, ...]]:
+    """The column of a joint under its own weight and the payloads that are known, and its columns under a payload that is not.
+
+    Any payload is four numbers to each joint: its mass and its first moments, times the joint's compliance, here as shares of the
+    largest (`twin.diagnosis.bounds`). That it is the same to all joints, and how heavy it can be, is seen to where several are found
+    (`twin.diagnosis.payload`). No columns for that where the joint's own weight does not load it: nothing tells compliance and payload
+    apart.
+
+    Args:
+        machine: the machine.
+        axis: of the joint.
+        load: (n, 9) loads along it (`twin.symbolic.gravity_load`).
+        known: payloads of the calibration.
+    """
+    first = 1 + 4 * SIDES.index(side_of(axis))
+    payload = load[:, first : first + 4] * heaviest_kg(machine) * [1.0, *[1e-3 * FARTHEST_MM] * 3]
+    functions = given(np.column_stack([load @ loads(known), load[:, 0], payload]))
+    at = first_component(machine, axis.name) + (0 if axis.linear else 3)
+    own, *free = (
+        of_components([(at + i, functions, k, part) for i, part in enumerate(axis.direction) if part != 0.0])
+        for k in range(functions.count)
+    )
+    return own, tuple(free) if np.any(np.abs(load[:, 0]) > UNLOADED) else ()
+
+
+def side_of(axis: Axis) -> str:
+    """The side whose payload an axis carries."""
+    return "tool" if axis.side == "tool" else "work"
+
+
+def payloads_of(axis: Axis, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
+    """The payload that a form was refined with; none if it was not."""
+    if not fixed.get(MASS):
+        return ()
+    x, y, z = (fixed[f"centre_{letter}_mm"] for letter in "xyz")
+    return (Payload("tool" if axis.side == "tool" else "work", fixed[MASS], (x, y, z)),)
