@@ -24,7 +24,7 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.payload import payload_causes
 from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.reported import reported
+from twin.diagnosis.reported import READ_BACK, reported, unsettled
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
 from twin.diagnosis.search import excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
@@ -168,6 +168,9 @@ def _cause(
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
     if not promised:
         text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
+    equal = equivalent(found, beside[k], rest)
+    if form.candidate.effect.startswith("reversal") and (why := _unsettled(found, form)):
+        text, equal = f"{text}; {why}", (*equal, (READ_BACK, form.candidate.where))
     quantities = estimated.quantities[k]
     return Cause(
         effect=form.candidate.effect,
@@ -176,7 +179,7 @@ def _cause(
         parameters=quantities,
         p_value=found.pool.chance(log_p),
         share=float(np.clip(explained / excess, 0.0, 1.0)),
-        equivalent=equivalent(found, beside[k], rest),
+        equivalent=equal,
         evidence=text,
         pattern_um=locked(unwhitened(found.problem, estimated.signature[:, k])),
         effects=estimated.effects[k] if promised else (),
@@ -184,6 +187,10 @@ def _cause(
         bounded=_bounded(form, quantities),
         rivals=_rivals(pool, beside[k], rest, excess),
     )
+
+
+def _unsettled(found: Findings, form: Form) -> str:
+    return unsettled(found.problem.network.data, found.problem.network.machine, form.candidate.where)
 
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
@@ -409,7 +416,8 @@ def _next(pool: Pool, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[M
     found: list[Mapping[str, Any]] = []
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
-        rivals = [_best(pool, key, others) for key in cause.equivalent[:RIVALS]]
+        tried = {one.key for one in pool.forms}
+        rivals = [_best(pool, key, others) for key in cause.equivalent if key in tried][:RIVALS]
         if rivals:
             found += next_points(pool.problem, form, rivals, others)
     return tuple(found)

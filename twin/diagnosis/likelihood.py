@@ -14,6 +14,7 @@ from typing import Final, final
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.pool import Form, Pool, pseudo, together
 from twin.diagnosis.signatures import Column
@@ -130,8 +131,7 @@ class Likelihood:
         used, deviation, inner = self._followed(variances)
         cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
         slope = self._slope[used] * deviation
-        inverse = np.linalg.inv(inner)
-        log_det = float(np.linalg.slogdet(inner)[1])
+        inverse, log_det = _inverse(inner)
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
             back, _ = pseudo(fixed - cross.T @ inverse @ cross)
@@ -209,3 +209,13 @@ class Likelihood:
         used, deviation, _ = self._followed(model.variances)
         sizes = (deviation * np.sqrt(model.scatter)).tolist()
         return [(self.columns[i], size) for i, size in zip(used.tolist(), sizes, strict=True)]
+
+
+def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Of a positive definite matrix its inverse and the log of its determinant, by Cholesky: half the work of the general inverse."""
+    if len(matrix) == 0:
+        return matrix, 0.0
+    lower, _ = dpotrf(matrix, lower=1)
+    found, _ = dpotri(lower, lower=1)
+    found = np.tril(found)
+    return found + np.tril(found, -1).T, float(2.0 * np.sum(np.log(np.diag(lower))))

@@ -16,9 +16,15 @@ from twin.arrays import locked
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import Cause, Quantity
 from twin.distributions import normal_sf
+from twin.machine import Machine
 from twin.measurement import Measurements
 
 EFFECT: Final = "following_error"
+READ_BACK: Final = "read_back"
+FINER: Final = 0.01
+"""Least increments by which a position may be off a whole number of them for rounding."""
+MOST: Final = 0.5
+"""Share of the positions that no control can command, above which they are taken for reported ones."""
 RULED_OUT: Final = 5.0
 """Standard uncertainties from one at which the readings do not follow the report: 1 in 10⁶."""
 COMPATIBLE: Final = 3.0
@@ -54,7 +60,7 @@ def reported(
         if abs(share - 1.0) > RULED_OUT * u and abs(share) < COMPATIBLE * u:
             causes.append(
                 Cause(
-                    effect="read_back",
+                    effect=READ_BACK,
                     where=axis.name,
                     origin="instrument",
                     parameters=(Quantity("share", share, "1", u),),
@@ -73,3 +79,21 @@ def reported(
 def largest_off(data: Measurements, axis: int) -> float:
     """How far the control's report is from its command at most, mm or degrees."""
     return float(np.nanmax(np.abs(data.readback[:, axis] - data.positions[:, axis])))
+
+
+def unsettled(data: Measurements, machine: Machine, where: str) -> str:
+    """Why a reversal of an axis may be none; empty where nothing speaks against it.
+
+    Positions finer than the least increment are no commands. Reported before the axis had settled, they are off by the side it came
+    from, as lost motion is.
+    """
+    axis = machine.by_name.get(where)
+    if axis is None or np.any(np.isfinite(data.readback[:, machine.names.index(where)])):
+        return ""
+    steps = data.positions[:, machine.names.index(where)] / axis.increment
+    if np.mean(np.abs(steps - np.round(steps)) > FINER) <= MOST:
+        return ""
+    return (
+        f"the positions of {where} are finer than its least increment, so not as commanded: if they were reported before {where} had "
+        f"settled, this is no lost motion; commanded positions with a column readback_{where}_{axis.unit} would settle it"
+    )
