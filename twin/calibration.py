@@ -18,7 +18,10 @@ from twin.control import BasicClass, ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
-from twin.effects import AxisLocation, ControlCorrection, Effect, ErrorMotion, Squareness, split_name
+from twin.effects import AxisLocation, ControlCorrection, Effect, Empirical, ErrorMotion, Squareness, split_name
+from twin.effects.empirical import check_ranges, state_name
+from twin.empirical_entry import NAME as EMPIRICAL
+from twin.empirical_entry import ColumnSpec, empirical_named, entry_of_empirical
 from twin.errors import InputError, nearest
 from twin.extension import effect_named, entry_of
 from twin.files import write_whole
@@ -45,11 +48,23 @@ class _CurveEntry(BaseModel):
     source: str = ""
 
 
+class _ColumnEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    column: str
+    functions: Literal["half_waves", "whole_turns", "direction"]
+    order: int | None = None
+    range: tuple[float, float] | None = None
+
+
 class _EffectEntry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     effect: str
     where: str
     parameters: dict[str, float]
+    cause: Literal["unknown"] | None = None
+    note: str = ""
+    along: Literal["base", "tool", "work"] | None = None
+    columns: tuple[_ColumnEntry, ...] = ()
 
 
 class _CovarianceEntry(BaseModel):
@@ -200,7 +215,10 @@ class Calibration:
             "location": {name: float(value) for name, value in self.location.items()},
         }
         if self.extra:
-            data["effects"] = [entry_of(effect) for effect in self.extra]
+            data["effects"] = [
+                entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
+                for effect in self.extra
+            ]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
@@ -411,19 +429,36 @@ class Calibration:
         said = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
         return card(title, *said, errors, about, small=small, illustrative=self.illustrative).text
 
+    @cached_property
+    def empirical(self) -> tuple[Empirical, ...]:
+        """The effects without a known cause, each valid within its ranges only."""
+        return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
+
     def outside(self, positions: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave the domain of a curve or the range of an empirical effect, not by rounding."""
+        found = self.outside_domains(positions)
+        for effect in self.empirical:
+            for column, outside in effect.outside(self.state(positions)).items():
+                found[:, self.machine.names.index(state_name(column))] |= outside
+        return found
+
+    def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
         bounds = self.domains()
         slack = 1e-9
-        return (positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack)
+        return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
+
+    def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """(n,) positions of every axis by name, of (n, axes) of them."""
+        return dict(zip(self.machine.names, np.asarray(positions, dtype=float).T, strict=True))
 
     def check(self, positions: np.ndarray) -> None:
-        """Nothing, if every curve covers (n, axes) positions.
+        """Check that every curve and every empirical effect covers (n, axes) positions.
 
         Raises:
             InputError: one does not.
         """
-        outside = self.outside(positions)
+        outside = self.outside_domains(positions)
         if np.any(outside):
             row, column = np.argwhere(outside)[0]
             lo, hi = self.domains()[column]
@@ -433,6 +468,7 @@ class Calibration:
                 expected=f"{lo:g} to {hi:g} {axis.unit}",
                 value=float(positions[row, column]),
             )
+        check_ranges(self.empirical, self.state(positions))
 
     def domains(self) -> np.ndarray:
         """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
@@ -479,9 +515,23 @@ class _Check:
 
     def effect(self, index: int, entry: _EffectEntry) -> Effect:
         try:
+            if entry.effect == EMPIRICAL:
+                return self.empirical(entry)
+            if entry.cause is not None or entry.along is not None or entry.columns:
+                what = f"{entry.effect} has a known cause and form"
+                raise InputError(what, expected=f"cause, along and columns only with {EMPIRICAL}")
             return effect_named(entry.effect, entry.where, entry.parameters, self.machine)
         except InputError as error:
             raise self.fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
+
+    def empirical(self, entry: _EffectEntry) -> Effect:
+        if entry.cause is None or entry.along is None:
+            raise InputError(
+                f"{EMPIRICAL} {entry.where} without cause or along",
+                expected="cause: unknown, and along: base, tool or work",
+            )
+        columns = [ColumnSpec(one.column, one.functions, one.order, one.range) for one in entry.columns]
+        return empirical_named(entry.where, entry.along, columns, entry.parameters, self.machine)
 
     def curve(self, name: str, entry: _CurveEntry) -> Curve:
         place: Place = ("curves", name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
+from pathlib import Path
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from twin.effects.base import Effect, Frame, Parameter, channel
 from twin.effects.waves import APPROACH, Waves, label, terms
 from twin.elementary import cos, sin
+from twin.errors import InputError
 
 DIRECTIONS: Final = "xyz"
 SEEN: Final = 1e-12
@@ -54,8 +56,8 @@ class Turning:
 class Empirical(Effect):
     """One side of the machine shifts with columns of the table, along fixed directions of a frame, without a known cause.
 
-    The shift along each of x, y, z is Σ c_k f_k, f_k the functions of `twin.effects.waves`: smooth and finite everywhere, but measured only
-    within `ranges`.
+    The shift along each of x, y, z is Σ c_k f_k with the functions f_k of `twin.effects.waves`. It is smooth and finite everywhere, but
+    known only within `ranges`.
 
     Args:
         where: its place: ``tool by X_mm, Y_mm``.
@@ -159,6 +161,37 @@ class Empirical(Effect):
         for i, j in self._terms:
             found.append(own[1][j - 1] if i == 0 else own[0][i - 1] if j == 0 else own[0][i - 1] * own[1][j - 1])
         return found
+
+
+def check_ranges(
+    effects: Sequence[Empirical],
+    state: Mapping[str, Any],
+    lines: np.ndarray | None = None,
+    file: str | Path | None = None,
+) -> None:
+    """Raise `InputError` where positions or channels leave the range of an empirical effect.
+
+    Args:
+        effects: the empirical effects.
+        state: (n,) positions by axis and channels; what is not given is not checked, and NaN is in every range.
+        lines: (n,) where each is in a file.
+        file: its name.
+
+    Raises:
+        InputError: with column, value and range.
+    """
+    for effect in effects:
+        for column, outside in effect.outside(state).items():
+            if np.any(outside):
+                row = int(np.argmax(outside))
+                low, high = effect.ranges[column]
+                raise InputError(
+                    f"{column} is outside the range over which {effect.name.replace(':', ' ', 1)} was measured",
+                    expected=f"{low:g} to {high:g}, or a calibration without that effect (its cause is unknown)",
+                    value=float(np.atleast_1d(state[state_name(column)])[row]),
+                    file=file,
+                    line=None if lines is None else int(lines[row]),
+                )
 
 
 def state_name(column: str) -> str:
