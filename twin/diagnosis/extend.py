@@ -19,6 +19,7 @@ from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.gain import ENOUGH, held_out_patterns, rms, unwhitened
 from twin.diagnosis.likelihood import Likelihood
 from twin.diagnosis.pool import Form
+from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace
@@ -40,7 +41,7 @@ class Extended:
         effects: those that are written; none where held-out readings do not confirm them.
         covariance: of their parameters.
         written: numbers of the patterns they are made of.
-        left_um: RMS a coordinate of the patterns that are not written.
+        left_um: RMS a coordinate of the patterns that are not written beside these.
     """
 
     extension: Extension
@@ -61,7 +62,7 @@ def extend(found: Findings, forms: Sequence[Form], estimated: Estimate, calibrat
     """
     likelihood = found.structure.likelihood
     if likelihood is None or not likelihood.traces:
-        return _refused((), None, "it goes with no column of the table", 0.0)
+        return _nothing(Extension((), 0.0, None, False, "it goes with no column of the table"))
     machine, problem = found.problem.network.machine, found.problem
     model = likelihood.fit(forms, found.structure.model)
     left = problem.residual - estimated.signature.sum(axis=1)
@@ -70,38 +71,38 @@ def extend(found: Findings, forms: Sequence[Form], estimated: Estimate, calibrat
     effects: list[Empirical] = []
     written: list[int] = []
     kept = np.zeros(len(which), dtype=bool)
+    moved, stays = np.zeros((2, len(problem.residual)))
     taken = [effect.name for effect in calibration.extra]
     for k, trace in enumerate(likelihood.traces):
         own = likelihood.group[which] // DIRECTIONS == k
-        moved = unwhitened(problem, problem.project(likelihood.made(which[own], values[own])))
-        term = _term(trace, machine, rms(moved, problem.network.read), taken)
+        made = likelihood.made(which[own], values[own])
+        term = _term(trace, machine, _rms(problem, made), taken)
         if term.reason is None:
             effects.append(_effect(term, trace, machine, likelihood, k, which[own], values[own]))
             taken.append(effects[-1].name)
             written.append(k)
             kept |= own
+            moved += made
+        else:
+            stays += made
         terms.append(term)
-    size = float(np.sqrt(sum(term.rms_um**2 for term in terms)))
-    if not effects:
-        reasons = dict.fromkeys(str(term.reason) for term in terms)
-        return _refused(terms, None, "; ".join(reasons), size)
-    held = held_out_patterns(found, forms, written)
-    reason = _unproven(held)
+    held = held_out_patterns(found, forms, written) if effects else None
+    reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
+    extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
     if reason is not None:
-        return _refused(terms, held, reason, size)
+        return _nothing(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
-    left_um = float(np.sqrt(sum(term.rms_um**2 for term in terms if term.reason is not None)))
-    return Extended(
-        Extension(tuple(terms), held, True, None),
-        tuple(effects),
-        Covariance(names, locked(covariance[np.ix_(kept, kept)])),
-        tuple(written),
-        left_um,
-    )
+    matrix = locked(covariance[np.ix_(kept, kept)])
+    return Extended(extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays))
 
 
-def _refused(terms: Sequence[Term], held: HeldOut | None, reason: str, size: float) -> Extended:
-    return Extended(Extension(tuple(terms), held, False, reason), (), Covariance.none(), (), size)
+def _nothing(extension: Extension) -> Extended:
+    return Extended(extension, (), Covariance.none(), (), 0.0)
+
+
+def _rms(problem: Problem, made: np.ndarray) -> float:
+    """µm a coordinate of what (3n,) whitened shifts do to the readings, beside the set-up."""
+    return rms(unwhitened(problem, problem.project(made)), problem.network.read)
 
 
 def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:

@@ -21,6 +21,7 @@ from twin.diagnosis.structure import Findings, again
 from twin.distributions import student_isf
 from twin.effects import Effect
 from twin.effects.empirical import Empirical, state_name
+from twin.effects.waves import APPROACH
 from twin.identification.network import Network
 from twin.identification.solve import solve
 from twin.kinematics import Kinematics
@@ -113,9 +114,10 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
     problem, structure = found.problem, found.structure
     network, pool = problem.network, found.pool
     names = {name for k in written for name in structure.traces[k].pattern.names}
-    moving = [i for i, axis in enumerate(network.machine.axes) if any(axis.name == state_name(name) for name in names)]
-    moving += [i for i, axis in enumerate(network.machine.axes) if f"approach_{axis.name}" in names]
-    split = at_positions(network.data, sorted(moving)) if moving else in_time(network.data)
+    # A direction of approach is that of a position as well.
+    axes = {state_name(name).removeprefix(APPROACH) for name in names}
+    moving = [i for i, name in enumerate(network.machine.names) if name in axes]
+    split = at_positions(network.data, moving) if moving else in_time(network.data)
     if split is None:
         return None
 

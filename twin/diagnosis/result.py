@@ -169,6 +169,7 @@ class Extension:
 
     Attributes:
         terms: one a pattern.
+        rms_um: what those that an effect can be made of do to the readings together, RMS a coordinate.
         held_out: residuals of readings held out, with the named causes alone and with these effects beside them; None where no effect
             can be made, or nothing can be held out.
         written: whether they are in the extended calibration: only where held-out readings show that they gain.
@@ -176,6 +177,7 @@ class Extension:
     """
 
     terms: tuple[Term, ...]
+    rms_um: float
     held_out: HeldOut | None
     written: bool
     reason: str | None
@@ -196,7 +198,7 @@ class Extension:
             "where": "; ".join(term.where for term in self.made) or None,
             "columns": list(dict.fromkeys(column for term in self.made for column in term.columns)),
             "ranges": {column: list(own) for column, own in self.ranges.items()},
-            "rms_um": sum(term.rms_um**2 for term in self.made) ** 0.5,
+            "rms_um": self.rms_um,
             "held_out": None if self.held_out is None else self.held_out.to_dict(),
             "written": self.written,
             "reason": self.reason,
