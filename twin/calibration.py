@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
-from twin.control import BasicClass, ControlSection, TableEntry, read_tables
+from twin.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, EffectEntry
+from twin.control import ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
@@ -35,72 +35,6 @@ from twin.yaml_files import LARGEST, Place, line_of, load_yaml
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
 """Beyond this an angle is no error motion but a mistake in the file; the rotation series is exact well past it."""
-
-
-class _CurveEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    unit: str
-    domain: tuple[float, float]
-    basis: str
-    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
-    covariance: tuple[tuple[float, ...], ...] | None = None
-    illustrative: bool = False
-    source: str = ""
-
-
-class _ColumnEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    column: str
-    functions: Literal["half_waves", "whole_turns", "direction"]
-    order: int | None = None
-    range: tuple[float, float] | None = None
-
-
-class _EffectEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    effect: str
-    where: str
-    parameters: dict[str, float]
-    cause: Literal["unknown"] | None = None
-    note: str = ""
-    along: Literal["base", "tool", "work"] | None = None
-    columns: tuple[_ColumnEntry, ...] = ()
-
-
-class _CovarianceEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    parameters: tuple[str, ...]
-    lower: str
-
-
-class _TableEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    file: str
-    format: str
-    classes: tuple[BasicClass, ...]
-    sha256: str
-
-
-class _ControlEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    errors_are: Literal["uncorrected", "remaining"]
-    tables: Annotated[tuple[_TableEntry, ...], Field(min_length=1)]
-
-
-class _CalibrationFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    schema_: Literal["twin.calibration/1"] = Field(alias="schema")
-    machine: str
-    source: str
-    datum: str | None = None
-    settled: bool = True
-    simulated: bool = False
-    curves: dict[str, _CurveEntry] = {}
-    squareness: dict[str, float] = {}
-    location: dict[str, float] = {}
-    covariance: _CovarianceEntry | None = None
-    effects: tuple[_EffectEntry, ...] = ()
-    control: _ControlEntry | None = None
 
 
 @final
@@ -150,7 +84,7 @@ class Calibration:
             InputError: with file, line, value and what was expected.
         """
         path = Path(path)
-        entries, lines = load_yaml(path, _CalibrationFile, SCHEMA)
+        entries, lines = load_yaml(path, CalibrationFile, SCHEMA)
         if entries.machine != machine.name:
             raise InputError(
                 "a calibration for another machine",
@@ -513,7 +447,7 @@ class _Check:
             expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
-    def effect(self, index: int, entry: _EffectEntry) -> Effect:
+    def effect(self, index: int, entry: EffectEntry) -> Effect:
         try:
             if entry.effect == EMPIRICAL:
                 return self.empirical(entry)
@@ -524,7 +458,7 @@ class _Check:
         except InputError as error:
             raise self.fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
 
-    def empirical(self, entry: _EffectEntry) -> Effect:
+    def empirical(self, entry: EffectEntry) -> Effect:
         if entry.cause is None or entry.along is None:
             raise InputError(
                 f"{EMPIRICAL} {entry.where} without cause or along",
@@ -533,7 +467,7 @@ class _Check:
         columns = [ColumnSpec(one.column, one.functions, one.order, one.range) for one in entry.columns]
         return empirical_named(entry.where, entry.along, columns, entry.parameters, self.machine)
 
-    def curve(self, name: str, entry: _CurveEntry) -> Curve:
+    def curve(self, name: str, entry: CurveEntry) -> Curve:
         place: Place = ("curves", name)
         self.name(place, name, self.machine.motion_names)
         component, _, axis_name = split_name(name)
@@ -571,7 +505,7 @@ class _Check:
             illustrative=entry.illustrative,
         )
 
-    def covariance(self, place: Place, entry: _CurveEntry) -> np.ndarray | None:
+    def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
         if entry.covariance is None:
             return None
         count = len(entry.coefficients)
@@ -585,14 +519,14 @@ class _Check:
             raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
         return locked(matrix)
 
-    def control(self, entry: _ControlEntry) -> ControlSection:
+    def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
         return ControlSection(
             entry.errors_are,
             tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in entry.tables),
         )
 
-    def joint(self, entry: _CovarianceEntry, calibration: Calibration) -> Covariance:
+    def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
         for name in entry.parameters:
             if name not in known:
