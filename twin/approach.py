@@ -49,7 +49,7 @@ class LostMotion:
 
     Attributes:
         size: (axes,) of each axis, mm and degrees; 0 where it has none or the control takes it up.
-        axes: indices of the axes that have one.
+        axes: indices of the axes that have one, or whose direction an empirical effect depends on: that changes at the turn, at once.
 
     Raises:
         InputError: a table of the control whose two directions differ by more in one place than in another.
@@ -59,6 +59,7 @@ class LostMotion:
         machine = calibration.machine
         ranges = {axis.name: axis.domain for axis in machine.axes}
         self.size = np.zeros(len(machine.axes))
+        turning = {name for effect in calibration.empirical for name in effect.directed}
         for effect in calibration.effects:
             if isinstance(effect, Reversal):
                 size = effect.size
@@ -76,7 +77,7 @@ class LostMotion:
             axis = effect.axis
             self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
         self.size[np.abs(self.size) < NOTHING] = 0.0
-        self.axes = [int(i) for i in np.flatnonzero(self.size)]
+        self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]
         self._dead_band = TURN * np.array([axis.increment for axis in machine.axes])
 
     def sides(self, path: Path, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:

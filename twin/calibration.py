@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
 
 from twin.arrays import locked
-from twin.control import BasicClass, ControlSection, TableEntry, read_tables
+from twin.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
+from twin.control import ControlSection, TableEntry, read_tables
 from twin.covariance import Covariance, not_a_covariance
 from twin.curves import BASES, basis_named
 from twin.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
@@ -22,14 +22,15 @@ from twin.effects import (
     AxisLocation,
     ControlCorrection,
     Effect,
+    Empirical,
     ErrorMotion,
-    GravityCompliance,
-    Payload,
     Squareness,
     split_name,
 )
+from twin.effects.empirical import check_ranges, state_name
+from twin.empirical_entry import entry_of_empirical
 from twin.errors import InputError, nearest
-from twin.extension import PAYLOAD, effect_named, entry_of, payload_entries, payload_named
+from twin.extension import entry_of, payload_entries
 from twin.files import write_whole
 from twin.machine import Machine
 from twin.motion_curve import Curve, added, basis_of, conversion_of, known_bases
@@ -41,60 +42,6 @@ from twin.yaml_files import LARGEST, Place, line_of, load_yaml
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
 """Beyond this an angle is no error motion but a mistake in the file; the rotation series is exact well past it."""
-
-
-class _CurveEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    unit: str
-    domain: tuple[float, float]
-    basis: str
-    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
-    covariance: tuple[tuple[float, ...], ...] | None = None
-    illustrative: bool = False
-    source: str = ""
-
-
-class _EffectEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    effect: str
-    where: str
-    parameters: dict[str, float]
-
-
-class _CovarianceEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    parameters: tuple[str, ...]
-    lower: str
-
-
-class _TableEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    file: str
-    format: str
-    classes: tuple[BasicClass, ...]
-    sha256: str
-
-
-class _ControlEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    errors_are: Literal["uncorrected", "remaining"]
-    tables: Annotated[tuple[_TableEntry, ...], Field(min_length=1)]
-
-
-class _CalibrationFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    schema_: Literal["twin.calibration/1"] = Field(alias="schema")
-    machine: str
-    source: str
-    datum: str | None = None
-    settled: bool = True
-    simulated: bool = False
-    curves: dict[str, _CurveEntry] = {}
-    squareness: dict[str, float] = {}
-    location: dict[str, float] = {}
-    covariance: _CovarianceEntry | None = None
-    effects: tuple[_EffectEntry, ...] = ()
-    control: _ControlEntry | None = None
 
 
 @final
@@ -144,7 +91,7 @@ class Calibration:
             InputError: with file, line, value and what was expected.
         """
         path = Path(path)
-        entries, lines = load_yaml(path, _CalibrationFile, SCHEMA)
+        entries, lines = load_yaml(path, CalibrationFile, SCHEMA)
         if entries.machine != machine.name:
             raise InputError(
                 "a calibration for another machine",
@@ -154,7 +101,7 @@ class Calibration:
                 value=entries.machine,
             )
         check = _Check(path, lines, machine)
-        extra = check.effects(entries.effects)
+        extra = effects_of(entries.effects, machine, check.fail)
         curves = {name: check.curve(name, entry) for name, entry in entries.curves.items()}
         for kind, given, allowed in (
             ("squareness", entries.squareness, machine.squareness_names),
@@ -209,7 +156,13 @@ class Calibration:
             "location": {name: float(value) for name, value in self.location.items()},
         }
         if self.extra:
-            data["effects"] = [*payload_entries(self.extra), *(entry_of(effect) for effect in self.extra)]
+            data["effects"] = [
+                *payload_entries(self.extra),
+                *(
+                    entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
+                    for effect in self.extra
+                ),
+            ]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
@@ -420,19 +373,36 @@ class Calibration:
         said = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
         return card(title, *said, errors, about, small=small, illustrative=self.illustrative).text
 
+    @cached_property
+    def empirical(self) -> tuple[Empirical, ...]:
+        """The effects without a known cause, each valid within its ranges only."""
+        return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
+
     def outside(self, positions: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave the domain of a curve or the range of an empirical effect, not by rounding."""
+        found = self.outside_domains(positions)
+        for effect in self.empirical:
+            for column, outside in effect.outside(self.state(positions)).items():
+                found[:, self.machine.names.index(state_name(column))] |= outside
+        return found
+
+    def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
         bounds = self.domains()
         slack = 1e-9
-        return (positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack)
+        return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
+
+    def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """(n,) positions of every axis by name, of (n, axes) of them."""
+        return dict(zip(self.machine.names, np.asarray(positions, dtype=float).T, strict=True))
 
     def check(self, positions: np.ndarray) -> None:
-        """Nothing, if every curve covers (n, axes) positions.
+        """Check that every curve and every empirical effect covers (n, axes) positions.
 
         Raises:
             InputError: one does not.
         """
-        outside = self.outside(positions)
+        outside = self.outside_domains(positions)
         if np.any(outside):
             row, column = np.argwhere(outside)[0]
             lo, hi = self.domains()[column]
@@ -442,6 +412,7 @@ class Calibration:
                 expected=f"{lo:g} to {hi:g} {axis.unit}",
                 value=float(positions[row, column]),
             )
+        check_ranges(self.empirical, self.state(positions))
 
     def domains(self) -> np.ndarray:
         """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
@@ -486,34 +457,7 @@ class _Check:
             expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
-    def effects(self, entries: Sequence[_EffectEntry]) -> tuple[Effect, ...]:
-        payloads: dict[int, Payload] = {}
-        found: list[Effect] = []
-        # The payloads first: every joint that gives way does so under them as well.
-        for index, entry in sorted(enumerate(entries), key=lambda one: (one[1].effect != PAYLOAD, one[0])):
-            try:
-                if entry.effect == PAYLOAD:
-                    payloads[index] = payload_named(entry.where, entry.parameters)
-                else:
-                    effect = effect_named(
-                        entry.effect, entry.where, entry.parameters, self.machine, list(payloads.values())
-                    )
-                    found.append(effect)
-            except InputError as error:
-                raise self.fail(
-                    ("effects", index), error.what, str(error.expected), error.value, error.nearest
-                ) from None
-        sides = [payload.side for payload in payloads.values()]
-        for index, payload in payloads.items():
-            if not any(isinstance(effect, GravityCompliance) for effect in found):
-                expected = "a gravity_compliance of the joints that give way under it"
-                raise self.fail(("effects", index), "a payload that acts on nothing", expected, "none in the file")
-            if sides.count(payload.side) > 1:
-                expected = f"one payload on the {payload.side} side"
-                raise self.fail(("effects", index), "more than one payload", expected, sides.count(payload.side))
-        return tuple(found)
-
-    def curve(self, name: str, entry: _CurveEntry) -> Curve:
+    def curve(self, name: str, entry: CurveEntry) -> Curve:
         place: Place = ("curves", name)
         self.name(place, name, self.machine.motion_names)
         component, _, axis_name = split_name(name)
@@ -551,7 +495,7 @@ class _Check:
             illustrative=entry.illustrative,
         )
 
-    def covariance(self, place: Place, entry: _CurveEntry) -> np.ndarray | None:
+    def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
         if entry.covariance is None:
             return None
         count = len(entry.coefficients)
@@ -565,14 +509,14 @@ class _Check:
             raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
         return locked(matrix)
 
-    def control(self, entry: _ControlEntry) -> ControlSection:
+    def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
         return ControlSection(
             entry.errors_are,
             tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in entry.tables),
         )
 
-    def joint(self, entry: _CovarianceEntry, calibration: Calibration) -> Covariance:
+    def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
         for name in entry.parameters:
             if name not in known:

@@ -31,6 +31,22 @@ coefficient. `fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, �
 curve is an error; an unlimited axis is wrapped into it. A linear axis moves, then errs: T(q)·E(q); a rotary axis is located,
 errs in the frame that does not turn, then moves: L·E(θ)·R(θ); E = Trans(e_X, e_Y, e_Z)·Exp([e_A, e_B, e_C]).
 
+`effects:` has what a diagnosis added beside these: `{effect: reversal, where: Y, parameters: {size: 5.1}}`. One of them has no known
+cause: it shifts a side of the machine by what was measured, and is refused outside `range`.
+
+    effects:
+    - effect: empirical
+      where: tool by X_mm, C_deg     # side, and columns of the table it depends on
+      cause: unknown
+      along: base                    # axes of the base frame, or of the frame that carries the targets: tool, work
+      columns:
+      - {column: X_mm, functions: half_waves, order: 8, range: [0.0, 500.0]}
+      - {column: C_deg, functions: whole_turns, order: 4}
+      parameters: {'x[1,0]': 0.42, 'z[3,c2]': -1.7}   # µm along x: function 1 of X; along z: function 3 of X times cos 2C
+
+`half_waves` k: cos(k π (value − low)/(high − low)). `whole_turns` ck, sk: cos kθ, sin kθ. `direction` (`approach_<axis>`): +1 or −1.
+0 means the constant 1. Columns are axes, directions of approach and temperatures; one or two.
+
 **Measurements** (`*.csv`): one row a measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
 y_mm, z_mm` in the station's frame (an empty field was not measured; the interferometer's length stands in `x_mm`), and
 optionally `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`.

@@ -17,6 +17,7 @@ from twin.arrays import locked
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
 from twin.channels import APPROACH, Conditions
+from twin.effects.empirical import check_ranges
 from twin.errors import InputError
 from twin.machine import Machine
 from twin.machine_file import LONGEST_TOOL_MM
@@ -109,7 +110,8 @@ class Kinematics:
         errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
 
     Raises:
-        InputError: a tool length that is negative, longer than any tool, or no number; an effect that needs a channel nobody gave.
+        InputError: a tool length that is negative, longer than any tool, or no number; an effect that needs a channel nobody gave; a
+            temperature outside the range of an empirical effect.
     """
 
     def __init__(
@@ -131,6 +133,7 @@ class Kinematics:
             )
         given_errors = Calibration.default(machine) if calibration is None else calibration
         self.calibration = given_errors.with_tool(self.tool_length_mm)
+        check_ranges(self.calibration.empirical, self.conditions.channels)
         self.chain = chain_function(machine)
         q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(machine.axes))
         sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
@@ -299,7 +302,7 @@ class Kinematics:
         return q
 
     def outside_domain(self, q: np.ndarray) -> np.ndarray:
-        """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
+        """(n, axes) where positions (mm, degrees) leave what the calibration knows (`Calibration.outside`)."""
         return self.calibration.outside(q)
 
 

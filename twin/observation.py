@@ -15,6 +15,7 @@ import numpy as np
 from twin.batch import BatchFunction
 from twin.calibration import Calibration
 from twin.effects import assemble
+from twin.effects.empirical import check_ranges
 from twin.machine import Machine
 from twin.measurement import CARRIERS, Measurements, state_of
 from twin.symbolic import Pose, frame_pose
@@ -78,9 +79,11 @@ class Observation:
         Raises:
             InputError: as `points_mm`.
         """
+        state = state_of(data, self.machine)
         if check:
+            check_ranges(calibration.empirical, state, data.lines, data.source)
             calibration.check(data.positions)
-        rows = assemble(calibration.effects, self.machine.frames, state_of(data, self.machine))
+        rows = assemble(calibration.effects, self.machine.frames, state)
         found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
         return np.stack(found, axis=1)
 

@@ -18,6 +18,7 @@ import pinocchio as pin
 from twin.arrays import every
 from twin.branches import Branches
 from twin.calibration import Calibration
+from twin.effects.empirical import check_ranges
 from twin.errors import InputError
 from twin.inverse import Inverse
 from twin.kinematics import Kinematics, Poses
@@ -485,7 +486,7 @@ def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
-    """A position the axis has and its curves do not know is an error, not an extrapolation.
+    """A position the axis has and its curves or an empirical effect do not know is an error, not an extrapolation.
 
     Args:
         real: the machine with its calibration.
@@ -496,7 +497,8 @@ def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np
     Raises:
         InputError: with line, value and domain.
     """
-    outside = real.outside_domain(commands) & ~outside_range(real.machine, commands)[:, None]
+    inside = ~outside_range(real.machine, commands)
+    outside = real.calibration.outside_domains(commands) & inside[:, None]
     if np.any(outside):
         row, column = np.argwhere(outside)[0]
         lo, hi = real.calibration.domains()[column]
@@ -508,6 +510,7 @@ def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np
             line=int(lines[row]),
             value=f"{axis.name} {commands[row, column]:.6g}",
         )
+    check_ranges(real.calibration.empirical, real.calibration.state(commands[inside]), lines[inside], source)
 
 
 def along(motion: Motion, fractions: np.ndarray) -> np.ndarray:

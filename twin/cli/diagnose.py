@@ -19,6 +19,7 @@ from twin.cli.app import (
 from twin.cli.outputs import CALIBRATION, HTML, JsonOption, command
 from twin.cli.terminal import echo
 from twin.diagnosis import diagnose as run_diagnosis
+from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.machine import DEFAULT, Machine
 from twin.measurement import joined
@@ -29,6 +30,7 @@ from twin.options import instrument_named
 @command(
     "twin diagnose measured.csv --calibration mine.yaml --html diagnosis.html",
     "twin diagnose first.csv second.csv -c mine.yaml --json diagnosis.json --extended better.yaml",
+    "twin diagnose measured.csv -c mine.yaml --extended better.yaml --empirical",
 )
 def diagnose(
     measured: Annotated[
@@ -52,8 +54,17 @@ def diagnose(
         typer.Option("--extended", help="Write the calibration with what was found of the machine."),
         CALIBRATION,
     ] = None,
+    empirical: Annotated[
+        bool,
+        typer.Option(
+            "--empirical",
+            help="Also write what has no known cause, where readings held out confirm it; valid only inside the range measured.",
+        ),
+    ] = False,
 ) -> None:
     """Show what the model gets wrong about measured data, and name the cause."""
+    if empirical and extended is None:
+        raise InputError("--empirical without a file to write", expected="--extended CALIBRATION.yaml as well")
     if html_file is not None:
         need_pictures("the HTML report")
     loaded = Machine.load(machine)
@@ -63,7 +74,7 @@ def diagnose(
         say("reading", 0.0)
         data = joined([load_measurements(path, loaded) for path in measured])
         reader = None if instrument is None else instrument_named(instrument)
-        found = run_diagnosis(data, loaded, errors, instrument=reader, say=say)
+        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, say=say)
     if extended is not None:
         found.extended.save(extended)
     if json_file is not None:

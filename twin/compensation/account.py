@@ -269,7 +269,7 @@ class Account:
     def _of_reversals(self) -> tuple[ReversalNote, ...]:
         """What was done about every reversal of the calibration."""
         found = []
-        for axis in self.bench.lost.axes:
+        for axis in np.flatnonzero(self.bench.lost.size).tolist():
             machine_axis = self.bench.machine.axes[axis]
             unit, scale = ("um", 1e3) if machine_axis.linear else ("urad", machine_axis.scale * 1e6)
             found.append(

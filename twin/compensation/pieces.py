@@ -23,6 +23,7 @@ from twin.compensation.comparison import Commands
 from twin.compensation.legs import Legs, turning_points
 from twin.compensation.ranges import ARC_POINTS, refuse_arc
 from twin.compensation.rows import SAME, Rows, Samples, Ways, counted, distinct, even_cuts, not_back, replaced, spacings
+from twin.effects.empirical import check_ranges
 from twin.inverse import SLACK
 from twin.kinematics import Poses, angle_between_rad
 from twin.nc.blocks import Dialect
@@ -145,6 +146,7 @@ class Pieces:
             rows = replaced(rows, again, self._solve(*legs.ends(again)))
             rows = replace(rows, untouched=rows.untouched | np.isin(rows.motion, kept))
         self._check_arcs(rows)
+        self._check_ranges(rows)
         if not self.lost.axes:
             return rows
         self._known_mm[:] = np.nan
@@ -162,6 +164,14 @@ class Pieces:
                 self.source,
                 self.path.columns.line[arcs[0]] + 1,
             )
+
+    def _check_ranges(self, rows: Rows) -> None:
+        """Raise `InputError` if a corrected block leaves, between its ends, the range of an effect without a known cause."""
+        calibration = self.bench.calibration
+        if calibration.empirical:
+            nominal = rows.nominal[~rows.untouched]
+            lines = self.path.columns.line[rows.motion[~rows.untouched]] + 1
+            check_ranges(calibration.empirical, calibration.state(nominal), lines, self.source)
 
     def left(self, rows: Rows) -> np.ndarray:
         """(motions,) largest distance (mm) as of `between` that is left inside each motion, 0 where there is no path to keep to."""

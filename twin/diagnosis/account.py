@@ -16,6 +16,7 @@ from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.evidence import curve_flaw, evidence
+from twin.diagnosis.extend import Extended, extend
 from twin.diagnosis.folds import at_positions
 from twin.diagnosis.gain import at_tool, held_out, of_file, plain, positions_held_out, rms, tool_mm, unwhitened
 from twin.diagnosis.misfit import MANY
@@ -53,12 +54,13 @@ RUNNERS_UP: Final = 2
 """Causes ruled out in a cause's place that are listed with it."""
 
 
-def account(found: Findings, calibration: Calibration) -> Diagnosis:
+def account(found: Findings, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
     """The whole answer.
 
     Args:
         found: the causes that stand, and the patterns beside them.
         calibration: the model that was judged.
+        empirical: whether what is left unexplained extends the calibration as well.
     """
     problem, pool, scatter = found.problem, found.pool, found.scatter
     forms, estimated, dropped = _sized(found)
@@ -88,15 +90,22 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     p_value = _p_value(problem, scatter)
     left = _unexplained(found, forms, estimated, excess, p_value)
     effects = [effect for k, effects in enumerate(estimated.effects) if promised[k] for effect in effects]
+    covariance = _covariance(estimated, effects)
+    unnamed = extend(found, forms, estimated, calibration) if empirical and left is not None else None
+    if left is not None and unnamed is not None:
+        left = replace(left, extension=unnamed.extension)
+        effects += unnamed.effects
+        # Independent: the causes' covariance already holds what the patterns can do to them.
+        covariance = Covariance.of_blocks([covariance, unnamed.covariance])
     source = "extended by twin diagnose from " + problem.network.data.source
     extended = (
-        calibration.extended(effects, _covariance(estimated, effects), source, simulated=problem.network.data.simulated)
+        calibration.extended(effects, covariance, source, simulated=problem.network.data.simulated)
         if effects
         else calibration
     )
     instrument = estimated.signature[:, [not own for own in estimated.effects]].sum(axis=1)
     residual = unwhitened(problem, problem.residual)
-    after = of_file(problem, extended, instrument) if forms else residual
+    after = of_file(problem, extended, instrument) if forms or effects else residual
     hidden = _unidentifiable(problem, pool, found.known)
     weights, read = problem.network.whitening, problem.network.read
     return Diagnosis(
@@ -116,7 +125,7 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
         trends=_trends(found),
         ranking=_ranking(pool),
         # Last: it puts the pool back to what was tried.
-        gain=_gain(found, forms, estimated, promised, residual, after, left) if forms else None,
+        gain=_gain(found, forms, estimated, promised, (residual, after), left, unnamed) if forms or effects else None,
         tried=len(found.known.candidates),
         scatter=scatter.source,
         calibration=calibration,
@@ -318,27 +327,36 @@ def _gain(
     forms: Sequence[Form],
     estimated: Estimate,
     promised: Sequence[bool],
-    before: np.ndarray,
-    after: np.ndarray,
+    residuals: tuple[np.ndarray, np.ndarray],
     left: Unexplained | None,
+    unnamed: Extended | None,
 ) -> Gain:
     network = found.problem.network
     barred = {form.key for form, own in zip(forms, promised, strict=True) if not own}
-    held = held_out(found, forms, barred)
+    held = held_out(found, forms, barred, () if unnamed is None else unnamed.written)
     effects = [effect for own, promise in zip(estimated.effects, promised, strict=True) if promise for effect in own]
-    moved, doubt = at_tool(network.data, network.machine, effects, estimated)
-    # What is not in the file stays: curves that are not promised, and what no cause explains.
+    covariance = _covariance(estimated, effects)
+    # What is not in the file stays: curves that are not promised, and what no effect in it explains.
     stays = [
         float(np.nansum(unwhitened(found.problem, estimated.signature[:, k]) ** 2) / len(network.data))
         for k, own in enumerate(promised)
         if not own
     ]
-    rest = sum(stays) + (0.0 if left is None or not left.depends_on else 3.0 * left.size_um**2)
+    size = 0.0 if left is None or not left.depends_on else left.size_um
+    unseen = 0.0
+    if unnamed is not None and unnamed.effects:
+        effects += unnamed.effects
+        covariance, size = Covariance.of_blocks([covariance, unnamed.covariance]), unnamed.left_um
+        # As far as it is not known it is in the machine as well: what is most likely is smaller than what is.
+        unseen = at_tool(network.data, network.machine, unnamed.effects, unnamed.covariance)[1]
+    moved, doubt = at_tool(network.data, network.machine, effects, covariance)
+    rest = sum(stays) + 3.0 * size**2
+    before, after = residuals
     return Gain(
         rms(before, network.read),
         rms(after, network.read),
         held,
-        float(np.sqrt(moved**2 + rest)),
+        float(np.sqrt(moved**2 + unseen**2 + rest)),
         float(np.sqrt(doubt**2 + rest)),
         tool_mm(network.machine),
     )

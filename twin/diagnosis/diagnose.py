@@ -52,6 +52,7 @@ def diagnose(
     calibration: Calibration | None = None,
     *,
     instrument: Instrument | None = None,
+    empirical: bool = False,
     say: Say | None = None,
 ) -> Diagnosis:
     """Show what the model gets wrong about measured data, and name the cause.
@@ -61,6 +62,8 @@ def diagnose(
         machine: the machine.
         calibration: the model to be judged; the machine file's own if None.
         instrument: what read the data; None where the table's uncertainties or the repeats say how it scatters.
+        empirical: whether what is left unexplained and belongs to the machine extends the calibration too, without a known cause
+            (`twin.diagnosis.extend`).
         say: told what is being done and how far it is.
 
     Raises:
@@ -74,7 +77,7 @@ def diagnose(
         tell("searching", 0.2)
         found = search(placed)
         tell("weighing", 0.7)
-        return account(found, errors)
+        return account(found, errors, empirical=empirical)
 
 
 def search(placed: Readings) -> Findings:

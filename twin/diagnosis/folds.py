@@ -64,6 +64,15 @@ def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> 
             found = at_positions(data, moved)
             if found is not None:
                 return found
+    return in_time(data)
+
+
+def in_time(data: Measurements) -> Parts | None:
+    """Rounds, or blocks of time where there is but one round; None for too few readings.
+
+    Args:
+        data: the measurements.
+    """
     _, group = np.unique(data.round.astype(str), return_inverse=True)
     if group.max() > 0:
         return _drawn("rounds", group.reshape(-1))

@@ -9,16 +9,19 @@ import numpy as np
 
 from twin.budget import volume
 from twin.calibration import Calibration
+from twin.covariance import Covariance
 from twin.diagnosis import payload
-from twin.diagnosis.estimate import Estimate
-from twin.diagnosis.folds import Parts, parts
+from twin.diagnosis.folds import Parts, at_positions, in_time, parts
 from twin.diagnosis.functions import Rows
+from twin.diagnosis.likelihood import Likelihood
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
 from twin.diagnosis.structure import Findings, again
 from twin.distributions import student_isf
 from twin.effects import Effect
+from twin.effects.empirical import Empirical, state_name
+from twin.effects.waves import APPROACH
 from twin.identification.network import Network
 from twin.identification.solve import solve
 from twin.kinematics import Kinematics
@@ -70,7 +73,9 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[read] ** 2)))
 
 
-def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[str, str]]) -> HeldOut | None:
+def held_out(
+    found: Findings, forms: Sequence[Form], barred: Collection[tuple[str, str]], written: Collection[int] = ()
+) -> HeldOut | None:
     """Residuals of readings that the fit has not seen, without and with the causes that are worth their price on the others.
 
     The search begins with the causes that stand; where a period lies or what cannot be is forgotten first. None where nothing can be
@@ -80,6 +85,7 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
         found: the causes and patterns.
         forms: the causes that stand in the end: they decide what is held out (`twin.diagnosis.folds`).
         barred: causes that foretell nothing, for they are not promised.
+        written: numbers of the patterns that are in the file as well.
     """
     problem, pool = found.problem, found.pool
     split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
@@ -88,16 +94,61 @@ def held_out(found: Findings, forms: Sequence[Form], barred: Collection[tuple[st
     if split is None:
         return None
 
-    def judged(small: Pool) -> tuple[Sequence[Form], Sequence[Form]]:
-        kept = again(small, payload.chosen_on(small, forms).forms, found.structure)
-        return (), [form for form in kept if form.key not in barred]
+    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+        kept, likelihood = again(small, payload.chosen_on(small, forms).forms, found.structure)
+        after = foretold(problem, small, [form for form in kept if form.key not in barred])
+        if written and likelihood is not None:
+            after = after + foretold_patterns(likelihood, kept, written)
+        return np.zeros_like(after), after
 
+    return _held_out(pool, split, judged)
+
+
+def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
+    """Residuals of readings held out, with the causes alone and with some patterns beside them, all fitted to the other readings.
+
+    Args:
+        found: the causes and patterns.
+        forms: the causes that stand; the same on every part.
+        written: numbers of the patterns.
+    """
+    problem, structure = found.problem, found.structure
+    network, pool = problem.network, found.pool
+    names = {name for k in written for name in structure.traces[k].pattern.names}
+    # A direction of approach is that of a position as well.
+    axes = {state_name(name).removeprefix(APPROACH) for name in names}
+    moving = [i for i, name in enumerate(network.machine.names) if name in axes]
+    split = at_positions(network.data, moving) if moving else in_time(network.data)
+    if split is None:
+        return None
+
+    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+        named = foretold(problem, small, forms)
+        return named, named + foretold_patterns(Likelihood(small, structure.traces), forms, written)
+
+    return _held_out(pool, split, judged)
+
+
+def _held_out(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> HeldOut | None:
     table = _on_parts(pool, split, judged)
     if table is None:
         return None
     total = table.sum(axis=0)
     before, after = np.sqrt(total[:2] / total[2])
     return HeldOut(split.of, len(table), float(before), float(after), interval(table))
+
+
+def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
+    """(3n,) what some patterns, fitted to a part of the readings beside causes, do to all of them.
+
+    Args:
+        likelihood: the patterns on that part.
+        forms: the causes.
+        written: numbers of the patterns.
+    """
+    which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
+    own = np.isin(likelihood.group[which] // 3, list(written))
+    return likelihood.made(which[own], values[own])
 
 
 def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
@@ -140,19 +191,21 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
         others: the other causes.
         split: the positions.
     """
-    table = _on_parts(pool, split, lambda _: (others, [*others, form]))
+
+    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+        return foretold(pool.problem, small, others), foretold(pool.problem, small, [*others, form])
+
+    table = _on_parts(pool, split, judged)
     return None if table is None else interval(table)
 
 
-def _on_parts(
-    pool: Pool, split: Parts, judged: Callable[[Pool], tuple[Sequence[Form], Sequence[Form]]]
-) -> np.ndarray | None:
-    """(groups, 3) sums of squares of what is held out, µm², with one set of causes and with another, and how many values.
+def _on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+    """(groups, 3) sums of squares of what is held out, µm², with one model and with another, and how many values.
 
     Args:
         pool: all data.
         split: what is held out together.
-        judged: the rest of the data → the two sets, which are fitted to it.
+        judged: the rest of the data → (3n,) what each of two models, fitted to it, does to the whitened readings, all of them.
     """
     problem = pool.problem
     table = np.zeros((int(split.group.max()) + 1, 3))
@@ -163,8 +216,8 @@ def _on_parts(
             return None
         small = pool.on(part)
         squares = []
-        for forms in judged(small):
-            left = part.following(problem.residual - foretold(problem, small, forms)).reshape(-1, 3, 1)[rows]
+        for made in judged(small):
+            left = part.following(problem.residual - made).reshape(-1, 3, 1)[rows]
             squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
@@ -176,14 +229,23 @@ def tool_mm(machine: Machine) -> float:
     return machine.tool_length_mm or TOOL_MM
 
 
-def at_tool(data: Measurements, machine: Machine, effects: Sequence[Effect], found: Estimate) -> tuple[float, float]:
+def at_tool(
+    data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
+) -> tuple[float, float]:
     """RMS at the tool over the volume after compensating, with the old model and with the extended one, executed on the extended one.
 
-    The old model's compensation leaves what the effects do there, to first order; the extended one's what they are uncertain by.
+    The old model's compensation leaves what the effects do there, to first order; the extended one's what they are uncertain by. The
+    volume ends where the range of an empirical effect does.
+
+    Args:
+        data: the measurements, for their temperatures and times.
+        machine: the machine.
+        effects: what was found of it.
+        covariance: of their parameters.
     """
     if not effects:
         return 0.0, 0.0
-    positions = volume(machine, 400)
+    positions = _inside(volume(machine, 400), machine, effects)
     rng = np.random.default_rng(16907)
     state: dict[str, Any] = {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
     state |= {f"approach_{axis.name}": rng.choice([-1.0, 1.0], len(positions)) for axis in machine.axes}
@@ -205,8 +267,25 @@ def at_tool(data: Measurements, machine: Machine, effects: Sequence[Effect], fou
         for effect in effects
         for parameter, own in zip(effect.parameters, effect.derivatives(state), strict=True)
     }
-    known = [name for name in found.covariance.names if name in by_parameter]
-    at = [found.covariance.names.index(name) for name in known]
+    known = [name for name in covariance.names if name in by_parameter]
     columns = np.stack([by_parameter[name] for name in known], axis=2)
-    variance = np.einsum("nip,pq,niq->n", columns, found.covariance.matrix[np.ix_(at, at)], columns)
+    variance = np.sum((columns @ covariance.of(known).matrix) * columns, axis=(1, 2))
     return float(np.sqrt(np.mean(np.sum(whole**2, axis=1)))), float(np.sqrt(np.mean(np.maximum(variance, 0.0))))
+
+
+def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) -> np.ndarray:
+    """(n, axes) positions of the whole volume, brought into the ranges of the empirical effects among some."""
+    found = np.array(positions)
+    for i, axis in enumerate(machine.axes):
+        ranges = [
+            own
+            for effect in effects
+            if isinstance(effect, Empirical)
+            for column, own in effect.ranges.items()
+            if state_name(column) == axis.name
+        ]
+        span = np.ptp(positions[:, i])
+        if ranges and span > 0.0:
+            low, high = max(own[0] for own in ranges), min(own[1] for own in ranges)
+            found[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
+    return found

@@ -190,13 +190,54 @@ class Likelihood:
         """What the patterns explain beside some causes, more than these alone."""
         return model.explained - self.pool.explained_by(forms)
 
+    def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
+        """(columns,) inner products of the patterns' columns with what the causes leave, these fitted alone."""
+        columns, values, _ = self.pool.fitted(forms)
+        return np.asarray(self._slope - self._cross[:, columns] @ values)
+
+    def slope_with(self, residual: np.ndarray) -> np.ndarray:
+        """(columns,) inner products of the patterns' columns with a (3n,) whitened residual, beside the set-up."""
+        problem = self.pool.problem
+        left = problem.project(residual)
+        found = [
+            problem.along(problem.signature(self.columns[start : start + TOGETHER]), left)
+            for start in range(0, len(self.columns), TOGETHER)
+        ]
+        return np.concatenate(found)
+
+    def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the patterns most likely are at some variances, beside causes that stay as they are.
+
+        Args:
+            model: the variances.
+            slope: (columns,) inner products of the patterns' columns with what the causes leave, beside the set-up.
+
+        Returns:
+            Numbers of the k columns whose variance is followed; (k,) how much of each, µm; (k, k) its covariance, µm².
+        """
+        used, deviation, inner = self._followed(model.variances)
+        inverse = np.linalg.inv(inner)
+        covariance = model.scatter * inverse * np.outer(deviation, deviation)
+        return used, deviation * (inverse @ (slope[used] * deviation)), (covariance + covariance.T) / 2.0
+
+    def made(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(3n,) what some columns of the patterns do to the whitened readings, held out or not.
+
+        Args:
+            which: (k,) their numbers.
+            values: (k,) how much of each, µm.
+        """
+        problem = self.pool.problem
+        found = np.zeros(len(problem.residual))
+        for start in range(0, len(which), TOGETHER):
+            some = slice(start, start + TOGETHER)
+            found += problem.signature([self.columns[i] for i in which[some]]) @ values[some]
+        return found
+
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
         problem = self.pool.problem
-        found = np.zeros(len(problem.residual))
-        for start in range(0, len(self.columns), TOGETHER):
-            some = slice(start, start + TOGETHER)
-            found += problem.signature(self.columns[some]) @ model.random[some]
+        found = self.made(np.arange(len(self.columns)), model.random)
         columns = together(forms)
         if len(columns):
             back, _ = pseudo(self.pool.gram(forms))

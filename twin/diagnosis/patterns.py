@@ -1,9 +1,9 @@
 """Patterns that have no name: functions of each column of the table and of each pair of columns, on each side of the machine.
 
 A pattern shifts the targets of one side along the axes of the base frame, or of the frame that carries them. Its functions are
-cosines of increasing order over the range of a column (half waves), whole turns of a rotary axis that turned round, and the
-direction an axis was approached from; of a pair, their products. They see what low polynomials do not: short waves, steps, and
-a reversal that depends on the position.
+those of `twin.effects.waves`: half waves over the range of a column, whole turns of a rotary axis that turned round, the direction an
+axis was approached from; of a pair, their products. They see what low polynomials do not: short waves, steps, and a reversal that
+depends on the position.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 
 from twin.diagnosis.functions import Functions, Rows
 from twin.diagnosis.signatures import Column, Part
-from twin.machine import Machine
+from twin.effects.waves import APPROACH, Waves, terms
+from twin.machine import Axis, Machine
 from twin.measurement import CARRIERS, Measurements, state_of
 from twin.units import UM
 
@@ -32,7 +33,6 @@ LEVELS: Final = (2, 4, 8, 16)
 """Orders up to which a pattern's functions are taken together."""
 TURNED: Final = 300.0
 """Degrees from which on a rotary axis has turned round, and its functions are periodic."""
-APPROACH: Final = "approach_"
 
 
 @final
@@ -41,21 +41,24 @@ class Channel:
     """One column that patterns may depend on.
 
     Attributes:
-        name: in the table (``X_mm``, ``T_bed_degC``, ``approach_X``).
-        values: (n, k) its functions, without the constant.
-        order: (k,) of each.
+        waves: its functions.
+        values: (n, k) of them at the readings.
         paired: highest order in a pair.
     """
 
-    name: str
+    waves: Waves
     values: np.ndarray
-    order: np.ndarray
     paired: int
+
+    @property
+    def name(self) -> str:
+        """In the table (``X_mm``, ``T_bed_degC``, ``approach_X``)."""
+        return self.waves.column
 
     @property
     def direction(self) -> bool:
         """Whether it is the direction of approach: a sign, no position."""
-        return self.name.startswith(APPROACH)
+        return self.waves.kind == "direction"
 
 
 @final
@@ -95,32 +98,32 @@ class Pattern:
     @cached_property
     def order(self) -> np.ndarray:
         """(m,) the higher of the two orders of each function."""
-        return np.concatenate([np.maximum.outer(a, b).ravel() for a, b in self._orders])
+        own = [np.array([0, *waves.half_waves]) for waves in self.waves(self.highest)]
+        return np.max([orders[i] for orders, i in zip(own, self._terms.T, strict=True)], axis=0)
+
+    def waves(self, level: int) -> tuple[Waves, ...]:
+        """The functions of its columns up to an order."""
+        most = min(level, self.highest)
+        if len(self.channels) == 1:
+            return (self.channels[0].waves.up_to(most),)
+        return tuple(channel.waves.up_to(min(channel.paired, most)) for channel in self.channels)
 
     @cached_property
-    def _orders(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        if len(self.channels) == 1:
-            (one,) = self.channels
-            return [(one.order[one.order <= self.highest], np.zeros(1, dtype=int))]
-        first, second = (c.order[c.order <= min(c.paired, self.highest)] for c in self.channels)
-        none = np.zeros(1, dtype=int)
-        if self.channels[0].direction:
-            return [(first, np.concatenate([none, second]))]
-        return [(first, none), (none, second), (first, second)]
+    def _terms(self) -> np.ndarray:
+        return np.array(terms(self.waves(self.highest)))
 
     def at(self, rows: Rows) -> np.ndarray:
         """(rows, m) its functions, zero on the other side."""
         own = self.own[rows, None]
-        if len(self.channels) == 1:
-            (one,) = self.channels
-            return np.asarray(one.values[rows][:, one.order <= self.highest] * own)
-        first, second = (c.values[rows][:, c.order <= min(c.paired, self.highest)] for c in self.channels)
-        products = first[:, :, None] * second[:, None, :]
-        if self.channels[0].direction:
-            found = np.concatenate([first[:, :, None], products], axis=2).reshape(len(first), -1)
-        else:
-            found = np.concatenate([first, second, products.reshape(len(first), -1)], axis=1)
-        return np.asarray(found * own)
+        first, *others = (
+            channel.values[rows][:, : len(waves.half_waves)]
+            for channel, waves in zip(self.channels, self.waves(self.highest), strict=True)
+        )
+        if not others:
+            return np.asarray(first * own)
+        one = np.ones((len(first), 1))
+        pair = [np.concatenate([one, values], axis=1) for values in (first, others[0])]
+        return np.asarray(pair[0][:, self._terms[:, 0]] * pair[1][:, self._terms[:, 1]] * own)
 
     def columns(self, level: int, directions: Sequence[int]) -> list[Column]:
         """Signatures, µm a unit, of the functions up to an order along some directions; those of a direction together."""
@@ -164,26 +167,19 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
         distinct = len(np.unique(np.round(values, 6)))
         if distinct < 2:
             continue
-        if name.startswith(APPROACH):
-            found.append(Channel(name, values[:, None], np.ones(1, dtype=int), 1))
-            continue
-        turned = axis is not None and not axis.linear and np.ptp(values) >= TURNED
-        made, order = _turning(values, distinct) if turned else _waves(values, distinct)
-        label = name if axis is None else f"{axis.name}_{axis.unit}"
-        found.append(Channel(label, made, order, PAIRED if axis is not None else SLOW))
+        waves = _waves(name, axis, values, distinct)
+        paired = 1 if waves.kind == "direction" else PAIRED if axis is not None else SLOW
+        found.append(Channel(waves, np.stack(waves.values(values), axis=1), paired))
     return found
 
 
-def _turning(values: np.ndarray, distinct: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines and sines of whole turns; an order is half a period, as it is of `_waves`."""
-    most = min(ALONE // 2, max((distinct - 1) // 2, 1))
-    angle = np.radians(values)
-    made = np.stack([f(k * angle) for k in range(1, most + 1) for f in (np.cos, np.sin)], axis=1)
-    return made, np.repeat(2 * np.arange(1, most + 1), 2)
-
-
-def _waves(values: np.ndarray, distinct: int) -> tuple[np.ndarray, np.ndarray]:
-    """Half waves over the range."""
-    low, high = float(values.min()), float(values.max())
-    order = np.arange(1, min(ALONE, distinct - 1) + 1)
-    return np.cos(np.pi * order * ((values - low) / (high - low))[:, None]), order
+def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> Waves:
+    """As many functions of a column as its values can tell, of at most `ALONE` half waves."""
+    if name.startswith(APPROACH):
+        return Waves(name, "direction", 1)
+    column = name if axis is None else f"{axis.name}_{axis.unit}"
+    if axis is not None and not axis.linear and np.ptp(values) >= TURNED:
+        return Waves(column, "whole_turns", min(ALONE // 2, max((distinct - 1) // 2, 1)))
+    span = float(values.min()), float(values.max())
+    wrapped = axis is not None and axis.lower is None
+    return Waves(column, "half_waves", min(ALONE, distinct - 1), span, wrapped)

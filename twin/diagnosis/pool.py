@@ -40,6 +40,7 @@ DOUBT: Final = 9.21
 """Twice the log of 100: a rival whose likelihood is less than a hundred times smaller, its price counted, is not ruled out."""
 SAMPLED: Final = 4096
 """Points that are enough to see how forms go with one another."""
+TIE: Final = 1e-6
 BATCH: Final = 48
 """Columns whose inner products with all others are worked out in one pass, at least."""
 
@@ -470,7 +471,8 @@ def _costs(forms: Sequence[Form], level: float, scatter: float) -> np.ndarray:
     found = np.full((len(forms), most + 1), np.inf)
     for form in forms:
         for dof in range(1, len(form.columns) + 1):
-            found[form.index, dof] = cost(float(dof), form.price, level, scatter)
+            # Of forms that do the same, the one of fewest columns, whatever the rounding.
+            found[form.index, dof] = cost(float(dof), form.price, level, scatter) + TIE * len(form.columns)
     return found
 
 

@@ -73,7 +73,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
         parts.append("<h2>What it could be mistaken for</h2>" + _mistaken(diagnosis))
     if diagnosis.unexplained is not None:
         parts.append("<h2>What is left unexplained</h2>" + _left(diagnosis))
-    if diagnosis.causes:
+    if diagnosis.causes or diagnosis.gain is not None:
         parts.append("<h2>What changes when it is modelled</h2>" + _gain(diagnosis))
     parts.append("<h2>What to measure next</h2>" + _next(diagnosis))
     parts.append("<h2>Small print</h2>" + _small_print(diagnosis))
@@ -229,7 +229,7 @@ def _left(diagnosis: Diagnosis) -> str:
     stays = (
         "<p>Compensating what was found is not enough: this part stays, and it may have pulled at the sizes found.</p>"
     )
-    stays = stays if diagnosis.causes else ""
+    stays = stays if diagnosis.causes and not (left.extension and left.extension.written) else ""
     if not left.depends_on:
         return f"<p>{_e(capital(left.evidence))}.</p>{stays}"
     names = listed([column(name) for name in left.depends_on])
@@ -274,11 +274,12 @@ def _gain(diagnosis: Diagnosis) -> str:
     if diagnosis.extended is diagnosis.calibration:
         only = all(cause.origin == "instrument" for cause in diagnosis.causes)
         text += f"<p>It is taken out of the account of the readings and enters no calibration. {NOTHING if only else ''}</p>"
-    elif diagnosis.verdict == "unexplained":
+    elif diagnosis.verdict == "unexplained" and not diagnosis.extended.empirical:
         text += "<p>Not enough to compensate with: something is left that is not in it.</p>"
     else:
+        empirical = " --empirical" if diagnosis.unexplained is not None and diagnosis.unexplained.extension else ""
         text += (
-            "<p>To write the calibration with it, and to use it:</p><pre>twin diagnose … --extended better.yaml\n"
+            f"<p>To write the calibration with it, and to use it:</p><pre>twin diagnose … --extended better.yaml{empirical}\n"
             "twin compensate part.nc -o part.compensated.nc --calibration better.yaml</pre>"
         )
         if any(cause.origin == "instrument" for cause in diagnosis.causes):

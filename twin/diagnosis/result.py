@@ -102,44 +102,6 @@ class Cause:
 
 @final
 @dataclass(frozen=True)
-class Unexplained:
-    """Structure no known effect accounts for.
-
-    Attributes:
-        share: of the excess residual sum of squares.
-        depends_on: columns of the table; none if it is scatter.
-        carrier: ``tool``, ``work`` or ``both``.
-        evidence: one sentence.
-        size_um: RMS a coordinate.
-    """
-
-    share: float
-    depends_on: tuple[str, ...]
-    carrier: str
-    evidence: str
-    size_um: float
-
-
-@final
-@dataclass(frozen=True)
-class Trend:
-    """How much of the misfit goes smoothly with a column, whatever the cause.
-
-    Attributes:
-        column: of the table.
-        carrier: ``tool`` or ``work``.
-        explains: chi² of a few smooth functions of the column.
-        p_value: chance of as much in any column of either side without any cause.
-    """
-
-    column: str
-    carrier: str
-    explains: float
-    p_value: float
-
-
-@final
-@dataclass(frozen=True)
 class HeldOut:
     """Residuals of readings that neither selection nor fit has seen.
 
@@ -165,6 +127,134 @@ class HeldOut:
             "rms_after_um": self.after_um,
             "ci95_um": None if self.ci95_um is None else list(self.ci95_um),
         }
+
+
+@final
+@dataclass(frozen=True)
+class Term:
+    """One pattern without a known cause, as an effect of the calibration.
+
+    Attributes:
+        where: its place: ``tool by X_mm, Y_mm``.
+        along: axes of which frame it shifts along: ``base``, ``tool`` or ``work``.
+        columns: of the table.
+        ranges: lowest and highest value measured, by column; columns whose functions need no range are left out.
+        rms_um: what it does to the readings, RMS a coordinate.
+        reason: why no effect can be made of it; None where it can.
+    """
+
+    where: str
+    along: str
+    columns: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    rms_um: float
+    reason: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON."""
+        return {
+            "where": self.where,
+            "along": self.along,
+            "columns": list(self.columns),
+            "ranges": {column: list(own) for column, own in self.ranges.items()},
+            "rms_um": self.rms_um,
+            "reason": self.reason,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Extension:
+    """Effects made of what is left unexplained (``effect: empirical``): without a known cause.
+
+    Attributes:
+        terms: one a pattern.
+        rms_um: what those that an effect can be made of do to the readings together, RMS a coordinate.
+        held_out: residuals of readings held out, with the named causes alone and with these effects beside them; None where no effect
+            can be made, or nothing can be held out.
+        written: whether they are in the extended calibration: only where held-out readings show that they gain.
+        reason: why they are not; None where they are.
+    """
+
+    terms: tuple[Term, ...]
+    rms_um: float
+    held_out: HeldOut | None
+    written: bool
+    reason: str | None
+
+    @property
+    def made(self) -> tuple[Term, ...]:
+        """The terms that an effect can be made of."""
+        return tuple(term for term in self.terms if term.reason is None)
+
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Of all columns together."""
+        return {column: own for term in self.made for column, own in term.ranges.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON: all terms together first."""
+        return {
+            "where": "; ".join(term.where for term in self.made) or None,
+            "columns": list(dict.fromkeys(column for term in self.made for column in term.columns)),
+            "ranges": {column: list(own) for column, own in self.ranges.items()},
+            "rms_um": self.rms_um,
+            "held_out": None if self.held_out is None else self.held_out.to_dict(),
+            "written": self.written,
+            "reason": self.reason,
+            "terms": [term.to_dict() for term in self.terms],
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Unexplained:
+    """Structure no known effect accounts for.
+
+    Attributes:
+        share: of the excess residual sum of squares.
+        depends_on: columns of the table; none if it is scatter.
+        carrier: ``tool``, ``work`` or ``both``.
+        evidence: one sentence.
+        size_um: RMS a coordinate.
+        extension: effects made of it; None where they were not asked for.
+    """
+
+    share: float
+    depends_on: tuple[str, ...]
+    carrier: str
+    evidence: str
+    size_um: float
+    extension: Extension | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in the JSON."""
+        return {
+            "share": self.share,
+            "depends_on": list(self.depends_on),
+            "carrier": self.carrier,
+            "evidence": self.evidence,
+            "size_um": self.size_um,
+            "extension": None if self.extension is None else self.extension.to_dict(),
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Trend:
+    """How much of the misfit goes smoothly with a column, whatever the cause.
+
+    Attributes:
+        column: of the table.
+        carrier: ``tool`` or ``work``.
+        explains: chi² of a few smooth functions of the column.
+        p_value: chance of as much in any column of either side without any cause.
+    """
+
+    column: str
+    carrier: str
+    explains: float
+    p_value: float
 
 
 @final
@@ -204,7 +294,7 @@ class Diagnosis:
         unidentifiable: (effect, where) that these data could not show, however large.
         looks_like: what looks the same as each of them, in words.
         not_evaluated: (effect, where, column that is missing).
-        gain: None where nothing was found.
+        gain: None where nothing was found, named or written without a name.
         next_measurement: points worth measuring next, with what they would tell.
         trends: where the misfit is, by column and side, clearest first; what could be chance is left out.
         ranking: (effect, where, what it explains, p-value) of the causes tried alone, best first.
@@ -263,15 +353,7 @@ class Diagnosis:
                 "p_value": self.p_value,
             },
             "causes": [cause.to_dict() for cause in self.causes],
-            "unexplained": None
-            if self.unexplained is None
-            else {
-                "share": self.unexplained.share,
-                "depends_on": list(self.unexplained.depends_on),
-                "carrier": self.unexplained.carrier,
-                "evidence": self.unexplained.evidence,
-                "size_um": self.unexplained.size_um,
-            },
+            "unexplained": None if self.unexplained is None else self.unexplained.to_dict(),
             "unidentifiable": [
                 {"effect": effect, "where": where, "because": self.looks_like.get((effect, where), "")}
                 for effect, where in self.unidentifiable

@@ -141,8 +141,8 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
     return Structure(found.forms, found.likelihood, found.model, found.problem, fallen, patterned)
 
 
-def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[Form, ...]:
-    """Causes as they stand on a part of the data, beside the patterns that were found on all of it.
+def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
+    """Causes as they stand on a part of the data, beside the patterns that were found on all of it, and the likelihood of those.
 
     Args:
         pool: the part.
@@ -150,11 +150,11 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[Form, ..
         found: the account of all data.
     """
     if not found.traces:
-        return tuple(forms)
+        return tuple(forms), None
     likelihood = Likelihood(pool, found.traces)
     if found.patterned:
-        return tuple(_stepwise(likelihood, [], set())[0])
-    return tuple(without_parts(likelihood, forms, likelihood.fit(forms)))
+        return tuple(_stepwise(likelihood, [], set())[0]), likelihood
+    return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
 def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:

@@ -8,13 +8,14 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin.diagnosis.result import Cause, Diagnosis
+from twin.diagnosis.result import Cause, Diagnosis, Extension
 from twin.diagnosis.words import (
     INSTRUMENTS,
     advice,
     capital,
     column,
     contests,
+    held_out_words,
     kind,
     listed,
     lower,
@@ -98,7 +99,39 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             found.append((plain(one.effect, one.where), f"{look} {to_do(one)}"))
         if any(one.origin == "instrument" for one in causes):
             found.append(("Beware", "Compensate nothing of what belongs to the instrument."))
-    return [fact for fact in found if fact[1]]
+    return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
+
+
+def extended(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """What was made of what is left unexplained, or why nothing was; nothing where it was not asked for."""
+    left = diagnosis.unexplained
+    if left is None or left.extension is None:
+        return []
+    made = left.extension
+    if not made.written:
+        return [("Not extended", f"What is left unexplained is not written: {made.reason}.")]
+    names = " and ".join(f"“{term.where}”" for term in made.made)
+    text = (
+        f"{names} is in the extended calibration without a known cause. It corrects what was measured, {inside(made)}; it says "
+        "nothing outside, where it is refused. If the instrument did it and not the machine, it makes parts worse."
+    )
+    held = made.held_out
+    if held is not None and held.ci95_um is not None:
+        low, high = held.ci95_um
+        text += (
+            f" On {held_out_words(held.of)} held out it takes the residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
+            f"(less by {low:.2g} to {high:.2g}, 95 %)."
+        )
+    others = [str(term.reason) for term in made.terms if term.reason is not None]
+    if others:
+        text += f" Another part of what is left is not written: {'; '.join(others)}."
+    return [("Extended", text)]
+
+
+def inside(made: Extension) -> str:
+    """The ranges it holds in: ``inside X_mm 0 to 500 and Y_mm 0 to 450``."""
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in made.ranges.items()]
+    return f"inside {' and '.join(ranges)}" if ranges else "at all angles"
 
 
 def advised(cause: Cause) -> list[tuple[str, str]]:
@@ -132,7 +165,7 @@ def moves(cause: Cause) -> str:
 
 def restless(diagnosis: Diagnosis) -> bool:
     """Whether the readings scatter more than stated, whatever is taken out of them."""
-    if diagnosis.gain is None or diagnosis.unexplained is None:
+    if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
         return False
     ratio = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
     # Five standard deviations of a mean square, and enough to matter.
@@ -153,11 +186,19 @@ def _at_tool(diagnosis: Diagnosis) -> str:
     if gain is None or gain.tool_before_um <= 0.0:
         return ""
     made = f"{gain.tool_before_um:.2g} µm (RMS over the working volume)"
+    if _written(diagnosis):
+        return f"{made}, inside the range measured. Compensated it leaves {gain.tool_after_um:.2g} µm there."
     if diagnosis.verdict == "unexplained":
         return f"What was found makes {made}; what the rest makes is not known."
     given = ", if it is this," if diagnosis.verdict == "ambiguous" else ""
     left = f"Compensated{given} it leaves {gain.tool_after_um:.2g} µm."
     return f"{made}. {left} It matters where a tolerance is not several times larger."
+
+
+def _written(diagnosis: Diagnosis) -> bool:
+    """Whether what is left unexplained is in the extended calibration."""
+    left = diagnosis.unexplained
+    return left is not None and left.extension is not None and left.extension.written
 
 
 def _when_unexplained(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -187,7 +228,9 @@ def _when_unexplained(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ]
     names = listed([column(name) for name in left.depends_on])
     beware = "Do not compensate and do not repair at a guess: nothing that is known here does this."
-    if diagnosis.causes:
+    if _written(diagnosis):
+        beware = "Do not repair at a guess: nothing that is known here does this. What is compensated may change with its cause."
+    elif diagnosis.causes:
         beware = "Compensating what was found is not enough: the rest stays, and it may have pulled at the sizes found."
     return [
         ("Left over", f"{share} goes with {names} ({side(left.carrier)})."),

@@ -4,6 +4,7 @@ from twin.effects.along import PitchError, Reversal, ZeroOffset
 from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
 from twin.effects.control import ControlCorrection
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
+from twin.effects.empirical import Empirical
 from twin.effects.error_motion import ErrorMotion
 from twin.effects.load import GravityCompliance, Payload
 from twin.effects.location import AxisLocation
@@ -15,6 +16,7 @@ __all__ = [
     "ControlCorrection",
     "CrossAxis",
     "Effect",
+    "Empirical",
     "ErrorMotion",
     "Frame",
     "GravityCompliance",
