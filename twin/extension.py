@@ -23,6 +23,7 @@ from twin.effects import (
     Harmonic,
     PitchError,
     Reversal,
+    SteadyDrift,
     TableLoad,
     ThermalDrift,
     ThermalExpansion,
@@ -96,7 +97,7 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
             value=effect,
             nearest=nearest(effect, PARAMETERS),
         )
-    wanted = PARAMETERS[effect]
+    wanted = STEADY if effect == "thermal_drift" and set(numbers) == set(STEADY) else PARAMETERS[effect]
     if set(numbers) != set(wanted):
         raise InputError(
             f"parameters of {effect} {where}",
@@ -122,6 +123,8 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
         vector = base_vector(first[1], direction)
         if effect == "thermal_growth":
             return ThermalGrowth(first[0], direction, vector, sensor, value[0])
+        if wanted == STEADY:
+            return SteadyDrift(first[0], direction, vector, value[0])
         return ThermalDrift(first[0], direction, vector, *value)
     if effect == "table_load":
         axis = _axis(machine, effect, where, linear=False)
@@ -161,6 +164,9 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "cross_axis": ("coefficient",),
 }
 """Linear and non-linear parameters of every effect that is no curve, squareness or location."""
+
+STEADY = ("rate",)
+"""Parameters of a ``thermal_drift`` in a straight line, µm/h: its time constant is longer than the record it was found in."""
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:

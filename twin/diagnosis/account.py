@@ -187,6 +187,9 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Whether a parameter stands where it cannot go further."""
     tried = [cell.fixed["time_constant"] for cell in form.candidate.cells if "time_constant" in cell.fixed]
     limits = {"time_constant": max(tried, default=np.inf)}
+    if form.candidate.drift is not None and not form.candidate.drift.straight:
+        # In a straight line: its time constant is beyond the record.
+        return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
     return any(abs(q.value) >= AT_BOUND * limits.get(q.name, form.candidate.largest) for q in quantities)
 
 
@@ -371,14 +374,44 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
             worth = float(explained - pool.cost(pool.forms[i], dof))
-            if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
+            elsewhere = pool.forms[i].candidate.origin != form.candidate.origin
+            more = dof > own and not elsewhere
+            if worth > margin - DOUBT and more and pool.contains([*others, pool.forms[i]], others, form):
                 continue  # the same thing, said with more
             if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
                 continue
             if worth > margin - DOUBT and excessive(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
                 continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
-    return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
+    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT]
+    return tuple(dict.fromkeys([*keys, *_several(pool, form, others)]))
+
+
+def _several(pool: Pool, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
+    """Causes of one effect that explain together, with no more numbers, what one cause of the other origin does.
+
+    A station that drifts along three directions, and a tool side that does so along each.
+    """
+    explained, _ = pool.scan(others)
+    used = {one.key for one in others} | {form.key}
+    by_effect: dict[str, dict[tuple[str, str], Form]] = {}
+    for one in pool.forms:
+        if one.candidate.origin != form.candidate.origin and one.key not in used and len(one.columns) == 1:
+            best = by_effect.setdefault(one.candidate.effect, {})
+            if one.key not in best or explained[one.index] > explained[best[one.key].index]:
+                best[one.key] = one
+    whole = pool.explained_by([*others, form])
+    keys: list[tuple[str, str]] = []
+    for group in (list(best.values()) for best in by_effect.values()):
+        if not 1 < len(group) <= len(form.columns):
+            continue
+        together = pool.explained_by([*others, *group])
+        if together < whole - DOUBT:
+            continue
+        for one in group:
+            if pool.explained_by([*others, *(other for other in group if other is not one)]) < together - DOUBT:
+                keys.append(one.key)
+    return keys
 
 
 def _margin(pool: Pool, form: Form, others: Sequence[Form]) -> float:

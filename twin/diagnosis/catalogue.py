@@ -11,6 +11,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.curves import POWER
 from twin.diagnosis.bounds import largest
+from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given, pieces
 from twin.diagnosis.signatures import (
@@ -21,7 +22,6 @@ from twin.diagnosis.signatures import (
     first_component,
     of_components,
     of_effect,
-    of_units,
     of_values,
 )
 from twin.effects import (
@@ -57,7 +57,6 @@ ALIKE: Final = 0.5
 LOOKED_AT: Final = 500
 """Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
-TIME_CONSTANTS: Final = 36
 AT_HAND: Final = 64
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
@@ -91,6 +90,7 @@ class Candidate:
         tests: how many independent ones that is, for the price of the search.
         space: the functions a curve's columns are, if it is one.
         largest: magnitude its linear parameters can have on a real machine, in their unit.
+        drift: its columns at any time constant, if it is one.
         build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
     """
 
@@ -103,6 +103,7 @@ class Candidate:
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
     space: CurveSpace | None = None
     largest: float = np.inf
+    drift: Drift | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -465,22 +466,24 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
         if "time_s" not in state:
             missing.append(("thermal_drift", direction, "time_s"))
             continue
-        span = max(float(np.ptp(state["time_s"])), 1.0)
-        # Longer than the measurement none can be distinguished from a straight line.
-        constants = np.geomspace(span / 40.0, span, TIME_CONSTANTS).tolist()
-        units = of_units([ThermalDrift(frame, direction, vector, 1.0, tau) for tau in constants], machine, state)
-        cells = tuple(Cell((unit,), {"time_constant": tau}) for tau, unit in zip(constants, units, strict=True))
+        creep = ThermalDrift(frame, direction, vector, 1.0, 1.0)
+        drift = of_machine(creep, machine, state)
 
-        def build(
-            values: np.ndarray,
-            fixed: Mapping[str, float],
-            direction: str = direction,
-            vector: tuple[float, float, float] = vector,
-        ) -> tuple[Effect, ...]:
-            return (ThermalDrift(frame, direction, vector, float(values[0]), fixed["time_constant"]),)
+        def build(values: np.ndarray, fixed: Mapping[str, float], creep: ThermalDrift = creep) -> tuple[Effect, ...]:
+            if "time_constant" in fixed:
+                return (creep.changed(float(values[0]), fixed["time_constant"]),)
+            return (creep.steady(float(values[0])),)
 
-        found.append(Candidate("thermal_drift", direction, "machine", (("amplitude", "um"),), cells, 3.0, build))
+        names = (("amplitude", "um"),)
+        cells = _drifting(drift)
+        found.append(Candidate("thermal_drift", direction, "machine", names, cells, 3.0, build, drift=drift))
     return found
+
+
+def _drifting(drift: Drift) -> tuple[Cell, ...]:
+    """A straight line, and exponentials."""
+    bent = (Cell(drift.columns(constant), {"time_constant": constant}) for constant in drift.constants)
+    return (Cell(drift.columns(STRAIGHT)), *bent)
 
 
 def _loads(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
@@ -571,14 +574,10 @@ def _instrument(
         )
     )
     if "time_s" in state:
-        hours = (state["time_s"] - state["time_s"].min()) / 3600.0
         for name in stations:
-            mask = hours * (data.station == name)
-            shift = reading(
-                [("base", i) for i in range(3)], mask, -UM, LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
-            )
+            drift = of_station(state["time_s"], data.station == name)
             names = tuple((f"rate_{a}", "um/h") for a in "xyz")
-            found.append(Candidate("station_drift", name, "instrument", names, (Cell(shift),), 1.0))
+            found.append(Candidate("station_drift", name, "instrument", names, _drifting(drift), 3.0, drift=drift))
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
     for i, axis in enumerate(machine.axes):

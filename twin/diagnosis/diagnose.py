@@ -22,7 +22,7 @@ from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, settled
-from twin.effects import PitchError, ThermalDrift
+from twin.effects import PitchError
 from twin.identification.outliers import outliers
 from twin.instruments import Instrument
 from twin.machine import Machine
@@ -178,13 +178,12 @@ class Searcher:
             if form not in large or not any(put.values()):
                 continue
             moved = True
-            if isinstance(effects[0], PitchError):
+            if effects and isinstance(effects[0], PitchError):
                 pitch = effects[0]
                 sine, cosine = (PitchError(pitch.axis, 1.0, pitch.period, phase) for phase in (0.0, np.pi / 2.0))
                 columns = of_unit(sine, machine, state), of_unit(cosine, machine, state)
                 self.pool.refine(form, Cell(columns, {"period": pitch.period}))
-            elif isinstance(effects[0], ThermalDrift):
-                constant = effects[0].time_constant
-                column = of_unit(effects[0].changed(1.0, constant), machine, state)
-                self.pool.refine(form, Cell((column,), {"time_constant": constant}))
+            elif form.candidate.drift is not None:
+                constant = next(q.value for q in quantities if q.name == "time_constant")
+                self.pool.refine(form, Cell(form.candidate.drift.columns(constant), {"time_constant": constant}))
         return moved

@@ -8,7 +8,7 @@ from twin.effects.error_motion import ErrorMotion
 from twin.effects.load import GravityCompliance
 from twin.effects.location import AxisLocation
 from twin.effects.squareness import Squareness
-from twin.effects.thermal import ThermalDrift, ThermalExpansion, ThermalGrowth
+from twin.effects.thermal import SteadyDrift, ThermalDrift, ThermalExpansion, ThermalGrowth
 
 __all__ = [
     "AxisLocation",
@@ -23,6 +23,7 @@ __all__ = [
     "PitchError",
     "Reversal",
     "Squareness",
+    "SteadyDrift",
     "TableLoad",
     "ThermalDrift",
     "ThermalExpansion",
