@@ -247,6 +247,14 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
             seen = turned + mask * 1e-3 * np.array([v[f"shift_{a}"] for a in "xyz"])
         elif h.effect == "refraction_scale":
             seen = seen * (1.0 + v["scale"] * 1e-6)
+        elif h.effect == "affine_scale":
+            kind, name = h.where.split(" ")
+            mask = of.station == name if kind == "station" else of.round == name
+            shears = np.array([[0.0, v["shear_xy"], v["shear_xz"]], [0.0, 0.0, v["shear_yz"]], [0.0] * 3])
+            strain = 1e-6 * (np.diag([v["scale_x"], v["scale_y"], v["scale_z"]]) + 0.5 * (shears + shears.T))
+            # A station is read about its origin; in a round the instrument was aligned anew, about the middle of what it reads.
+            middle = np.zeros(3) if kind == "station" else seen[mask].mean(axis=0)
+            seen = seen + mask[:, None] * ((seen - middle) @ strain)
     return seen
 
 

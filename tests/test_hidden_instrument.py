@@ -13,6 +13,7 @@ import pytest
 
 from tests import hidden
 from tests.hidden import Hidden, Plan
+from tests.real import plates
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine import Machine
@@ -99,3 +100,71 @@ def test_a_straight_drift_goes_into_the_calibration_as_a_rate(look: Callable[...
     (rate,) = effect.parameters
     assert (rate.name, rate.unit) == ("thermal_drift:Z.rate", "um/h")
     assert effect.components({"time_s": np.array([0.0, 1800.0])})[2] == pytest.approx([0.0, rate.value / 2.0])
+
+
+AFFINE = dict(scale_x=-40.0, scale_y=25.0, scale_z=15.0, shear_xy=30.0, shear_xz=-20.0, shear_yz=10.0)
+
+
+@pytest.mark.parametrize("where", ["station 2", "round 2"])
+def test_an_instrument_is_affine(dmu50: Machine, tmp_path: Path, where: str) -> None:
+    rng = np.random.default_rng(51)
+    of = hidden.rounded(hidden.plan(rng, poses=POSES, stations=2 if "station" in where else 1))
+    truth = one("affine_scale", where, **AFFINE)
+    result = measured(tmp_path, dmu50, of, hidden.points(of, [truth]), rng)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where, cause.origin, cause.equivalent) == ("affine_scale", where, "instrument", ())
+    assert result.extended is result.calibration
+    found = {q.name: q for q in cause.parameters}
+    assert max(abs(found[name].value - value) / found[name].u for name, value in AFFINE.items()) < 3.0
+
+
+def plate(folder: Path, rng: np.random.Generator, strain: np.ndarray, *, station: str = "B", turn: float = 0.3) -> Path:
+    """One plate of 15 × 11 holes, read on two coordinate measuring machines in x and y; one of them is affine, (2, 2)."""
+    x, y = (a.reshape(-1) for a in np.meshgrid(np.linspace(-280.0, 280.0, 15), np.linspace(-200.0, 200.0, 11)))
+    holes = np.stack([x, y], axis=1)
+    lines = ["X_mm,Y_mm,target,carrier,station,x_mm,y_mm,z_mm,u_x_mm,u_y_mm"]
+    for name, angle, shift in (("A", 0.0, (10.0, -5.0)), ("B", turn, (300.0, 210.0))):
+        into = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        read = holes @ into.T + shift
+        read = read + (read @ strain if name == station else 0.0) + 1e-3 * rng.standard_normal(read.shape)
+        lines += [f"{X},{Y},drill,tool,{name},{a},{b},,0.001,0.001" for (X, Y), (a, b) in zip(holes, read, strict=True)]
+    path = folder / "plate.csv"
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return path
+
+
+def test_two_coordinate_measuring_machines_differ(tmp_path: Path) -> None:
+    """By 10.6 ppm along x and 13.9 µrad, as two real ones did; of a plate read in x and y three numbers are known."""
+    machine = Machine.load(plates.write_machine(tmp_path))
+    strain = 1e-6 * np.array([[-10.6, -13.9 / 2.0], [-13.9 / 2.0, 0.0]])
+    path = plate(tmp_path, np.random.default_rng(52), strain)
+    result = diagnose(load(path, machine), machine, Calibration.zero(machine))
+    (cause,) = result.causes
+    assert (cause.effect, cause.where, cause.origin) == ("affine_scale", "station B", "instrument")
+    found = {q.name: q for q in cause.parameters}
+    assert set(found) == {"scale_x", "scale_y", "shear_xy"}
+    for name, value in {"scale_x": -10.6, "scale_y": 0.0, "shear_xy": -13.9}.items():
+        assert abs(found[name].value - value) < 3.0 * found[name].u
+    assert result.extended is result.calibration
+
+
+def test_one_instrument_alone_is_not_blamed_for_what_the_machine_may_do(tmp_path: Path) -> None:
+    """With one station and one round the machine's scale is the same thing: no affine error of the instrument is tried."""
+    machine = Machine.load(plates.write_machine(tmp_path))
+    strain = 1e-6 * np.array([[40.0, 0.0], [0.0, 0.0]])
+    path = plate(tmp_path, np.random.default_rng(53), strain, turn=0.0)
+    data = load(path, machine)
+    result = diagnose(data.select(data.station == "B"), machine, Calibration.zero(machine))
+    assert "affine_scale" not in {effect for effect, _, _, _ in result.ranking}
+    assert ("positioning", "E_XX") in {(cause.effect, cause.where) for cause in result.causes}
+
+
+def test_equal_scales_of_the_only_affine_station_are_told_as_refraction_too(tmp_path: Path) -> None:
+    """A scale of station A, read about one place only by B: all lengths may be read too long as well."""
+    machine = Machine.load(plates.write_machine(tmp_path))
+    path = plate(tmp_path, np.random.default_rng(54), 12e-6 * np.eye(2), station="A")
+    data = load(path, machine)
+    few = (data.station == "A") | (np.abs(data.positions) < 60.0).all(axis=1)
+    (cause,) = diagnose(data.select(few), machine, Calibration.zero(machine)).causes
+    group = {(cause.effect, cause.where), *cause.equivalent}
+    assert {("refraction_scale", "—"), ("affine_scale", "station A")} <= group

@@ -26,6 +26,7 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("gravity_compliance", "urad/(N.m)"): 200.0,
     ("gravity_compliance", "um/N"): 1.0,
     ("refraction_scale", "ppm"): 20.0,
+    ("affine_scale", "ppm"): 200.0,
 }
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import POWER
+from twin.diagnosis.affine import affine_errors
 from twin.diagnosis.bounds import largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
@@ -573,6 +574,9 @@ def _instrument(
             1.0,
         )
     )
+    for one in affine_errors(data):
+        cells = tuple(Cell(form) for form in one.forms)
+        found.append(Candidate("affine_scale", one.where, "instrument", one.names, cells, float(len(cells))))
     if "time_s" in state:
         for name in stations:
             drift = of_station(state["time_s"], data.station == name)

@@ -48,7 +48,14 @@ class Advice:
     never: str
 
 
-INSTRUMENTS: Final = ("frame_shift", "target_shift", "station_drift", "refraction_scale", "read_back")
+INSTRUMENTS: Final = (
+    "frame_shift",
+    "target_shift",
+    "station_drift",
+    "refraction_scale",
+    "affine_scale",
+    "read_back",
+)
 
 
 def kind(effect: str, origin: str) -> Kind:
@@ -377,6 +384,7 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
         "read_back": lambda where: f"reported positions of {where} were read too early",
         "following_error": lambda where: f"{where} stopped short of where it was told to go",
         "refraction_scale": lambda where: "all lengths read too long or too short",
+        "affine_scale": lambda where: f"scales and right angles of the instrument off ({where})",
         "station_drift": lambda where: f"instrument at station {where} creeps",
         "target_shift": _bumped,
         "misplaced": _filed,
@@ -400,6 +408,7 @@ FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
         "zero_offset": "zeros of axes",
         "read_back": "whether the control's reports can be trusted",
         "refraction_scale": "scale of all lengths",
+        "affine_scale": "scales and right angles of the instrument",
         "station_drift": "creep of the instrument",
         "target_shift": "displaced targets",
         "misplaced": "curves of the calibration in the wrong place",
@@ -499,6 +508,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         "refraction_scale": (
             "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.",
             "Use the rest: it has been taken out of the account.",
+            NOTHING,
+        ),
+        "affine_scale": (
+            "Who measured: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
+            "Use the rest: it has been taken out of the account. Better, measure again with an instrument that was checked.",
             NOTHING,
         ),
         "station_drift": (
