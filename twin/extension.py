@@ -23,6 +23,7 @@ from twin.effects import (
     Harmonic,
     PitchError,
     Reversal,
+    ReversalCurve,
     SteadyDrift,
     TableLoad,
     ThermalDrift,
@@ -97,7 +98,7 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
             value=effect,
             nearest=nearest(effect, PARAMETERS),
         )
-    wanted = STEADY if effect == "thermal_drift" and set(numbers) == set(STEADY) else PARAMETERS[effect]
+    wanted = _parameters(effect, numbers)
     if set(numbers) != set(wanted):
         raise InputError(
             f"parameters of {effect} {where}",
@@ -111,6 +112,11 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
         if effect == "gravity_compliance":
             return GravityCompliance(axis, load_of(machine, where), value[0])
         return Reversal(axis, value[0]) if effect == "reversal" else ZeroOffset(axis, value[0])
+    if effect == "reversal_curve":
+        axis = _axis(machine, effect, where)
+        if axis.lower is None or axis.upper is None:
+            raise InputError("no such place for reversal_curve", expected="an axis of limited range", value=where)
+        return ReversalCurve(axis, tuple(value))
     if effect in ("pitch_error", "thermal_expansion"):
         axis = _axis(machine, effect, where, linear=True)
         return PitchError(axis, *value) if effect == "pitch_error" else ThermalExpansion(axis, value[0])
@@ -153,6 +159,7 @@ def effect_named(effect: str, where: str, numbers: Mapping[str, float], machine:
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "reversal": ("size",),
+    "reversal_curve": ("c0", "c1"),
     "zero_offset": ("offset",),
     "gravity_compliance": ("compliance",),
     "pitch_error": ("amplitude", "period", "phase"),
@@ -163,10 +170,19 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "harmonic": ("order", "cos", "sin"),
     "cross_axis": ("coefficient",),
 }
-"""Linear and non-linear parameters of every effect that is no curve, squareness or location."""
+"""Linear and non-linear parameters of every effect that is no curve, squareness or location; a ``reversal_curve`` may have more."""
 
 STEADY = ("rate",)
 """Parameters of a ``thermal_drift`` in a straight line, µm/h: its time constant is longer than the record it was found in."""
+
+
+def _parameters(effect: str, numbers: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the parameters that an effect has to have, of the forms it can take the one that is meant."""
+    if effect == "thermal_drift" and set(numbers) == set(STEADY):
+        return STEADY
+    if effect == "reversal_curve" and numbers:
+        return tuple(f"c{k}" for k in range(len(numbers)))
+    return PARAMETERS[effect]
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:

@@ -16,8 +16,7 @@ from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.evidence import curve_flaw, evidence
-from twin.diagnosis.folds import at_positions
-from twin.diagnosis.gain import at_tool, held_out, of_file, plain, positions_held_out, rms, tool_mm, unwhitened
+from twin.diagnosis.gain import at_tool, foretells, held_out, of_file, plain, rms, tool_mm, unwhitened
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
@@ -25,12 +24,13 @@ from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
+from twin.diagnosis.reversals import told_with_more
 from twin.diagnosis.search import excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
 from twin.distributions import chi2_sf, f_log_sf, f_sf
-from twin.effects import Effect, split_name
+from twin.effects import Effect
 from twin.units import UM
 
 SEEN_AT: Final = 0.05
@@ -40,11 +40,7 @@ SMALL: Final = 0.01
 """Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
 MOSTLY_EXPLAINED: Final = 0.1
 """Share of the excess that causes may leave and still count as the explanation."""
-CURVES: Final = ("positioning", "straightness", "angular_error_motion", "error_motion", "pitch_error", "harmonic")
-"""Effects that are a function of one axis's position."""
 AT_BOUND: Final = 0.99
-DENSE: Final = 20
-"""Positions of an axis from which on what repeats at them holds between them as well."""
 RANKED: Final = 12
 RIVALS: Final = 2
 """Rivals of a cause for which points are suggested."""
@@ -63,7 +59,7 @@ def account(found: Findings, calibration: Calibration) -> Diagnosis:
     forms, estimated, dropped = _sized(found)
     beside = [found.beside.forms[form.index] for form in forms]
     excess = max(problem.chi2 - problem.dof, estimated.explained, 1e-30)
-    promised = [_promised(pool, form, forms) for form in forms]
+    promised = [foretells(pool, form, forms) for form in forms]
     causes = [_cause(found, beside, forms, estimated, k, excess, calibration, promised[k]) for k in range(len(forms))]
     # Beside patterns the variances hold what a cause can imitate: the likelihood has decided, and no posterior is given.
     comparison = None if found.structure.traces else _compared(found, forms, causes)
@@ -193,23 +189,6 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     return any(abs(q.value) >= AT_BOUND * limits.get(q.name, form.candidate.largest) for q in quantities)
 
 
-def _promised(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
-    """Whether a function of an axis's position foretells positions of that axis that were left out of its fit."""
-    if form.candidate.effect not in CURVES:
-        return True
-    machine, data = pool.problem.network.machine, pool.problem.network.data
-    axis = machine.names.index(
-        split_name(form.candidate.where)[2] if "_" in form.candidate.where else form.candidate.where
-    )
-    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
-        return True
-    split = at_positions(data, [axis])
-    if split is None:
-        return False
-    gained = positions_held_out(pool, form, [one for one in forms if one is not form], split)
-    return gained is not None and gained[0] > 0.0
-
-
 def _log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """Log of a cause's chance, its price paid, where all that causes leave counts as scatter, be it a pattern or not."""
     explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
@@ -243,7 +222,9 @@ def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:
 
 
 def _compared(found: Findings, forms: Sequence[Form], causes: Sequence[Cause]) -> Comparison:
-    groups = [(form.key, *cause.equivalent) for form, cause in zip(forms, causes, strict=True)]
+    groups = [
+        (form.key, *cause.equivalent, *told_with_more(form.key)) for form, cause in zip(forms, causes, strict=True)
+    ]
     return compared(second_opinion(found.pool, found.structure.forms), groups)
 
 

@@ -14,6 +14,8 @@ import numpy as np
 POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("reversal", "um"): 1000.0,
     ("reversal", "urad"): 5000.0,
+    ("reversal_curve", "um"): 1000.0,
+    ("reversal_curve", "urad"): 5000.0,
     ("pitch_error", "um"): 500.0,
     ("squareness", "urad"): 10_000.0,
     ("axis_location", "um"): 20_000.0,

@@ -15,6 +15,7 @@ from twin.diagnosis.bounds import largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given, pieces
+from twin.diagnosis.reversals import VARYING, lost_motion
 from twin.diagnosis.signatures import (
     LARGEST,
     Column,
@@ -34,6 +35,7 @@ from twin.effects import (
     Harmonic,
     PitchError,
     Reversal,
+    ReversalCurve,
     Squareness,
     TableLoad,
     ThermalDrift,
@@ -167,6 +169,7 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
             )
         else:
             missing.append(("thermal_expansion", axis.name, f"T_{axis.name}_degC"))
+    found += _reversal_curves(machine, state)
     found += _constants(machine, state)
     found += _curves(machine, state, calibration)
     found += _harmonics(machine, data, state)
@@ -193,6 +196,33 @@ def _single(
 def _re(kind: Callable[..., Effect], *first: Any) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
     """The effect with its one linear parameter as found."""
     return lambda values, fixed: (kind(*first, float(values[0])),)
+
+
+def _reversal_curves(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+    """Reversals that change along the travel, of axes of limited range whose approach is known."""
+    found = []
+    for axis in machine.axes:
+        if f"approach_{axis.name}" not in state or axis.lower is None or axis.upper is None:
+            continue
+        curve = lost_motion(axis, state[axis.name], state[f"approach_{axis.name}"])
+        if curve is None:
+            continue
+        space, functions = curve
+        at = first_component(machine, axis.name) + (0 if axis.linear else 3)
+        along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
+        columns = [of_components([(i, functions, k, part) for i, part in along]) for k in range(space.count)]
+
+        def build(
+            values: np.ndarray, fixed: Mapping[str, float], axis: Axis = axis, space: CurveSpace = space
+        ) -> tuple[Effect, ...]:
+            n = len(values)
+            return (ReversalCurve(axis, tuple(float(v) for v in space.transform[:n, :n] @ values)),)
+
+        cells = tuple(Cell(tuple(columns[: degree + 1])) for degree in range(1, space.count))
+        names = tuple((f"g{k}", "um" if axis.linear else "urad") for k in range(space.count))
+        tests = float(space.count - 1)
+        found.append(Candidate(VARYING, axis.name, "machine", names, cells, tests, build, space))
+    return found
 
 
 def _turned(name: str, axis: Axis) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:

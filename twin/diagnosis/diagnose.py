@@ -13,12 +13,14 @@ from twin.diagnosis.account import account
 from twin.diagnosis.catalogue import Catalogue, Cell
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.folds import parts
+from twin.diagnosis.gain import foretells
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import patterns
 from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
+from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.search import GRIDDED, Selection, chosen, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, settled
@@ -142,6 +144,14 @@ class Searcher:
     def run(self) -> Findings:
         """The best set of causes, and the patterns without a name that stand beside them."""
         found = settled(self.pool, self._best().forms, self.patterns)
+        # What a reversal does between positions is asked of positions left out: refuted there, it is the plain reversal and a rest.
+        while refuted := [
+            form
+            for form in found.forms
+            if form.candidate.effect == VARYING and not foretells(self.pool, form, found.forms)
+        ]:
+            self.pool.forbid({form.key for form in refuted})
+            found = settled(self.pool, self._best().forms, self.patterns)
         beside = self.pool.beside(found.problem) if found.traces else self.pool
         return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found)
 

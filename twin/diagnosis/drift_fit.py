@@ -101,8 +101,10 @@ def _profile(
         own = slice(k * width, (k + 1) * width)
         cross = found.gram[beside, own]
         whole = np.diag(found.gram[own, own])
-        size = np.sqrt(np.where(whole > 0.0, whole, 1.0))
-        block = (found.gram[own, own] - cross.T @ inverse @ cross) / np.outer(size, size)
+        size = float(
+            np.sqrt(max(whole.max(), 1e-300))
+        )  # all have one unit: what is small beside the largest is not seen
+        block = (found.gram[own, own] - cross.T @ inverse @ cross) / size**2
         slope = (found.slope[own] - cross.T @ (inverse @ found.slope[beside])) / size
         weights, vectors = np.linalg.eigh(block)
         seen = weights > HIDDEN
@@ -110,5 +112,5 @@ def _profile(
         along = root.T @ slope
         gain[k] = along @ along if seen.any() else -np.inf
         values[k] = root @ along / size
-        spread[k] = root @ root.T / np.outer(size, size)
+        spread[k] = root @ root.T / size**2
     return gain, values, spread

@@ -18,7 +18,7 @@ from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.diagnosis.signatures import Column, of_effect
-from twin.effects import Effect, ErrorMotion, PitchError, SteadyDrift, ThermalDrift
+from twin.effects import Effect, ErrorMotion, PitchError, ReversalCurve, SteadyDrift, ThermalDrift
 from twin.measurement import state_of
 
 STEPS: Final = 12
@@ -255,7 +255,7 @@ def _quantities(
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
         )
-    if effects and isinstance(effects[0], ErrorMotion) and form.candidate.space is not None:
+    if effects and isinstance(effects[0], ErrorMotion | ReversalCurve) and form.candidate.space is not None:
         return tuple(
             Quantity(f"c{k}", p.value, p.unit, float(one))
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))

@@ -11,6 +11,7 @@ from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
+from twin.effects import ReversalCurve
 
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
@@ -21,6 +22,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
     where = form.candidate.where
     text = {
         "reversal": f"{where} stands {abs(size.value):.3g} {unit} apart depending on the side it came from",
+        "reversal_curve": _lost_motion(found, where, k),
         "pitch_error": f"{where} errs periodically along its travel",
         "squareness": f"{where}: the axes are out of square by {size.value:.3g} {unit} more than the model says",
         "axis_location": f"{where}: the axis's average line lies {size.value:.3g} {unit} from where the model has it",
@@ -45,6 +47,19 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
         "target_shift": f"target {where} sits elsewhere than before",
     }.get(form.candidate.effect, f"{where}: an error of the kind {form.candidate.effect.replace('_', ' ')}")
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+
+
+def _lost_motion(found: Estimate, where: str, k: int) -> str:
+    """How a reversal changes along the travel."""
+    effect = found.effects[k][0] if found.effects[k] else None
+    if not isinstance(effect, ReversalCurve):
+        return ""
+    low, high = effect.lost_motion()
+    unit = readable_unit(effect.parameters[0].unit)
+    return (
+        f"{where} stands apart depending on the side it came from, and by how much changes along its travel: from {low:.3g} {unit} "
+        f"to {high:.3g} {unit}"
+    )
 
 
 def _course(found: Estimate, k: int) -> str:

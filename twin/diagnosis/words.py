@@ -363,6 +363,7 @@ def _filed(where: str) -> str:
 PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
     {
         "reversal": lambda where: f"lost motion of {where}",
+        "reversal_curve": lambda where: f"lost motion of {where} that changes along its travel",
         "pitch_error": lambda where: f"periodic positioning error of {where}",
         "squareness": _squareness,
         "axis_location": lambda where: motion(where),
@@ -393,6 +394,7 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
 FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "reversal": "lost motion",
+        "reversal_curve": "lost motion that changes along the travel",
         "pitch_error": "periodic positioning errors",
         "axis_location": "places of rotary axes",
         "angular_error_motion": "tilts along the travel",
@@ -426,6 +428,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
             "Service: nut and preload of {axis}'s screw (a rotary axis: worm or gear), thrust bearing, coupling, seat of the scale.",
             f"{EXTENDED}: it knows from which side {{axis}} comes. Or enter it as backlash in the control.",
             f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error and leaves it as large.",
+        ),
+        "reversal_curve": (
+            "Service: wear of {axis}'s screw and nut where it works most, tension of the screw, friction of the guideway.",
+            f"{EXTENDED}: it knows from which side {{axis}} comes, and where it is.",
+            f"{NOT_TWICE} Do not enter one backlash in the control: it is right at one place only.",
         ),
         "pitch_error": (
             "Service: what of {axis} has this period: screw (its lead), coupling, gear, or the grating of the scale.",

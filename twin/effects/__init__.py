@@ -1,6 +1,6 @@
 """What makes a machine differ from its drawing, one small class an effect; a model is an ordered tuple of them."""
 
-from twin.effects.along import PitchError, Reversal, ZeroOffset
+from twin.effects.along import PitchError, Reversal, ReversalCurve, ZeroOffset
 from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
 from twin.effects.control import ControlCorrection
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
@@ -22,6 +22,7 @@ __all__ = [
     "Parameter",
     "PitchError",
     "Reversal",
+    "ReversalCurve",
     "Squareness",
     "SteadyDrift",
     "TableLoad",
