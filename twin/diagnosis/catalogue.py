@@ -14,7 +14,7 @@ from twin.diagnosis.affine import affine_errors
 from twin.diagnosis.bounds import largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
-from twin.diagnosis.functions import Functions, Rows, given, pieces
+from twin.diagnosis.functions import Functions, Rows, given
 from twin.diagnosis.reversals import VARYING, lost_motion
 from twin.diagnosis.signatures import (
     LARGEST,
@@ -26,6 +26,7 @@ from twin.diagnosis.signatures import (
     of_effect,
     of_values,
 )
+from twin.diagnosis.waves import harmonics, highest_frequency, waves
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -53,14 +54,7 @@ from twin.units import UM
 
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
-SHORTEST_PERIOD: Final = 2.0
-"""mm: pitch errors below it are not sought."""
-ALIKE: Final = 0.5
-"""Size of the spectral window (1: even positions) from which on two frequencies are too alike to be told apart."""
-LOOKED_AT: Final = 500
-"""Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
-AT_HAND: Final = 64
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
 
@@ -233,10 +227,10 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
     # Half the resolution of the span a step; the best is refined afterwards.
-    frequencies = np.arange(1.0 / span, _highest(q, span) + 1e-9 / span, 0.5 / span)
+    frequencies = np.arange(1.0 / span, highest_frequency(q, span) + 1e-9 / span, 0.5 / span)
     # As `PitchError` has it, for all periods at once.
     count = len(frequencies)
-    functions, at = _waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
+    functions, at = waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
     along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
     cells = [
         Cell(
@@ -251,45 +245,6 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
 
     names = (("sin", "um"), ("cos", "um"))
     return Candidate("pitch_error", axis.name, "machine", names, tuple(cells), max(len(cells), 1.0), build)
-
-
-def _highest(q: np.ndarray, span: float) -> float:
-    """Largest frequency, a mm, at which a wave is looked for: one position a period, or where it looks like a slower one.
-
-    Even positions cannot tell f from f_s − f, f_s being one a step; uneven ones can. Which they are their spectral window says: at such
-    an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys. Space Sci. 36, 137).
-    """
-    places = np.unique(np.round(q, 3))
-    highest = min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span)
-    if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
-        places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
-    looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
-    window = np.abs(np.mean(np.exp(2j * np.pi * np.outer(looks, places)), axis=1))
-    # Down from the window's own peak at zero, which is one over the span wide.
-    alike = looks[(window > ALIKE) & (looks > 1.5 / span)]
-    return min(highest, 0.5 * float(alike[0])) if alike.size else highest
-
-
-def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
-    """Sines of evenly spaced frequencies (radians a mm), and after them their cosines.
-
-    Each is a coarse wave turned on by a fine one: a product in place of two functions to be worked out.
-    """
-    fine = max(int(np.ceil(np.sqrt(count))), 1)
-    coarse = -(-count // fine)
-
-    def values(rows: Rows) -> np.ndarray:
-        at = q[rows, None]
-        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
-        many = np.exp(1j * at * step * np.arange(fine))[:, None, :]
-        found = np.empty((len(at), 2 * count))
-        # As many points at a time as the processor has at hand.
-        for some in pieces(len(at), AT_HAND):
-            every = (few[some] * many[some]).reshape(-1, coarse * fine)[:, :count]
-            found[some, :count], found[some, count:] = every.imag, every.real
-        return found
-
-    return Functions(len(q), 2 * count, values, most=1.0)
 
 
 def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
@@ -409,17 +364,6 @@ def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-def _harmonic(angle: np.ndarray, orders: int) -> Functions:
-    """Cosines of the orders from 1 on, and after them their sines."""
-    order = np.arange(1, orders + 1)
-
-    def values(rows: Rows) -> np.ndarray:
-        found = angle[rows, None] * order
-        return np.concatenate([np.cos(found), np.sin(found)], axis=1)
-
-    return Functions(len(angle), 2 * orders, values)
-
-
 def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
     found = []
     for axis in machine.axes:
@@ -427,7 +371,7 @@ def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -
         if axis.linear or len(distinct) < 4:
             continue
         most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 60 else ORDERS)
-        functions, at = _harmonic(np.radians(state[axis.name]), most), first_component(machine, axis.name)
+        functions, at = harmonics(np.radians(state[axis.name]), most), first_component(machine, axis.name)
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
             unit = unit_of(name)
