@@ -25,7 +25,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import reported
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
 from twin.diagnosis.reversals import told_with_more
-from twin.diagnosis.search import excessive
+from twin.diagnosis.search import GRIDDED, excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
@@ -181,8 +181,10 @@ def _cause(
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Whether a parameter stands where it cannot go further."""
-    tried = [cell.fixed["time_constant"] for cell in form.candidate.cells if "time_constant" in cell.fixed]
-    limits = {"time_constant": max(tried, default=np.inf)}
+    limits = {
+        name: max((cell.fixed[name] for cell in form.candidate.cells if name in cell.fixed), default=np.inf)
+        for name in GRIDDED
+    }
     if form.candidate.drift is not None and not form.candidate.drift.straight:
         # In a straight line: its time constant is beyond the record.
         return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)

@@ -28,6 +28,8 @@ PLAUSIBLE: Final = 100.0
 """ppm and µrad."""
 FLAT: Final = 0.01
 """Share of the largest extent below which the points have no extent along a direction."""
+MOST: Final = 12
+"""Rounds beyond which they are repeats or places, not alignments of an instrument."""
 MM: Final = 1e-3
 
 
@@ -51,7 +53,7 @@ def affine_errors(data: Measurements) -> Iterator[Affine]:
     """Every station if there are several, every round if there are several."""
     stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
     by_station = {f"station {name}": data.station == name for name in stations} if len(stations) > 1 else {}
-    by_round = {f"round {name}": data.round == name for name in rounds} if len(rounds) > 1 else {}
+    by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST else {}
     alone = {mask.tobytes() for mask in by_station.values()}
     for where, mask in (by_station | by_round).items():
         if where in by_round and mask.tobytes() in alone:

@@ -11,6 +11,8 @@ from typing import Final
 
 import numpy as np
 
+LONGEST_PERIOD: Final = 0.5
+"""Share of the travel measured beyond which a wave is no pitch error: fewer than two periods are a curve, whatever its cause."""
 POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("reversal", "um"): 1000.0,
     ("reversal", "urad"): 5000.0,

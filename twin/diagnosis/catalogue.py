@@ -11,7 +11,7 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.curves import POWER
 from twin.diagnosis.affine import affine_errors
-from twin.diagnosis.bounds import largest
+from twin.diagnosis.bounds import LONGEST_PERIOD, largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given
@@ -26,7 +26,7 @@ from twin.diagnosis.signatures import (
     of_effect,
     of_values,
 )
-from twin.diagnosis.waves import harmonics, highest_frequency, waves
+from twin.diagnosis.waves import highest_frequency, highest_order, waves
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -55,6 +55,9 @@ from twin.units import UM
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 ORDERS: Final = 30
+"""Harmonics of an error motion that are tried."""
+TEETH: Final = 200
+"""Of a rotary axis's own angle error, which gears and encoders make: as far as the positions measured can tell them from lower ones."""
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
 
@@ -148,7 +151,11 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
             )
         )
     for axis in linear:
-        found.append(_pitch(axis, machine, state))
+        pitch = _pitch(axis, machine, state)
+        if pitch.cells:
+            found.append(pitch)
+        else:
+            missing.append(("pitch_error", axis.name, f"positions of {axis.name} closer together"))
         if f"T_{axis.name}_degC" in state:
             found.append(
                 _single(
@@ -227,10 +234,13 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
     # Half the resolution of the span a step; the best is refined afterwards.
-    frequencies = np.arange(1.0 / span, highest_frequency(q, span) + 1e-9 / span, 0.5 / span)
+    lowest = 1.0 / (LONGEST_PERIOD * span)
+    # Of an axis that did not move one is enough to say so.
+    highest = highest_frequency(q, span) if np.ptp(q) > 0.0 else lowest
+    frequencies = np.arange(lowest, highest + 1e-9 / span, 0.5 / span)
     # As `PitchError` has it, for all periods at once.
     count = len(frequencies)
-    functions, at = waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
+    functions, at = waves(q, 2.0 * np.pi * lowest, np.pi / span, count), first_component(machine, axis.name)
     along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
     cells = [
         Cell(
@@ -371,16 +381,18 @@ def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -
         if axis.linear or len(distinct) < 4:
             continue
         most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 60 else ORDERS)
-        functions, at = harmonics(np.radians(state[axis.name]), most), first_component(machine, axis.name)
+        teeth = max(highest_order(distinct, TEETH), most)
+        functions, at = waves(np.radians(state[axis.name]), 1.0, 1.0, teeth), first_component(machine, axis.name)
+        own = 3 + int(np.argmax(np.abs(axis.direction)))
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
             unit = unit_of(name)
             cells = tuple(
                 Cell(
-                    tuple(of_components([(at + component, functions, k, 1.0)]) for k in (n - 1, most + n - 1)),
+                    tuple(of_components([(at + component, functions, k, 1.0)]) for k in (teeth + n - 1, n - 1)),
                     {"order": float(n)},
                 )
-                for n in range(1, most + 1)
+                for n in range(1, (teeth if component == own else most) + 1)
             )
 
             def build(values: np.ndarray, fixed: Mapping[str, float], name: str = name) -> tuple[Effect, ...]:

@@ -102,7 +102,7 @@ def estimate(
             if drift.moments is not None:
                 loose[k] = drift.moments
             curved[k] = drift.moments is None and not straight
-    longest = float(np.ptp(state["time_s"])) if "time_s" in state else np.inf
+    longest = [_longest(form) for form in forms]
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
         for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
@@ -128,7 +128,7 @@ def estimate(
             own = step[at : at + block.shape[1]]
             at += block.shape[1]
             if curved[k]:
-                effects[k] = (_with(effects[k][0], current[k] + own, longest),)
+                effects[k] = (_with(effects[k][0], current[k] + own, longest[k]),)
             else:
                 values[k] = values[k] + own
                 if forms[k].candidate.build is not None:
@@ -233,12 +233,21 @@ def _made(problem: Problem, machine: object, state: object, effects: Sequence[Ef
     return found.reshape(-1)
 
 
+def _longest(form: Form) -> float:
+    """Longest period or time constant that a form can have."""
+    tried = [
+        cell.fixed[name] for cell in form.candidate.cells for name in ("period", "time_constant") if name in cell.fixed
+    ]
+    return max(tried, default=np.inf)
+
+
 def _with(effect: Effect, values: np.ndarray, longest: float) -> Effect:
     numbers = [float(v) for v in values]
     if isinstance(effect, PitchError):
         amplitude, period, phase = numbers
         if amplitude < 0.0:
             amplitude, phase = -amplitude, phase + np.pi
+        period = min(max(period, 0.3 * effect.period), longest)
         return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
     if isinstance(effect, ThermalDrift):
         tau = max(numbers[1], 0.3 * effect.time_constant)

@@ -44,6 +44,10 @@ FEWEST: Final = 25.0
 """Of a chi²: where little is explained, scatter has its part in it."""
 ROUGHLY: Final = 0.2
 """How far from one such a share may be, beside other errors of the model."""
+PLIABLE: Final = ("affine_scale",)
+"""Effects of many numbers that take up a little of anything: beside what is much larger, what its form leaves looks like them."""
+LEAST: Final = 0.01
+"""Share of what all causes explain that such an effect has to do at least."""
 LIKELY: Final = 12
 """Forms whose inner products with all others are worked out in one go."""
 
@@ -114,8 +118,15 @@ def chosen(pool: Pool, starts: int = STARTS) -> Selection:
         pool: the forms.
         starts: first choices.
     """
+    allowed = pool.allowed
     while True:
         best = select(pool, starts)
+        if any(form.candidate.effect in PLIABLE and excessive(pool, form, best.forms) == np.inf for form in best.forms):
+            # None of them: what they displaced comes back.
+            pool.allowed = allowed
+            pool.forbid({form.key for form in pool.forms if form.candidate.effect in PLIABLE})
+            allowed = pool.allowed
+            continue
         excess = [excessive(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
@@ -149,7 +160,10 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
         gram: (w, w) inner products of its columns.
         explained: by all causes together.
     """
-    found = float(values @ gram @ values) / (CANCELS * (explained + FEWEST))
+    own = float(values @ gram @ values)
+    if form.candidate.effect in PLIABLE and own < LEAST * explained:
+        return np.inf
+    found = own / (CANCELS * (explained + FEWEST))
     scale = np.array([column.scale for column in form.cell.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)

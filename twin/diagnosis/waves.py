@@ -24,7 +24,11 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
     an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys. Space Sci. 36, 137).
     """
     places = np.unique(np.round(q, 3))
-    highest = min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span)
+    return _unlike(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
+
+
+def _unlike(places: np.ndarray, span: float, highest: float) -> float:
+    """Largest frequency up to ``highest`` that does not look like a slower one."""
     if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
         places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
     looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
@@ -34,8 +38,19 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
     return min(highest, 0.5 * float(alike[0])) if alike.size else highest
 
 
+def highest_order(distinct: np.ndarray, most: int) -> int:
+    """Largest harmonic of a turn that positions in degrees can tell from lower ones.
+
+    Args:
+        distinct: (n,) the positions, each once, 0 to 360.
+        most: harmonics at most.
+    """
+    limit = _unlike(distinct, float(np.ptp(distinct)), min(most, (len(distinct) - 1) // 2) / 360.0)
+    return int(360.0 * limit + 1e-9)
+
+
 def waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
-    """Sines of evenly spaced frequencies (radians a mm), and after them their cosines.
+    """Sines of evenly spaced frequencies (radians a unit of q), and after them their cosines.
 
     Each is a coarse wave turned on by a fine one: a product in place of two functions to be worked out.
     """
@@ -54,14 +69,3 @@ def waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
         return found
 
     return Functions(len(q), 2 * count, values, most=1.0)
-
-
-def harmonics(angle: np.ndarray, orders: int) -> Functions:
-    """Cosines of the orders from 1 on, and after them their sines."""
-    order = np.arange(1, orders + 1)
-
-    def values(rows: Rows) -> np.ndarray:
-        found = angle[rows, None] * order
-        return np.concatenate([np.cos(found), np.sin(found)], axis=1)
-
-    return Functions(len(angle), 2 * orders, values)

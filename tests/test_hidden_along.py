@@ -1,4 +1,4 @@
-"""A reversal that changes along the travel: found, sized, written and compensated; a constant one keeps its name.
+"""Errors along an axis itself: a reversal that changes along the travel, pitch and slow waves, teeth of gears.
 
 The truth machines (`tests.hidden`, `tests.test_compensate_effects`) share no code with `twin`.
 """
@@ -6,6 +6,7 @@ The truth machines (`tests.hidden`, `tests.test_compensate_effects`) share no co
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tests.hidden import Hidden
 from tests.test_compensate_effects import WornMachine, densely, done, extended, taking_up
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.catalogue import catalogue
 from twin.errors import InputError
 from twin.extension import effect_named
 from twin.machine import Machine
@@ -110,3 +112,63 @@ def test_it_is_read_and_refused(dmu50: Machine) -> None:
         effect_named("reversal_curve", "C", {"c0": 1.0}, dmu50)
     with pytest.raises(InputError, match="parameters of reversal_curve Y"):
         effect_named("reversal_curve", "Y", {"c0": 1.0, "c2": 2.0}, dmu50)
+
+
+def slow_or_fast(folder: Path, period_mm: float) -> Diagnosis:
+    """A wave of 5 µm along 500 mm at 41 uneven positions, five times."""
+    machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(63)
+    positions = np.sort(np.round(rng.uniform(0.0, 500.0, 41), 1))
+    positions[[0, -1]] = 0.0, 500.0
+    with (folder / "wave.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow("X_mm target carrier x_mm y_mm z_mm round place_x_mm place_y_mm place_z_mm".split())
+        for cycle in range(5):
+            for at in positions:
+                off = 5.0 * np.sin(2.0 * np.pi * at / period_mm + 0.4) + 0.3 * rng.standard_normal()
+                table.writerow([at, "slide", "tool", at + 1e-3 * off, "", "", cycle + 1, 0, 0, 0])
+    return diagnose(load(folder / "wave.csv", machine), machine, Calibration.zero(machine))
+
+
+@pytest.mark.parametrize(
+    ("period_mm", "name"), [(400.0, "positioning"), (290.0, "positioning"), (120.0, "pitch_error")]
+)
+def test_a_wave_longer_than_half_the_travel_is_a_curve(tmp_path: Path, period_mm: float, name: str) -> None:
+    result = slow_or_fast(tmp_path, period_mm)
+    named = {effect for cause in result.causes for effect, _ in ((cause.effect, cause.where), *cause.equivalent)}
+    assert name in named and (name == "pitch_error" or "pitch_error" not in named)
+    if name == "pitch_error":
+        (cause,) = result.causes
+        period = next(q for q in cause.parameters if q.name == "period")
+        assert abs(period.value - period_mm) < 3.0 * period.u and not cause.bounded
+
+
+def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: Path) -> None:
+    """Order 48 of C's own angle, with 151 angles: more than twice as many as 75, the highest that they tell."""
+    rng = np.random.default_rng(64)
+    of = hidden.rounded(hidden.plan(rng, poses=140))
+    truth = Hidden("harmonic", "E_CC", {"order": 48, "cos": 12.0, "sin": -9.0})
+    read = hidden.noisy(hidden.points(of, [truth]), rng, "isotropic", SIGMA_MM)
+    data = load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
+    (cause,) = diagnose(data, dmu50, Calibration.default(dmu50)).causes
+    assert (cause.effect, cause.where, cause.equivalent) == ("harmonic", "E_CC", ())
+    found = {q.name: q for q in cause.parameters}
+    assert found["order"].value == 48.0
+    assert max(abs(found[name].value - truth.numbers[name]) / found[name].u for name in ("cos", "sin")) < 3.0
+
+
+def test_orders_that_the_positions_cannot_tell_are_not_tried(dmu50: Machine, tmp_path: Path) -> None:
+    """Only as high as half the positions of a turn, and as half a grid they may stand on; other components as before."""
+    rng = np.random.default_rng(65)
+    for angles, most in (
+        (np.arange(0.0, 360.0, 2.0), 89),
+        (np.arange(0.0, 360.0, 0.5), 200),
+        (np.arange(0.0, 90.0), 44),
+    ):
+        of = hidden.rounded(hidden.plan(rng, poses=len(angles)))
+        q = of.q.copy()
+        q[:, 4] = np.resize(angles, len(q))
+        of = replace(of, q=q)
+        data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
+        found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
+        assert len(found["E_CC"].cells) == most and found["E_CC"].tests == most
+        assert len(found["E_XC"].cells) == 30
