@@ -130,7 +130,7 @@ def slow_or_fast(folder: Path, period_mm: float) -> Diagnosis:
 
 
 @pytest.mark.parametrize(
-    ("period_mm", "name"), [(400.0, "positioning"), (290.0, "positioning"), (120.0, "pitch_error")]
+    ("period_mm", "name"), [(500.0 / 1.5, "positioning"), (290.0, "positioning"), (120.0, "pitch_error")]
 )
 def test_a_wave_longer_than_half_the_travel_is_a_curve(tmp_path: Path, period_mm: float, name: str) -> None:
     result = slow_or_fast(tmp_path, period_mm)
