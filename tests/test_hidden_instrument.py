@@ -5,6 +5,7 @@ The truth machine (`tests.hidden`) shares no code with `twin`.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,10 +13,12 @@ import numpy as np
 import pytest
 
 from tests import hidden
+from tests.few_axes import write_stage
 from tests.hidden import Hidden, Plan
 from tests.real import plates
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.velocity import velocities
 from twin.machine import Machine
 from twin.measurement import load
 
@@ -168,3 +171,78 @@ def test_equal_scales_of_the_only_affine_station_are_told_as_refraction_too(tmp_
     (cause,) = diagnose(data.select(few), machine, Calibration.zero(machine)).causes
     group = {(cause.effect, cause.where), *cause.equivalent}
     assert {("refraction_scale", "—"), ("affine_scale", "station A")} <= group
+
+
+def on_the_way(folder: Path, feeds: Sequence[float], *, delay_s: float = 0.0, reversal_um: float = 0.0) -> Diagnosis:
+    """A slide of 500 mm read while it moves, there and back once at each feed, mm/min; 0.6 µm of noise."""
+    machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(71)
+    with (folder / "way.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(
+            "X_mm approach_X feed_mm_min target carrier x_mm y_mm z_mm round place_x_mm place_y_mm place_z_mm".split()
+        )
+        for cycle, feed in enumerate(feeds):
+            for way in (1, -1):
+                # From outside: the first position is come to as the others are.
+                for at in np.linspace(20.0, 480.0, 24)[::way]:
+                    gone_on = way * feed / 60.0 * delay_s
+                    off = 0.5 * way * reversal_um + 0.6 * rng.standard_normal()
+                    x = at + gone_on + 1e-3 * off
+                    table.writerow([at, way, feed, "slide", "tool", x, "", "", cycle + 1, 0, 0, 0])
+    return diagnose(load(folder / "way.csv", machine), machine, Calibration.zero(machine))
+
+
+def test_a_delay_grows_with_the_feed(tmp_path: Path) -> None:
+    """0.4 ms at 500, 2000 and 4000 mm/min: 3 to 27 µm on the way."""
+    result = on_the_way(tmp_path, (500.0, 2000.0, 4000.0), delay_s=4e-4)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where, cause.origin, cause.equivalent) == ("time_skew", "X", "instrument", ())
+    (delay,) = cause.parameters
+    assert (delay.name, delay.unit) == ("delay", "s") and abs(delay.value - 4e-4) < 3.0 * delay.u
+    assert result.extended is result.calibration
+
+
+def test_a_reversal_is_the_same_at_every_feed(tmp_path: Path) -> None:
+    (cause,) = on_the_way(tmp_path, (500.0, 2000.0, 4000.0), reversal_um=9.0).causes
+    assert (cause.effect, cause.where, cause.equivalent) == ("reversal", "X", ())
+
+
+@pytest.mark.parametrize("numbers", [{"delay_s": 4e-4}, {"reversal_um": 9.0}], ids=["delay", "reversal"])
+def test_at_one_feed_a_delay_and_a_reversal_are_the_same(tmp_path: Path, numbers: dict[str, float]) -> None:
+    result = on_the_way(tmp_path, (2000.0, 2000.0, 2000.0), **numbers)
+    (cause,) = result.causes
+    assert result.verdict == "ambiguous"
+    assert {("reversal", "X"), ("time_skew", "X")} <= {(cause.effect, cause.where), *cause.equivalent}
+
+
+def test_without_a_feed_no_delay_is_sought(look: Callable[..., Diagnosis]) -> None:
+    result = look([], 72)
+    assert ("time_skew", "Y", "feed_mm_min") in result.not_evaluated
+
+
+def test_rows_closer_than_a_second_were_read_on_the_way(tmp_path: Path) -> None:
+    """Velocities by hand: 10 mm in 0.5 s, then at rest for two, then back."""
+    machine = Machine.load(write_stage(tmp_path))
+    lines = ["X_mm,target,carrier,x_mm,y_mm,z_mm,time_s"]
+    times = ((0, 0.0), (10, 0.5), (20, 1.0), (30, 3.0), (25, 3.5))
+    lines += [f"{x},slide,tool,{x}.001,,,{t}" for x, t in times]
+    (tmp_path / "fly.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    data = load(tmp_path / "fly.csv", machine)
+    assert velocities(data, machine)["X"] == pytest.approx([0.0, 20.0, 20.0, 0.0, -10.0])
+    data.save(tmp_path / "again.csv", machine)
+    assert "feed" not in (tmp_path / "again.csv").read_text(encoding="utf-8")
+
+
+def test_the_feed_is_shared_by_the_axes_that_moved(dmu50: Machine, tmp_path: Path) -> None:
+    lines = ["X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,feed_mm_min,approach_Y"]
+    rows = ((0, 0, 0), (30, 40, 6000), (30, 40, 6000), (30, 10, 600))
+    lines += [
+        f"{x},{y},0,0,0,K,tool,{x}.00{i},{y},0,{feed},{1 if y != 10 else -1}" for i, (x, y, feed) in enumerate(rows)
+    ]
+    (tmp_path / "feed.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    data = load(tmp_path / "feed.csv", dmu50)
+    found = velocities(data, dmu50)
+    assert set(found) == {"X", "Y"}
+    assert found["X"] == pytest.approx([0.0, 60.0, 60.0, 0.0]) and found["Y"] == pytest.approx([0.0, 80.0, 80.0, -10.0])
+    data.save(tmp_path / "again.csv", dmu50)
+    assert load(tmp_path / "again.csv", dmu50).feed_mm_min.tolist() == [0.0, 6000.0, 6000.0, 600.0]

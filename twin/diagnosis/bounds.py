@@ -31,6 +31,7 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("gravity_compliance", "um/N"): 1.0,
     ("refraction_scale", "ppm"): 20.0,
     ("affine_scale", "ppm"): 200.0,
+    ("time_skew", "s"): 1.0,
 }
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
 

@@ -26,6 +26,7 @@ from twin.diagnosis.signatures import (
     of_effect,
     of_values,
 )
+from twin.diagnosis.velocity import velocities
 from twin.diagnosis.waves import highest_frequency, highest_order, waves
 from twin.effects import (
     AxisLocation,
@@ -570,6 +571,7 @@ def _instrument(
             found.append(Candidate("station_drift", name, "instrument", names, _drifting(drift), 3.0, drift=drift))
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
+    found += _time_skews(machine, data, missing)
     for i, axis in enumerate(machine.axes):
         reported = data.readback[:, i]
         if np.all(np.isnan(reported)):
@@ -583,4 +585,20 @@ def _instrument(
         found.append(
             Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_values(parts),)),), 1.0)
         )
+    return found
+
+
+def _time_skews(machine: Machine, data: Measurements, missing: list[tuple[str, str, str]]) -> list[Candidate]:
+    """Positions and readings that were not taken at the same moment: the axis had gone on by its velocity times the delay."""
+    moving = velocities(data, machine)
+    found = []
+    for axis in machine.axes:
+        if axis.name not in moving:
+            if not np.any(np.isfinite(data.feed_mm_min)):
+                missing.append(("time_skew", axis.name, "feed_mm_min"))
+            continue
+        start = first_component(machine, axis.name) + (0 if axis.linear else 3)
+        gone_on = moving[axis.name] * axis.scale / UM
+        column = of_values({start + k: gone_on * part for k, part in enumerate(axis.direction) if part != 0.0})
+        found.append(Candidate("time_skew", axis.name, "instrument", (("delay", "s"),), (Cell((column,)),), 1.0))
     return found

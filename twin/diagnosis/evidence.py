@@ -41,6 +41,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
         "zero_offset": f"{where}'s zero is off by {size.value:.3g} {unit}",
         "following_error": f"{where} stood where the control reported it, not where it was told to go",
         "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
+        "time_skew": f"readings and positions of {where} were taken {abs(size.value):.3g} {unit} apart while it moved",
         "affine_scale": f"the instrument's own scales and right angles are off in {where}, by up to {size.value:.3g} {unit}",
         "station_drift": f"station {where} creeps while it measures{_course(found, k)}",
         "misplaced": _misplaced(where),

@@ -54,6 +54,7 @@ INSTRUMENTS: Final = (
     "station_drift",
     "refraction_scale",
     "affine_scale",
+    "time_skew",
     "read_back",
 )
 
@@ -385,6 +386,7 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
         "read_back": lambda where: f"reported positions of {where} were read too early",
         "following_error": lambda where: f"{where} stopped short of where it was told to go",
         "refraction_scale": lambda where: "all lengths read too long or too short",
+        "time_skew": lambda where: f"readings and positions of {where} not taken at the same moment",
         "affine_scale": lambda where: f"scales and right angles of the instrument off ({where})",
         "station_drift": lambda where: f"instrument at station {where} creeps",
         "target_shift": _bumped,
@@ -410,6 +412,7 @@ FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
         "zero_offset": "zeros of axes",
         "read_back": "whether the control's reports can be trusted",
         "refraction_scale": "scale of all lengths",
+        "time_skew": "delay between readings and positions",
         "affine_scale": "scales and right angles of the instrument",
         "station_drift": "creep of the instrument",
         "target_shift": "displaced targets",
@@ -515,6 +518,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         "refraction_scale": (
             "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.",
             "Use the rest: it has been taken out of the account.",
+            NOTHING,
+        ),
+        "time_skew": (
+            "Who measured: how readings and positions of {axis} are brought together: trigger, filter, delay of the instrument.",
+            "Use the rest: it has been taken out of the account. Better, measure again at standstill, or at half the feed.",
             NOTHING,
         ),
         "affine_scale": (
