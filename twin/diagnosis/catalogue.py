@@ -26,7 +26,7 @@ from twin.diagnosis.signatures import (
     of_effect,
     of_values,
 )
-from twin.diagnosis.velocity import velocities
+from twin.diagnosis.velocity import time_skews
 from twin.diagnosis.waves import highest_frequency, highest_order, waves
 from twin.effects import (
     AxisLocation,
@@ -204,15 +204,10 @@ def _reversal_curves(machine: Machine, state: Mapping[str, Any]) -> list[Candida
     """Reversals that change along the travel, of axes of limited range whose approach is known."""
     found = []
     for axis in machine.axes:
-        if f"approach_{axis.name}" not in state or axis.lower is None or axis.upper is None:
-            continue
-        curve = lost_motion(axis, state[axis.name], state[f"approach_{axis.name}"])
+        curve = lost_motion(machine, axis, state)
         if curve is None:
             continue
-        space, functions = curve
-        at = first_component(machine, axis.name) + (0 if axis.linear else 3)
-        along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
-        columns = [of_components([(i, functions, k, part) for i, part in along]) for k in range(space.count)]
+        space, columns = curve
 
         def build(
             values: np.ndarray, fixed: Mapping[str, float], axis: Axis = axis, space: CurveSpace = space
@@ -508,59 +503,28 @@ def _instrument(
     rounds = list(dict.fromkeys(data.round))
     stations = list(dict.fromkeys(data.station))
     number = np.array([rounds.index(name) for name in data.round])
+    three = six[:3]
     for k in range(1, len(rounds)):
         later = (number >= k).astype(float)
         if len(stations) == 1:
-            found.append(
-                Candidate(
-                    "frame_shift",
-                    f"round {rounds[k]}",
-                    "instrument",
-                    six,
-                    (Cell(reading(frame, later, UM)),),
-                    1.0,
-                )
-            )
+            columns = reading(frame, later, UM)
+            found.append(Candidate("frame_shift", f"round {rounds[k]}", "instrument", six, (Cell(columns),), 1.0))
         else:
             for name in stations:
                 mask = later * (data.station == name)
                 if 0 < mask.sum() < np.count_nonzero(data.station == name):
                     where = f"station {name} from round {rounds[k]}"
-                    found.append(
-                        Candidate(
-                            "frame_shift",
-                            where,
-                            "instrument",
-                            six,
-                            (Cell(reading(frame, mask, UM)),),
-                            1.0,
-                        )
-                    )
+                    columns = reading(frame, mask, UM)
+                    found.append(Candidate("frame_shift", where, "instrument", six, (Cell(columns),), 1.0))
         for target in dict.fromkeys(data.target):
             of = data.target == target
             mask = later * of
             if 0 < mask.sum() < np.count_nonzero(of):
-                names = tuple((f"shift_{a}", "um") for a in "xyz")
-                found.append(
-                    Candidate(
-                        "target_shift",
-                        f"{target} from round {rounds[k]}",
-                        "instrument",
-                        names,
-                        (Cell(reading([("place", i) for i in range(3)], mask, UM)),),
-                        1.0,
-                    )
-                )
-    found.append(
-        Candidate(
-            "refraction_scale",
-            "—",
-            "instrument",
-            (("scale", "ppm"),),
-            (Cell(reading([("length", 0)], np.ones(n), 1e-6, 100.0)),),
-            1.0,
-        )
-    )
+                where = f"{target} from round {rounds[k]}"
+                columns = reading([("place", i) for i in range(3)], mask, UM)
+                found.append(Candidate("target_shift", where, "instrument", three, (Cell(columns),), 1.0))
+    columns = reading([("length", 0)], np.ones(n), 1e-6, 100.0)
+    found.append(Candidate("refraction_scale", "—", "instrument", (("scale", "ppm"),), (Cell(columns),), 1.0))
     for one in affine_errors(data):
         cells = tuple(Cell(form) for form in one.forms)
         found.append(Candidate("affine_scale", one.where, "instrument", one.names, cells, float(len(cells))))
@@ -571,7 +535,9 @@ def _instrument(
             found.append(Candidate("station_drift", name, "instrument", names, _drifting(drift), 3.0, drift=drift))
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
-    found += _time_skews(machine, data, missing)
+    for name, column in time_skews(data, machine, missing):
+        cells = (Cell((column,)),)
+        found.append(Candidate("time_skew", name, "instrument", (("delay", "s"),), cells, 1.0))
     for i, axis in enumerate(machine.axes):
         reported = data.readback[:, i]
         if np.all(np.isnan(reported)):
@@ -585,20 +551,4 @@ def _instrument(
         found.append(
             Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_values(parts),)),), 1.0)
         )
-    return found
-
-
-def _time_skews(machine: Machine, data: Measurements, missing: list[tuple[str, str, str]]) -> list[Candidate]:
-    """Positions and readings that were not taken at the same moment: the axis had gone on by its velocity times the delay."""
-    moving = velocities(data, machine)
-    found = []
-    for axis in machine.axes:
-        if axis.name not in moving:
-            if not np.any(np.isfinite(data.feed_mm_min)):
-                missing.append(("time_skew", axis.name, "feed_mm_min"))
-            continue
-        start = first_component(machine, axis.name) + (0 if axis.linear else 3)
-        gone_on = moving[axis.name] * axis.scale / UM
-        column = of_values({start + k: gone_on * part for k, part in enumerate(axis.direction) if part != 0.0})
-        found.append(Candidate("time_skew", axis.name, "instrument", (("delay", "s"),), (Cell((column,)),), 1.0))
     return found

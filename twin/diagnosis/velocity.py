@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
+from twin.diagnosis.signatures import Column, first_component, of_values
 from twin.machine import Machine
 from twin.measurement import Measurements
+from twin.units import UM
 
 ON_THE_FLY: Final = 1.0
 """s: rows that follow one another faster, while an axis moves, were read on the way."""
@@ -41,3 +43,23 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     back = np.empty_like(found)
     back[order] = found
     return {axis.name: back[:, i] for i, axis in enumerate(machine.axes) if np.any(back[:, i] != 0.0)}
+
+
+def time_skews(
+    data: Measurements, machine: Machine, missing: list[tuple[str, str, str]]
+) -> Iterator[tuple[str, Column]]:
+    """What a second between a position and its reading does: the axis had gone on by its velocity.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        missing: where the axes are put that nothing is known of.
+    """
+    moving = velocities(data, machine)
+    for axis in machine.axes:
+        if axis.name in moving:
+            start = first_component(machine, axis.name) + (0 if axis.linear else 3)
+            gone_on = moving[axis.name] * axis.scale / UM
+            yield axis.name, of_values({start + k: gone_on * v for k, v in enumerate(axis.direction) if v != 0.0})
+        elif not np.any(np.isfinite(data.feed_mm_min)):
+            missing.append(("time_skew", axis.name, "feed_mm_min"))
