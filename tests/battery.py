@@ -180,7 +180,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
                 of_unit(PitchError(axis, 1.0, fixed["period"], phase), machine, state) for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
-            constants = [one.fixed["time_constant"] for one in candidate.cells]
+            constants = [one.fixed["time_constant"] for one in candidate.cells if one.fixed]
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):

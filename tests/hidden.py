@@ -187,8 +187,11 @@ def points(
             direction, sensor = h.where.split(" by ")
             moved[:, "XYZ".index(direction)] += on_tool * v["coefficient"] * 1e-3 * (of.warm[sensor] - 20.0)
         elif h.effect == "thermal_drift":
-            creep = 1.0 - np.exp(-of.time_s / v["time_constant"])
-            moved[:, "XYZ".index(h.where)] += on_tool * v["amplitude"] * 1e-3 * creep
+            if "rate" in v:
+                creep = v["rate"] * of.time_s / 3600.0
+            else:
+                creep = v["amplitude"] * (1.0 - np.exp(-of.time_s / v["time_constant"]))
+            moved[:, "XYZ".index(h.where)] += on_tool * 1e-3 * creep
         elif h.effect == "cross_axis":
             name, by = h.where.split(" by ")
             own = of.at(name[3]) * 1e-3 if name[2] in "XYZ" else 1.0
@@ -231,6 +234,9 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
     for h in hidden:
         if h.effect == "station_drift":
             hours = (of.time_s - of.time_s.min()) / 3600.0 * (of.station == h.where)
+            if "time_constant" in h.numbers:
+                constant = h.numbers["time_constant"] / 3600.0
+                hours = constant * (1.0 - np.exp(-hours / constant))
             origin = origin + hours[:, None] * 1e-3 * np.array([h.numbers[f"rate_{a}"] for a in "xyz"])
     seen = np.einsum("nji,nj->ni", _exp(turn), base - origin)
     for h in hidden:
@@ -241,6 +247,14 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
             seen = turned + mask * 1e-3 * np.array([v[f"shift_{a}"] for a in "xyz"])
         elif h.effect == "refraction_scale":
             seen = seen * (1.0 + v["scale"] * 1e-6)
+        elif h.effect == "affine_scale":
+            kind, name = h.where.split(" ")
+            mask = of.station == name if kind == "station" else of.round == name
+            shears = np.array([[0.0, v["shear_xy"], v["shear_xz"]], [0.0, 0.0, v["shear_yz"]], [0.0] * 3])
+            strain = 1e-6 * (np.diag([v["scale_x"], v["scale_y"], v["scale_z"]]) + 0.5 * (shears + shears.T))
+            # A station is read about its origin; in a round the instrument was aligned anew, about the middle of what it reads.
+            middle = np.zeros(3) if kind == "station" else seen[mask].mean(axis=0)
+            seen = seen + mask[:, None] * ((seen - middle) @ strain)
     return seen
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.errors import random_calibration
 from tests.heads import body
 from tests.reference import dmu50_pose
-from tests.truth import AXES, TruthMachine, run_iso
+from tests.truth import AXES, RANGES, TruthMachine, run_iso
 from twin import cli, compensate
 from twin.approach import LostMotion
 from twin.arrays import locked
@@ -75,9 +75,10 @@ class WornMachine(TruthMachine):
         expansion: Mapping[str, float] | None = None,
         warm: Mapping[str, float] | None = None,
         shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        varying: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         super().__init__(calibration, LENGTH)
-        self.reversal = reversal
+        self.reversal = {name: (size, 0.0) for name, size in reversal.items()} | dict(varying or {})
         self.expansion = expansion or {}
         self.warm = warm or {}
         self.shift_um = np.array(shift_um)
@@ -85,11 +86,12 @@ class WornMachine(TruthMachine):
     def run(self, commands: np.ndarray) -> np.ndarray:
         """(n, 3) points it reaches, mm: an axis that lags (negative) plays, one that jumps ahead does so with the first step back."""
         sides = np.zeros(commands.shape)
-        for name, size in self.reversal.items():
+        for name in self.reversal:
             axis = AXES.index(name)
-            width = abs(size) * (1e-3 if axis < 3 else np.degrees(1e-6))
             side = 0.0
             for i, step in enumerate(np.diff(commands[:, axis], prepend=commands[0, axis])):
+                size = self.lost(name, commands[i, axis])
+                width = abs(size) * (1e-3 if axis < 3 else np.degrees(1e-6))
                 if size < 0.0:
                     side = min(1.0, max(-1.0, side + 2.0 * step / width))
                 elif abs(step) > 1e-9:
@@ -97,10 +99,18 @@ class WornMachine(TruthMachine):
                 sides[i, axis] = side
         return np.array([self.worn(q, side)[:3, 3] for q, side in zip(commands, sides, strict=True)])
 
+    def lost(self, name: str, q: float) -> float:
+        """The reversal where an axis stands, µm or µrad: a constant and what changes evenly over the range."""
+        mean, change = self.reversal.get(name, (0.0, 0.0))
+        if change == 0.0:
+            return mean
+        low, high = RANGES[name]
+        return mean + change * (2.0 * q - low - high) / (high - low)
+
     def worn(self, q: np.ndarray, side: np.ndarray) -> np.ndarray:
         errors = self.errors(q)
         for i, name in enumerate(AXES):
-            along = 0.5 * self.reversal.get(name, 0.0) * side[i]
+            along = 0.5 * self.lost(name, q[i]) * side[i]
             along += self.expansion.get(name, 0.0) * (self.warm.get(name, 20.0) - 20.0) * q[i] * 1e-3
             column, scale = {"X": (0, 1e-3), "Y": (1, 1e-3), "Z": (2, 1e-3), "B": (5, 1e-6), "C": (5, -1e-6)}[name]
             errors[name][column] += scale * along

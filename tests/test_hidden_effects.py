@@ -57,9 +57,11 @@ EVERY = [
     one("reversal", "C", size=40.0),
     one("pitch_error", "Z", amplitude=2.5, period=17.3, phase=-1.2),
     one("harmonic", "E_BB", order=2, cos=30.0, sin=10.0),
+    one("reversal_curve", "Y", c0=4.0, c1=6.0, c2=-5.0),
+    one("reversal_curve", "B", c0=10.0, c1=-50.0),
 ]
 INSTRUMENT = ("frame_shift", "refraction_scale", "station_drift", "target_shift")
-CURVES = {"positioning": 9, "straightness": 9, "angular_error_motion": 9}
+CURVES = {"positioning": 9, "straightness": 9, "angular_error_motion": 9, "reversal_curve": 5}
 """Coefficients of the longest curve that is tried: how many a curve has is chosen from the data."""
 ONE_IN_370 = 0.0027
 """Chance beyond three standard deviations of a normal."""

@@ -8,20 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from tests import hidden
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
 from twin.errors import InputError
 from twin.extension import effect_named
 from twin.instruments import LaserTracker
 from twin.machine import Machine
-from twin.measurement import Measurements, joined
+from twin.measurement import Measurements, joined, load
 from twin.planning import Plan, separate
 from twin.planning.candidates import setting_of
+from twin.planning.separate import Named, form_meant
 from twin.samples import thesis_plan
 from twin.simulate import simulate
 
@@ -168,3 +171,16 @@ def test_refusals(dmu50: Machine, one: str, what: str) -> None:
 def test_one_cause_is_no_pair(dmu50: Machine) -> None:
     with pytest.raises(InputError):
         separate(dmu50, "reversal Y", "reversal Y", minutes=30.0)
+
+
+def test_the_form_that_is_meant_has_the_time_constant_given(dmu50: Machine, tmp_path: Path) -> None:
+    """A drift in a straight line has none: it is meant where no number is given."""
+    rng = np.random.default_rng(3)
+    of = hidden.rounded(hidden.plan(rng, poses=20))
+    table = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=None), dmu50)
+    known = Calibration.default(dmu50)
+    span = float(np.ptp(table.time_s))
+    _, bent = form_meant(Named.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)
+    assert bent.fixed["time_constant"] == pytest.approx(span / 5.0, rel=0.06)
+    _, straight = form_meant(Named.parse("thermal_drift Z"), dmu50, table, known)
+    assert not straight.fixed

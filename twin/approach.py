@@ -22,7 +22,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.calibration import Calibration
-from twin.effects import ControlCorrection, Reversal
+from twin.effects import ControlCorrection, Reversal, ReversalCurve
 from twin.errors import InputError
 from twin.toolpath import Path
 from twin.units import UM, URAD
@@ -63,6 +63,9 @@ class LostMotion:
         for effect in calibration.effects:
             if isinstance(effect, Reversal):
                 size = effect.size
+            elif isinstance(effect, ReversalCurve):
+                # The play is as wide as the lost motion is at its largest; by how much the axis is off is asked of the effect itself.
+                size = max(effect.lost_motion(), key=abs)
             elif isinstance(effect, ControlCorrection):
                 low, high = effect.lost_motion(ranges)
                 if high - low > UNEVEN:

@@ -25,6 +25,8 @@ from twin.effects import (
     Payload,
     PitchError,
     Reversal,
+    ReversalCurve,
+    SteadyDrift,
     TableLoad,
     ThermalDrift,
     ThermalExpansion,
@@ -153,6 +155,11 @@ def effect_named(
         if effect == "gravity_compliance":
             return gravity_compliance(machine, where, value[0], payloads)
         return Reversal(axis, value[0]) if effect == "reversal" else ZeroOffset(axis, value[0])
+    if effect == "reversal_curve":
+        axis = _axis(machine, effect, where)
+        if axis.lower is None or axis.upper is None:
+            raise InputError("no such place for reversal_curve", expected="an axis of limited range", value=where)
+        return ReversalCurve(axis, tuple(value))
     if effect in ("pitch_error", "thermal_expansion"):
         axis = _axis(machine, effect, where, linear=True)
         return PitchError(axis, *value) if effect == "pitch_error" else ThermalExpansion(axis, value[0])
@@ -165,6 +172,8 @@ def effect_named(
         vector = base_vector(first[1], direction)
         if effect == "thermal_growth":
             return ThermalGrowth(first[0], direction, vector, sensor, value[0])
+        if set(numbers) == set(STEADY):
+            return SteadyDrift(first[0], direction, vector, value[0])
         return ThermalDrift(first[0], direction, vector, *value)
     if effect == "table_load":
         axis = _axis(machine, effect, where, linear=False)
@@ -193,6 +202,7 @@ def effect_named(
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "reversal": ("size",),
+    "reversal_curve": ("c0", "c1"),
     "zero_offset": ("offset",),
     "gravity_compliance": ("compliance",),
     PAYLOAD: ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
@@ -204,11 +214,23 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "harmonic": ("order", "cos", "sin"),
     "cross_axis": ("coefficient",),
 }
-"""Linear and non-linear parameters of every effect that is no curve, squareness or location."""
+"""Linear and non-linear parameters of every effect that is no curve, squareness or location; a ``reversal_curve`` may have more."""
+
+STEADY = ("rate",)
+"""Parameters of a ``thermal_drift`` in a straight line, µm/h: its time constant is longer than the record it was found in."""
+
+
+def _parameters(effect: str, numbers: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the parameters that an effect has to have, of the forms it can take the one that is meant."""
+    if effect == "thermal_drift" and set(numbers) == set(STEADY):
+        return STEADY
+    if effect == "reversal_curve" and numbers:
+        return tuple(f"c{k}" for k in range(len(numbers)))
+    return PARAMETERS[effect]
 
 
 def _numbers(effect: str, where: str, numbers: Mapping[str, float]) -> list[float]:
-    wanted = PARAMETERS[effect]
+    wanted = _parameters(effect, numbers)
     if set(numbers) != set(wanted):
         raise InputError(
             f"parameters of {effect} {where}",

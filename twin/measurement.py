@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -69,6 +69,7 @@ class Measurements:
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
         simulated: whether any of the readings were simulated, not measured on a machine.
+        feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
     """
 
     source: str
@@ -89,6 +90,12 @@ class Measurements:
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
     simulated: bool = False
+    feed_mm_min: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Fill in the feed of tables that have none."""
+        if len(self.feed_mm_min) != len(self.lines):
+            object.__setattr__(self, "feed_mm_min", locked(np.full(len(self.lines), np.nan)))
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -159,6 +166,8 @@ class Measurements:
                 columns[f"approach_{axis.name}"] = [str(int(value)) for value in self.approach[:, i]]
         for name, values in self.temperature_degC.items():
             columns[f"T_{name}_degC"] = _printed(values)
+        if np.isfinite(self.feed_mm_min).any():
+            columns["feed_mm_min"] = _printed(self.feed_mm_min)
         for i, name in enumerate("xyz"):
             if np.isfinite(self.u_mm[:, i]).any():
                 columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
@@ -211,7 +220,15 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     temperatures = {
         name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
     }
-    known = {*needed, *POINT_COLUMNS, "station", "round", "time_s", *(f"T_{name}_degC" for name in temperatures)}
+    known = {
+        *needed,
+        *POINT_COLUMNS,
+        "station",
+        "round",
+        "time_s",
+        "feed_mm_min",
+        *(f"T_{name}_degC" for name in temperatures),
+    }
     known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
     known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
     known |= {f"{PLANNED}{name}" for name in (*PLACE_COLUMNS, *STATION_COLUMNS)}
@@ -235,6 +252,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
         temperature_degC=MappingProxyType(temperatures),
         notices=notices,
         simulated=bool(made),
+        feed_mm_min=reader.numbers("feed_mm_min"),
     )
     if n == 0:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
@@ -411,7 +429,10 @@ def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dic
     series = [f"{station}\0{target}\0".encode() for station, target in names]
     command = (part.positions + 0.0, part.approach + 0.0)
     point_of = [name + b"".join(column[i].tobytes() for column in command) for i, name in enumerate(series)]
-    rest = np.column_stack([part.readback, part.u_mm, part.time_s, *part.temperature_degC.values()]) + 0.0
+    rest = (
+        np.column_stack([part.readback, part.u_mm, part.time_s, part.feed_mm_min, *part.temperature_degC.values()])
+        + 0.0
+    )
     words = [
         f"{name}\0{unread[row] if len(unread) else ''}".encode() for name, row in zip(part.round, rows, strict=True)
     ]

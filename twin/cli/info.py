@@ -141,7 +141,7 @@ def info(
         console.print("* illustrative: drawn, not measured")
     for text in texts(errors.warnings):
         console.print(text, highlight=False, markup=False, soft_wrap=True)
-    if any(row.name.startswith("reversal:") for row in rows):
+    if any(row.name.startswith("reversal") for row in rows):
         console.print("a reversal counts as ± half its size")
     if at.channels:
         console.print(f"taken at: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}")

@@ -5,15 +5,22 @@
 Stations and targets are fitted, nothing else; what is left of the readings is judged against their scatter: the table's `u_x_mm
 …`, else the figures of the instrument that was named, else the repeats (compared after everything that may honestly differ
 between them is taken out), else what no plain form of any cause accounts for. Rows too far off to be chance are listed and left
-out, unless one of the causes is why. Then every effect of a catalogue is tried wherever the machine can have it: reversal,
-pitch errors, squareness, axis locations, curves of the linear axes, harmonics of the rotary ones, thermal expansion, growth and
-drift, one axis's error growing with another, a drooping cradle, compliance under gravity; and the instrument's own: a frame
-re-aligned, a station that creeps, a bumped target, the refractive index, positions reported before an axis had settled; and
+out, unless one of the causes is why. Then every effect of a catalogue is tried wherever the machine can have it: reversal, constant
+or along the travel, pitch errors, squareness, axis locations, curves of the linear axes, harmonics of the rotary ones, thermal
+expansion, growth and drift, one axis's error growing with another, a drooping cradle, compliance under gravity; and the instrument's
+own: a frame re-aligned, a station that creeps, a bumped target, the refractive index, scales and right angles of one of several
+stations or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or
+rows read on the way); and
 what can be wrong with the calibration itself: a polynomial fitted without its constant, terms the machine does not have, a
 wrong sign, a curve under another name or at another joint. A cause is judged by what it explains after everything the set-up
 and the calibration's own uncertainty can absorb has been projected out; every form tried is paid for, so that data with nothing
 hidden raise an alarm in at most 5 of 100 sets. A cause that would have to be larger than physics allows, or many times larger than
 what is to be explained, is none.
+
+Drifts of the machine and of the instrument have the same forms: a straight line, or an exponential with a time constant within the
+record. A straight drift of the machine is a `thermal_drift` with its rate, and its amplitude over the record (`bounded`: the time
+constant is longer); in a calibration it is `{effect: thermal_drift, where: Z, parameters: {rate: 3.2}}`, µm/h. Which of the two
+creeps, targets on both sides decide; where they are on one side only, both are named.
 
 Beside the causes, every column and every pair of columns is tested for a pattern without a name, on each side of the machine:
 short waves, steps, lost motion that depends on the position (`twin.diagnosis.unnamed`). Where one is left, the causes are judged

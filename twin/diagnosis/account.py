@@ -17,8 +17,7 @@ from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.evidence import curve_flaw, evidence
 from twin.diagnosis.extend import Extended, extend
-from twin.diagnosis.folds import at_positions
-from twin.diagnosis.gain import at_tool, held_out, of_file, plain, positions_held_out, rms, tool_mm, unwhitened
+from twin.diagnosis.gain import at_tool, foretells, held_out, of_file, plain, rms, tool_mm, unwhitened
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
@@ -27,12 +26,13 @@ from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.reported import READ_BACK, reported, unsettled
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
-from twin.diagnosis.search import excessive
+from twin.diagnosis.reversals import told_with_more
+from twin.diagnosis.search import GRIDDED, excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
 from twin.distributions import chi2_sf, f_log_sf, f_sf
-from twin.effects import Effect, split_name
+from twin.effects import Effect
 from twin.units import UM
 
 SEEN_AT: Final = 0.05
@@ -42,11 +42,7 @@ SMALL: Final = 0.01
 """Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
 MOSTLY_EXPLAINED: Final = 0.1
 """Share of the excess that causes may leave and still count as the explanation."""
-CURVES: Final = ("positioning", "straightness", "angular_error_motion", "error_motion", "pitch_error", "harmonic")
-"""Effects that are a function of one axis's position."""
 AT_BOUND: Final = 0.99
-DENSE: Final = 20
-"""Positions of an axis from which on what repeats at them holds between them as well."""
 RANKED: Final = 12
 RIVALS: Final = 2
 """Rivals of a cause for which points are suggested."""
@@ -66,7 +62,7 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
     forms, estimated, dropped = _sized(found)
     beside = [found.beside.forms[form.index] for form in forms]
     excess = max(problem.chi2 - problem.dof, estimated.explained, 1e-30)
-    promised = [_promised(pool, form, forms) for form in forms]
+    promised = [foretells(pool, form, forms) for form in forms]
     causes = [_cause(found, beside, forms, estimated, k, excess, calibration, promised[k]) for k in range(len(forms))]
     # Beside patterns the variances hold what a cause can imitate: the likelihood has decided, and no posterior is given.
     comparison = None if found.structure.traces else _compared(found, forms, causes)
@@ -204,26 +200,14 @@ def _unsettled(found: Findings, form: Form) -> str:
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Whether a parameter stands where it cannot go further."""
-    tried = [cell.fixed["time_constant"] for cell in form.candidate.cells if "time_constant" in cell.fixed]
-    limits = {"time_constant": max(tried, default=np.inf)}
+    limits = {
+        name: max((cell.fixed[name] for cell in form.candidate.cells if name in cell.fixed), default=np.inf)
+        for name in GRIDDED
+    }
+    if form.candidate.drift is not None and not form.candidate.drift.straight:
+        # In a straight line: its time constant is beyond the record.
+        return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
     return any(abs(q.value) >= AT_BOUND * limits.get(q.name, form.candidate.largest) for q in quantities)
-
-
-def _promised(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
-    """Whether a function of an axis's position foretells positions of that axis that were left out of its fit."""
-    if form.candidate.effect not in CURVES:
-        return True
-    machine, data = pool.problem.network.machine, pool.problem.network.data
-    axis = machine.names.index(
-        split_name(form.candidate.where)[2] if "_" in form.candidate.where else form.candidate.where
-    )
-    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
-        return True
-    split = at_positions(data, [axis])
-    if split is None:
-        return False
-    gained = positions_held_out(pool, form, [one for one in forms if one is not form], split)
-    return gained is not None and gained[0] > 0.0
 
 
 def _log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
@@ -259,7 +243,9 @@ def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:
 
 
 def _compared(found: Findings, forms: Sequence[Form], causes: Sequence[Cause]) -> Comparison:
-    groups = [(form.key, *cause.equivalent) for form, cause in zip(forms, causes, strict=True)]
+    groups = [
+        (form.key, *cause.equivalent, *told_with_more(form.key)) for form, cause in zip(forms, causes, strict=True)
+    ]
     return compared(second_opinion(found.pool, found.structure.forms), groups)
 
 
@@ -399,14 +385,44 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
             worth = float(explained - pool.cost(pool.forms[i], dof))
-            if worth > margin - DOUBT and dof > own and pool.contains([*others, pool.forms[i]], others, form):
+            elsewhere = pool.forms[i].candidate.origin != form.candidate.origin
+            more = dof > own and not elsewhere
+            if worth > margin - DOUBT and more and pool.contains([*others, pool.forms[i]], others, form):
                 continue  # the same thing, said with more
             if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
                 continue
             if worth > margin - DOUBT and excessive(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
                 continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
-    return tuple(key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT)
+    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT]
+    return tuple(dict.fromkeys([*keys, *_several(pool, form, others)]))
+
+
+def _several(pool: Pool, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
+    """Causes of one effect that explain together, with no more numbers, what one cause of the other origin does.
+
+    A station that drifts along three directions, and a tool side that does so along each.
+    """
+    explained, _ = pool.scan(others)
+    used = {one.key for one in others} | {form.key}
+    by_effect: dict[str, dict[tuple[str, str], Form]] = {}
+    for one in pool.forms:
+        if one.candidate.origin != form.candidate.origin and one.key not in used and len(one.columns) == 1:
+            best = by_effect.setdefault(one.candidate.effect, {})
+            if one.key not in best or explained[one.index] > explained[best[one.key].index]:
+                best[one.key] = one
+    whole = pool.explained_by([*others, form])
+    keys: list[tuple[str, str]] = []
+    for group in (list(best.values()) for best in by_effect.values()):
+        if not 1 < len(group) <= len(form.columns):
+            continue
+        together = pool.explained_by([*others, *group])
+        if together < whole - DOUBT:
+            continue
+        for one in group:
+            if pool.explained_by([*others, *(other for other in group if other is not one)]) < together - DOUBT:
+                keys.append(one.key)
+    return keys
 
 
 def _margin(pool: Pool, form: Form, others: Sequence[Form]) -> float:

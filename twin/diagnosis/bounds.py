@@ -13,9 +13,13 @@ import numpy as np
 
 from twin.machine import Machine
 
+LONGEST_PERIOD: Final = 0.5
+"""Share of the travel measured beyond which a wave is no pitch error: fewer than two periods are a curve, whatever its cause."""
 POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("reversal", "um"): 1000.0,
     ("reversal", "urad"): 5000.0,
+    ("reversal_curve", "um"): 1000.0,
+    ("reversal_curve", "urad"): 5000.0,
     ("pitch_error", "um"): 500.0,
     ("squareness", "urad"): 10_000.0,
     ("axis_location", "um"): 20_000.0,
@@ -28,6 +32,8 @@ POSSIBLE: Final[Mapping[tuple[str, str], float]] = {
     ("gravity_compliance", "urad/(N.m)"): 200.0,
     ("gravity_compliance", "um/N"): 1.0,
     ("refraction_scale", "ppm"): 20.0,
+    ("affine_scale", "ppm"): 200.0,
+    ("time_skew", "s"): 1.0,
 }
 """Effect and unit → magnitude beyond which no machine or instrument has it."""
 

@@ -10,10 +10,13 @@ import numpy as np
 
 from twin.calibration import Calibration
 from twin.curves import POWER
-from twin.diagnosis.bounds import largest
+from twin.diagnosis.affine import affine_errors
+from twin.diagnosis.bounds import LONGEST_PERIOD, largest
+from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
-from twin.diagnosis.functions import Functions, Rows, given, pieces
+from twin.diagnosis.functions import Functions, Rows, given
 from twin.diagnosis.loads import payloads_of, yielding
+from twin.diagnosis.reversals import VARYING, lost_motion
 from twin.diagnosis.signatures import (
     LARGEST,
     Column,
@@ -22,9 +25,10 @@ from twin.diagnosis.signatures import (
     first_component,
     of_components,
     of_effect,
-    of_units,
     of_values,
 )
+from twin.diagnosis.velocity import time_skews
+from twin.diagnosis.waves import highest_frequency, highest_order, waves
 from twin.effects import (
     AxisLocation,
     CrossAxis,
@@ -34,6 +38,7 @@ from twin.effects import (
     Harmonic,
     PitchError,
     Reversal,
+    ReversalCurve,
     Squareness,
     TableLoad,
     ThermalDrift,
@@ -51,15 +56,10 @@ from twin.units import UM
 
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
-SHORTEST_PERIOD: Final = 2.0
-"""mm: pitch errors below it are not sought."""
-ALIKE: Final = 0.5
-"""Size of the spectral window (1: even positions) from which on two frequencies are too alike to be told apart."""
-LOOKED_AT: Final = 500
-"""Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
 ORDERS: Final = 30
-TIME_CONSTANTS: Final = 36
-AT_HAND: Final = 64
+"""Harmonics of an error motion that are tried."""
+TEETH: Final = 200
+"""Of a rotary axis's own angle error, which gears and encoders make: as far as the positions measured can tell them from lower ones."""
 
 Build = Callable[[np.ndarray], tuple[Effect, ...]]
 
@@ -92,6 +92,7 @@ class Candidate:
         tests: how many independent ones that is, for the price of the search.
         space: the functions a curve's columns are, if it is one.
         largest: magnitude its linear parameters can have on a real machine, in their unit.
+        drift: its columns at any time constant, if it is one.
         build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
     """
 
@@ -104,6 +105,7 @@ class Candidate:
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
     space: CurveSpace | None = None
     largest: float = np.inf
+    drift: Drift | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -151,7 +153,11 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
             )
         )
     for axis in linear:
-        found.append(_pitch(axis, machine, state))
+        pitch = _pitch(axis, machine, state)
+        if pitch.cells:
+            found.append(pitch)
+        else:
+            missing.append(("pitch_error", axis.name, f"positions of {axis.name} closer together"))
         if f"T_{axis.name}_degC" in state:
             found.append(
                 _single(
@@ -166,6 +172,7 @@ def catalogue(machine: Machine, data: Measurements, calibration: Calibration) ->
             )
         else:
             missing.append(("thermal_expansion", axis.name, f"T_{axis.name}_degC"))
+    found += _reversal_curves(machine, state)
     found += _constants(machine, state)
     found += _curves(machine, state, calibration)
     found += _harmonics(machine, data, state)
@@ -194,6 +201,28 @@ def _re(kind: Callable[..., Effect], *first: Any) -> Callable[[np.ndarray, Mappi
     return lambda values, fixed: (kind(*first, float(values[0])),)
 
 
+def _reversal_curves(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
+    """Reversals that change along the travel, of axes of limited range whose approach is known."""
+    found = []
+    for axis in machine.axes:
+        curve = lost_motion(machine, axis, state)
+        if curve is None:
+            continue
+        space, columns = curve
+
+        def build(
+            values: np.ndarray, fixed: Mapping[str, float], axis: Axis = axis, space: CurveSpace = space
+        ) -> tuple[Effect, ...]:
+            n = len(values)
+            return (ReversalCurve(axis, tuple(float(v) for v in space.transform[:n, :n] @ values)),)
+
+        cells = tuple(Cell(tuple(columns[: degree + 1])) for degree in range(1, space.count))
+        names = tuple((f"g{k}", "um" if axis.linear else "urad") for k in range(space.count))
+        tests = float(space.count - 1)
+        found.append(Candidate(VARYING, axis.name, "machine", names, cells, tests, build, space))
+    return found
+
+
 def _turned(name: str, axis: Axis) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]:
     return lambda values, fixed: (Squareness(name, float(values[0]), axis),)
 
@@ -202,10 +231,13 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     q = state[axis.name]
     span = max(float(np.ptp(q)), 1e-9)
     # Half the resolution of the span a step; the best is refined afterwards.
-    frequencies = np.arange(1.0 / span, _highest(q, span) + 1e-9 / span, 0.5 / span)
+    lowest = 1.0 / (LONGEST_PERIOD * span)
+    # Of an axis that did not move one is enough to say so.
+    highest = highest_frequency(q, span) if np.ptp(q) > 0.0 else lowest
+    frequencies = np.arange(lowest, highest + 1e-9 / span, 0.5 / span)
     # As `PitchError` has it, for all periods at once.
     count = len(frequencies)
-    functions, at = _waves(q, 2.0 * np.pi / span, np.pi / span, count), first_component(machine, axis.name)
+    functions, at = waves(q, 2.0 * np.pi * lowest, np.pi / span, count), first_component(machine, axis.name)
     along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
     cells = [
         Cell(
@@ -220,45 +252,6 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
 
     names = (("sin", "um"), ("cos", "um"))
     return Candidate("pitch_error", axis.name, "machine", names, tuple(cells), max(len(cells), 1.0), build)
-
-
-def _highest(q: np.ndarray, span: float) -> float:
-    """Largest frequency, a mm, at which a wave is looked for: one position a period, or where it looks like a slower one.
-
-    Even positions cannot tell f from f_s − f, f_s being one a step; uneven ones can. Which they are their spectral window says: at such
-    an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys. Space Sci. 36, 137).
-    """
-    places = np.unique(np.round(q, 3))
-    highest = min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span)
-    if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
-        places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
-    looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
-    window = np.abs(np.mean(np.exp(2j * np.pi * np.outer(looks, places)), axis=1))
-    # Down from the window's own peak at zero, which is one over the span wide.
-    alike = looks[(window > ALIKE) & (looks > 1.5 / span)]
-    return min(highest, 0.5 * float(alike[0])) if alike.size else highest
-
-
-def _waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
-    """Sines of evenly spaced frequencies (radians a mm), and after them their cosines.
-
-    Each is a coarse wave turned on by a fine one: a product in place of two functions to be worked out.
-    """
-    fine = max(int(np.ceil(np.sqrt(count))), 1)
-    coarse = -(-count // fine)
-
-    def values(rows: Rows) -> np.ndarray:
-        at = q[rows, None]
-        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
-        many = np.exp(1j * at * step * np.arange(fine))[:, None, :]
-        found = np.empty((len(at), 2 * count))
-        # As many points at a time as the processor has at hand.
-        for some in pieces(len(at), AT_HAND):
-            every = (few[some] * many[some]).reshape(-1, coarse * fine)[:, :count]
-            found[some, :count], found[some, count:] = every.imag, every.real
-        return found
-
-    return Functions(len(q), 2 * count, values, most=1.0)
 
 
 def _constants(machine: Machine, state: Mapping[str, Any]) -> list[Candidate]:
@@ -378,17 +371,6 @@ def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-def _harmonic(angle: np.ndarray, orders: int) -> Functions:
-    """Cosines of the orders from 1 on, and after them their sines."""
-    order = np.arange(1, orders + 1)
-
-    def values(rows: Rows) -> np.ndarray:
-        found = angle[rows, None] * order
-        return np.concatenate([np.cos(found), np.sin(found)], axis=1)
-
-    return Functions(len(angle), 2 * orders, values)
-
-
 def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -> list[Candidate]:
     found = []
     for axis in machine.axes:
@@ -396,16 +378,18 @@ def _harmonics(machine: Machine, data: Measurements, state: Mapping[str, Any]) -
         if axis.linear or len(distinct) < 4:
             continue
         most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 60 else ORDERS)
-        functions, at = _harmonic(np.radians(state[axis.name]), most), first_component(machine, axis.name)
+        teeth = max(highest_order(distinct, TEETH), most)
+        functions, at = waves(np.radians(state[axis.name]), 1.0, 1.0, teeth), first_component(machine, axis.name)
+        own = 3 + int(np.argmax(np.abs(axis.direction)))
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
             unit = unit_of(name)
             cells = tuple(
                 Cell(
-                    tuple(of_components([(at + component, functions, k, 1.0)]) for k in (n - 1, most + n - 1)),
+                    tuple(of_components([(at + component, functions, k, 1.0)]) for k in (teeth + n - 1, n - 1)),
                     {"order": float(n)},
                 )
-                for n in range(1, most + 1)
+                for n in range(1, (teeth if component == own else most) + 1)
             )
 
             def build(values: np.ndarray, fixed: Mapping[str, float], name: str = name) -> tuple[Effect, ...]:
@@ -466,22 +450,24 @@ def _base_side(machine: Machine, state: Mapping[str, Any], missing: list[tuple[s
         if "time_s" not in state:
             missing.append(("thermal_drift", direction, "time_s"))
             continue
-        span = max(float(np.ptp(state["time_s"])), 1.0)
-        # Longer than the measurement none can be distinguished from a straight line.
-        constants = np.geomspace(span / 40.0, span, TIME_CONSTANTS).tolist()
-        units = of_units([ThermalDrift(frame, direction, vector, 1.0, tau) for tau in constants], machine, state)
-        cells = tuple(Cell((unit,), {"time_constant": tau}) for tau, unit in zip(constants, units, strict=True))
+        creep = ThermalDrift(frame, direction, vector, 1.0, 1.0)
+        drift = of_machine(creep, machine, state)
 
-        def build(
-            values: np.ndarray,
-            fixed: Mapping[str, float],
-            direction: str = direction,
-            vector: tuple[float, float, float] = vector,
-        ) -> tuple[Effect, ...]:
-            return (ThermalDrift(frame, direction, vector, float(values[0]), fixed["time_constant"]),)
+        def build(values: np.ndarray, fixed: Mapping[str, float], creep: ThermalDrift = creep) -> tuple[Effect, ...]:
+            if "time_constant" in fixed:
+                return (creep.changed(float(values[0]), fixed["time_constant"]),)
+            return (creep.steady(float(values[0])),)
 
-        found.append(Candidate("thermal_drift", direction, "machine", (("amplitude", "um"),), cells, 3.0, build))
+        names = (("amplitude", "um"),)
+        cells = _drifting(drift)
+        found.append(Candidate("thermal_drift", direction, "machine", names, cells, 3.0, build, drift=drift))
     return found
+
+
+def _drifting(drift: Drift) -> tuple[Cell, ...]:
+    """A straight line, and exponentials."""
+    bent = (Cell(drift.columns(constant), {"time_constant": constant}) for constant in drift.constants)
+    return (Cell(drift.columns(STRAIGHT)), *bent)
 
 
 def _loads(machine: Machine, state: Mapping[str, Any], calibration: Calibration) -> list[Candidate]:
@@ -530,70 +516,41 @@ def _instrument(
     rounds = list(dict.fromkeys(data.round))
     stations = list(dict.fromkeys(data.station))
     number = np.array([rounds.index(name) for name in data.round])
+    three = six[:3]
     for k in range(1, len(rounds)):
         later = (number >= k).astype(float)
         if len(stations) == 1:
-            found.append(
-                Candidate(
-                    "frame_shift",
-                    f"round {rounds[k]}",
-                    "instrument",
-                    six,
-                    (Cell(reading(frame, later, UM)),),
-                    1.0,
-                )
-            )
+            columns = reading(frame, later, UM)
+            found.append(Candidate("frame_shift", f"round {rounds[k]}", "instrument", six, (Cell(columns),), 1.0))
         else:
             for name in stations:
                 mask = later * (data.station == name)
                 if 0 < mask.sum() < np.count_nonzero(data.station == name):
                     where = f"station {name} from round {rounds[k]}"
-                    found.append(
-                        Candidate(
-                            "frame_shift",
-                            where,
-                            "instrument",
-                            six,
-                            (Cell(reading(frame, mask, UM)),),
-                            1.0,
-                        )
-                    )
+                    columns = reading(frame, mask, UM)
+                    found.append(Candidate("frame_shift", where, "instrument", six, (Cell(columns),), 1.0))
         for target in dict.fromkeys(data.target):
             of = data.target == target
             mask = later * of
             if 0 < mask.sum() < np.count_nonzero(of):
-                names = tuple((f"shift_{a}", "um") for a in "xyz")
-                found.append(
-                    Candidate(
-                        "target_shift",
-                        f"{target} from round {rounds[k]}",
-                        "instrument",
-                        names,
-                        (Cell(reading([("place", i) for i in range(3)], mask, UM)),),
-                        1.0,
-                    )
-                )
-    found.append(
-        Candidate(
-            "refraction_scale",
-            "—",
-            "instrument",
-            (("scale", "ppm"),),
-            (Cell(reading([("length", 0)], np.ones(n), 1e-6, 100.0)),),
-            1.0,
-        )
-    )
+                where = f"{target} from round {rounds[k]}"
+                columns = reading([("place", i) for i in range(3)], mask, UM)
+                found.append(Candidate("target_shift", where, "instrument", three, (Cell(columns),), 1.0))
+    columns = reading([("length", 0)], np.ones(n), 1e-6, 100.0)
+    found.append(Candidate("refraction_scale", "—", "instrument", (("scale", "ppm"),), (Cell(columns),), 1.0))
+    for one in affine_errors(data):
+        cells = tuple(Cell(form) for form in one.forms)
+        found.append(Candidate("affine_scale", one.where, "instrument", one.names, cells, float(len(cells))))
     if "time_s" in state:
-        hours = (state["time_s"] - state["time_s"].min()) / 3600.0
         for name in stations:
-            mask = hours * (data.station == name)
-            shift = reading(
-                [("base", i) for i in range(3)], mask, -UM, LARGEST / max(float(mask.max(initial=0.0)), 1e-9)
-            )
+            drift = of_station(state["time_s"], data.station == name)
             names = tuple((f"rate_{a}", "um/h") for a in "xyz")
-            found.append(Candidate("station_drift", name, "instrument", names, (Cell(shift),), 1.0))
+            found.append(Candidate("station_drift", name, "instrument", names, _drifting(drift), 3.0, drift=drift))
     else:
         missing.append(("station_drift", ", ".join(stations), "time_s"))
+    for name, column in time_skews(data, machine, missing):
+        cells = (Cell((column,)),)
+        found.append(Candidate("time_skew", name, "instrument", (("delay", "s"),), cells, 1.0))
     for i, axis in enumerate(machine.axes):
         reported = data.readback[:, i]
         if np.all(np.isnan(reported)):

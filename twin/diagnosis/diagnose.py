@@ -13,6 +13,7 @@ from twin.diagnosis.account import account
 from twin.diagnosis.catalogue import Catalogue, Cell
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.folds import parts
+from twin.diagnosis.gain import foretells
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import patterns
 from twin.diagnosis.payload import chosen
@@ -20,10 +21,11 @@ from twin.diagnosis.pool import Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
+from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, settled
-from twin.effects import PitchError, ThermalDrift
+from twin.effects import PitchError
 from twin.identification.outliers import outliers
 from twin.instruments import Instrument
 from twin.machine import Machine
@@ -146,6 +148,14 @@ class Searcher:
     def run(self) -> Findings:
         """The best set of causes, and the patterns without a name that stand beside them."""
         found = settled(self.pool, self._best().forms, self.patterns)
+        # What a reversal does between positions is asked of positions left out: refuted there, it is the plain reversal and a rest.
+        while refuted := [
+            form
+            for form in found.forms
+            if form.candidate.effect == VARYING and not foretells(self.pool, form, found.forms)
+        ]:
+            self.pool.forbid({form.key for form in refuted})
+            found = settled(self.pool, self._best().forms, self.patterns)
         beside = self.pool.beside(found.problem) if found.traces else self.pool
         return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found)
 
@@ -159,7 +169,7 @@ class Searcher:
         for _ in range(REFINED):
             if not self._refined(best):
                 break
-            best = chosen(self.pool)
+            best = chosen(self.pool, best.forms)
         return best
 
     def _refined(self, best: Selection) -> bool:
@@ -182,13 +192,12 @@ class Searcher:
             if form not in large or not any(put.values()):
                 continue
             moved = True
-            if isinstance(effects[0], PitchError):
+            if effects and isinstance(effects[0], PitchError):
                 pitch = effects[0]
                 sine, cosine = (PitchError(pitch.axis, 1.0, pitch.period, phase) for phase in (0.0, np.pi / 2.0))
                 columns = of_unit(sine, machine, state), of_unit(cosine, machine, state)
                 self.pool.refine(form, Cell(columns, {"period": pitch.period}))
-            elif isinstance(effects[0], ThermalDrift):
-                constant = effects[0].time_constant
-                column = of_unit(effects[0].changed(1.0, constant), machine, state)
-                self.pool.refine(form, Cell((column,), {"time_constant": constant}))
+            elif form.candidate.drift is not None:
+                constant = next(q.value for q in quantities if q.name == "time_constant")
+                self.pool.refine(form, Cell(form.candidate.drift.columns(constant), {"time_constant": constant}))
         return moved

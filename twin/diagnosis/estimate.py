@@ -11,23 +11,19 @@ from scipy.linalg import block_diag
 
 from twin.arrays import locked
 from twin.covariance import Covariance
+from twin.diagnosis.drift import STRAIGHT
+from twin.diagnosis.drift_fit import fit_drift
 from twin.diagnosis.misfit import larger, more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.signatures import Column, of_effect, of_unit
-from twin.effects import Effect, ErrorMotion, PitchError, ThermalDrift
+from twin.diagnosis.signatures import Column, of_effect
+from twin.effects import Effect, ErrorMotion, PitchError, ReversalCurve, SteadyDrift, ThermalDrift
 from twin.measurement import state_of
 
 STEPS: Final = 12
 STILL: Final = 1e-6
-CONSTANTS: Final = 81
-"""Time constants a drift's likelihood is taken at."""
 TOGETHER: Final = 64
-HIDDEN: Final = 1e-6
-"""Share of a drift beside other causes below which they hide it."""
-SHARP: Final = 0.15
-"""Relative doubt of a time constant below which the likelihood is that of a normal."""
 
 
 @final
@@ -90,21 +86,23 @@ def estimate(
         () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
         for form, value in zip(forms, values, strict=True)
     ]
-    curved = [bool(found) and isinstance(found[0], PitchError | ThermalDrift) for found in effects]
+    curved = [bool(found) and isinstance(found[0], PitchError) for found in effects]
     fixed = [dict(form.cell.fixed) for form in forms]
     loose: dict[int, np.ndarray] = {}
-    for k, found in enumerate(effects):
-        if found and isinstance(found[0], ThermalDrift):
+    for k, form in enumerate(forms):
+        if form.candidate.drift is not None:
             others = [column for form in forms if form is not forms[k] for column in form.cell.columns]
-            drift, moments = _creep(problem, forms[k], found[0], others)
-            effects[k] = (drift,)
-            if moments is not None:
-                loose[k], curved[k] = moments, False
-                fixed[k] = {"time_constant": drift.time_constant}
-                unit = [of_unit(drift.changed(1.0, drift.time_constant), machine, state)]
-                scales[k] = np.array([column.scale for column in unit])
-                columns[k], values[k] = problem.signature(unit) / scales[k], np.array([drift.amplitude])
-    longest = float(np.ptp(state["time_s"])) if "time_s" in state else np.inf
+            drift = fit_drift(problem, form.candidate.drift, others)
+            straight = drift.time_constant == STRAIGHT
+            unit = form.candidate.drift.columns(drift.time_constant)
+            fixed[k] = {} if straight else {"time_constant": drift.time_constant}
+            scales[k] = np.array([column.scale for column in unit])
+            columns[k], values[k] = problem.signature(unit) / scales[k], drift.values
+            effects[k] = () if form.candidate.build is None else form.candidate.build(drift.values, fixed[k])
+            if drift.moments is not None:
+                loose[k] = drift.moments
+            curved[k] = drift.moments is None and not straight
+    longest = [_longest(form) for form in forms]
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
         for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
@@ -130,7 +128,7 @@ def estimate(
             own = step[at : at + block.shape[1]]
             at += block.shape[1]
             if curved[k]:
-                effects[k] = (_with(effects[k][0], current[k] + own, longest),)
+                effects[k] = (_with(effects[k][0], current[k] + own, longest[k]),)
             else:
                 values[k] = values[k] + own
                 if forms[k].candidate.build is not None:
@@ -164,7 +162,7 @@ def estimate(
         matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
         own = loose.get(k, matrix @ block @ matrix.T)
         direct = form.candidate.space is not None or curved[k] or k in loose
-        quantities.append(_quantities(form, effects[k], values[k], own if direct else block))
+        quantities.append(_quantities(form, fixed[k], effects[k], values[k], own if direct else block))
         if effects[k]:
             placed = np.zeros((len(own), len(inverse)))
             if k not in loose:
@@ -202,47 +200,6 @@ def _wald(values: np.ndarray, covariance: np.ndarray, count: float) -> tuple[flo
     return float(np.sum(along**2 / found[kept])), int(kept.sum()), count
 
 
-def _creep(
-    problem: Problem, form: Form, effect: ThermalDrift, others: Sequence[Column]
-) -> tuple[ThermalDrift, np.ndarray | None]:
-    """The most likely drift, and how far amplitude and time constant may be from it; None where the data pin them down.
-
-    A time constant as long as the measurement leaves amplitude and constant free to grow together: no curvature at the best value says
-    how far. The second moments about it under the profile likelihood do, over the time constants that were tried, even in their log.
-
-    Args:
-        problem: the data.
-        form: whose time constants were tried.
-        effect: with any numbers.
-        others: columns of the other causes.
-    """
-    machine = problem.network.machine
-    state = state_of(problem.network.data, machine)
-    tried = [cell.fixed["time_constant"] for cell in form.candidate.cells]
-    constants = np.geomspace(min(tried), max(tried), CONSTANTS)
-    units = [Column(of_unit(effect.changed(1.0, tau), machine, state).parts, 1.0) for tau in constants]
-    found_of = problem.products([*units, *others])
-    own, beside = slice(0, CONSTANTS), slice(CONSTANTS, None)
-    inverse, _ = pseudo(found_of.gram[beside, beside]) if others else (np.zeros((0, 0)), None)
-    cross = found_of.gram[beside, own]
-    whole = np.diag(found_of.gram[own, own])
-    weight = whole - np.einsum("ij,ij->j", cross, inverse @ cross)
-    seen = weight > HIDDEN * whole
-    weight = np.where(seen, weight, np.inf)
-    amplitude = (found_of.slope[own] - cross.T @ (inverse @ found_of.slope[beside])) / weight
-    gain = np.where(seen, amplitude**2 * np.where(seen, weight, 1.0), -np.inf)
-    if not seen.any():
-        return effect, None
-    best = int(np.argmax(gain))
-    share = np.exp((gain - gain[best]) / 2.0)
-    share /= share.sum()
-    found = effect.changed(float(amplitude[best]), float(constants[best]))
-    if np.sqrt(share @ np.log(constants / constants[best]) ** 2) < SHARP and share[0] + share[-1] < 1e-3:
-        return found, None
-    off = np.stack([amplitude - amplitude[best], constants - constants[best]])
-    return found, (off * share) @ off.T + np.diag([share @ (1.0 / weight), 0.0])
-
-
 def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
     """From what was fitted to the parameters as a calibration has them, which are linear in it."""
     build = form.candidate.build
@@ -276,12 +233,21 @@ def _made(problem: Problem, machine: object, state: object, effects: Sequence[Ef
     return found.reshape(-1)
 
 
+def _longest(form: Form) -> float:
+    """Longest period or time constant that a form can have."""
+    tried = [
+        cell.fixed[name] for cell in form.candidate.cells for name in ("period", "time_constant") if name in cell.fixed
+    ]
+    return max(tried, default=np.inf)
+
+
 def _with(effect: Effect, values: np.ndarray, longest: float) -> Effect:
     numbers = [float(v) for v in values]
     if isinstance(effect, PitchError):
         amplitude, period, phase = numbers
         if amplitude < 0.0:
             amplitude, phase = -amplitude, phase + np.pi
+        period = min(max(period, 0.3 * effect.period), longest)
         return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
     if isinstance(effect, ThermalDrift):
         tau = max(numbers[1], 0.3 * effect.time_constant)
@@ -290,7 +256,7 @@ def _with(effect: Effect, values: np.ndarray, longest: float) -> Effect:
 
 
 def _quantities(
-    form: Form, effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
+    form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if effects and isinstance(effects[0], PitchError | ThermalDrift):
@@ -298,10 +264,18 @@ def _quantities(
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
         )
-    if effects and isinstance(effects[0], ErrorMotion) and form.candidate.space is not None:
+    if effects and isinstance(effects[0], ErrorMotion | ReversalCurve) and form.candidate.space is not None:
         return tuple(
             Quantity(f"c{k}", p.value, p.unit, float(one))
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
+        )
+    if effects and isinstance(effects[0], SteadyDrift) and form.candidate.drift is not None:
+        # The time constant is longer than the record: the rate is known, and with it what the record sees of the amplitude.
+        hours = form.candidate.drift.constants[-1] / 3600.0
+        rate = effects[0].rate
+        return (
+            Quantity("amplitude", rate * hours, "um", float(u[0]) * hours),
+            Quantity("rate", rate, "um/h", float(u[0])),
         )
     found = tuple(
         Quantity(name, float(value), unit, float(one))
@@ -310,4 +284,6 @@ def _quantities(
     )
     if "order" in form.cell.fixed:
         found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)
+    if form.candidate.drift is not None and "time_constant" in fixed:
+        found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
     return found

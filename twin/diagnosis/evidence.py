@@ -11,6 +11,7 @@ from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
+from twin.effects import ReversalCurve
 
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
@@ -21,6 +22,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
     where = form.candidate.where
     text = {
         "reversal": f"{where} stands {abs(size.value):.3g} {unit} apart depending on the side it came from",
+        "reversal_curve": _lost_motion(found, where, k),
         "pitch_error": f"{where} errs periodically along its travel",
         "squareness": f"{where}: the axes are out of square by {size.value:.3g} {unit} more than the model says",
         "axis_location": f"{where}: the axis's average line lies {size.value:.3g} {unit} from where the model has it",
@@ -31,7 +33,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
         "harmonic": f"{where}: an error that repeats with the turn of the axis",
         "thermal_expansion": f"{where}'s scale lengthens by {size.value:.3g} {unit} as it warms",
         "thermal_growth": f"the tool side moves along {where} as that sensor warms",
-        "thermal_drift": f"the tool side creeps along {where} as the machine warms up",
+        "thermal_drift": f"the tool side creeps along {where} as the machine warms up{_course(found, k)}",
         "cross_axis": f"{where}: one axis's error grows with another axis's position",
         "table_load": f"the cradle on {where} droops by {size.value:.3g} {unit} when turned",
         "frame_shift": f"the instrument's frame was re-aligned from {where} on",
@@ -39,11 +41,36 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
         "zero_offset": f"{where}'s zero is off by {size.value:.3g} {unit}",
         "following_error": f"{where} stood where the control reported it, not where it was told to go",
         "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
-        "station_drift": f"station {where} creeps while it measures",
+        "time_skew": f"readings and positions of {where} were taken {abs(size.value):.3g} {unit} apart while it moved",
+        "affine_scale": f"the instrument's own scales and right angles are off in {where}, by up to {size.value:.3g} {unit}",
+        "station_drift": f"station {where} creeps while it measures{_course(found, k)}",
         "misplaced": _misplaced(where),
         "target_shift": f"target {where} sits elsewhere than before",
     }.get(form.candidate.effect, f"{where}: an error of the kind {form.candidate.effect.replace('_', ' ')}")
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+
+
+def _lost_motion(found: Estimate, where: str, k: int) -> str:
+    """How a reversal changes along the travel."""
+    effect = found.effects[k][0] if found.effects[k] else None
+    if not isinstance(effect, ReversalCurve):
+        return ""
+    low, high = effect.lost_motion()
+    unit = readable_unit(effect.parameters[0].unit)
+    return (
+        f"{where} stands apart depending on the side it came from, and by how much changes along its travel: from {low:.3g} {unit} "
+        f"to {high:.3g} {unit}"
+    )
+
+
+def _course(found: Estimate, k: int) -> str:
+    """How a drift runs in time."""
+    numbers = {q.name: q for q in found.quantities[k]}
+    if "time_constant" in numbers:
+        return f", and slows down (time constant {numbers['time_constant'].value:.3g} s)"
+    if "rate" in numbers:
+        return f", at {numbers['rate'].value:.3g} µm/h throughout: its time constant is longer than the record"
+    return ", at the same rate throughout"
 
 
 def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:

@@ -17,9 +17,10 @@ from twin.diagnosis.likelihood import Likelihood
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
+from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.structure import Findings, again
 from twin.distributions import student_isf
-from twin.effects import Effect
+from twin.effects import Effect, split_name
 from twin.effects.empirical import Empirical, state_name
 from twin.effects.waves import APPROACH
 from twin.identification.network import Network
@@ -29,6 +30,18 @@ from twin.machine import Machine
 from twin.measurement import Measurements
 
 TOOL_MM: Final = 100.0
+CURVES: Final = (
+    "positioning",
+    "straightness",
+    "angular_error_motion",
+    "error_motion",
+    "pitch_error",
+    "harmonic",
+    VARYING,
+)
+"""Effects that are a function of one axis's position."""
+DENSE: Final = 20
+"""Positions of an axis from which on what repeats at them holds between them as well."""
 ENOUGH: Final = 6
 """Independent groups below which no interval is given."""
 
@@ -180,6 +193,33 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
     pseudo = count * whole - (count - 1) * without
     half = student_isf(0.025, count - 1) * float(pseudo.std(ddof=1)) / np.sqrt(count)
     return whole - half, whole + half
+
+
+def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
+    """Whether a function of an axis's position foretells positions of that axis that were left out of its fit.
+
+    A reversal that changes along the travel has to foretell more than the plain reversal does.
+
+    Args:
+        pool: the data.
+        form: the cause.
+        forms: all causes.
+    """
+    if form.candidate.effect not in CURVES:
+        return True
+    machine, data = pool.problem.network.machine, pool.problem.network.data
+    where = form.candidate.where
+    axis = machine.names.index(split_name(where)[2] if "_" in where else where)
+    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
+        return True
+    split = at_positions(data, [axis])
+    if split is None:
+        return False
+    others = [one for one in forms if one is not form]
+    if form.candidate.effect == VARYING:
+        others += [one for one in pool.forms if one.key == ("reversal", where)]
+    gained = positions_held_out(pool, form, others, split)
+    return gained is not None and gained[0] > 0.0
 
 
 def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:

@@ -35,6 +35,7 @@ CHANGING: Final = (
     "thermal_growth",
     "thermal_drift",
     "refraction_scale",
+    "affine_scale",
 )
 """Effects that may make two readings of one point differ."""
 

@@ -303,7 +303,7 @@ def _split(found: Diagnosis, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Readings that a cause treats differently, named: by side of approach, or by where another axis stands."""
     data, machine = found.data, found.calibration.machine
     everything = np.ones(len(data), dtype=bool)
-    if cause.effect == "reversal":
+    if cause.effect in ("reversal", "reversal_curve"):
         sides = data.approach[:, machine.names.index(cause.where)]
         return [("from +", sides > 0), ("from −", sides < 0)]
     other = None
@@ -366,6 +366,9 @@ def _columns_of(found: Diagnosis, cause: Cause) -> list[str]:
     scales = scales_of(found)
     if cause.effect == "reversal":
         return [f"approach_{cause.where}"]
+    if cause.effect == "reversal_curve":
+        axis = found.calibration.machine.by_name[cause.where]
+        return [f"approach_{cause.where}", f"{axis.name}_{axis.unit}"]
     labels = [scale.label for scale in _against(found, cause)]
     return [name for name, scale in scales.items() if scale.label in labels]
 

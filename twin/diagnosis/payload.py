@@ -122,13 +122,15 @@ def weights(four: np.ndarray) -> np.ndarray:
     return np.concatenate([[1.0, four[0]], four[0] * four[1:]])
 
 
-def chosen(pool: Pool) -> Selection:
+def chosen(pool: Pool, before: Sequence[Form] = ()) -> Selection:
     """The best set of causes that are possible, with one payload a side in the load of all joints that give way.
 
     Args:
         pool: the forms; where joints ask for a payload they have it in their load from then on.
+        before: the best set before forms were refined; begun with where it has a payload, which not every way through a search finds.
     """
-    best, anew = select(pool), True
+    anew = not any(MASS in form.cell.fixed for form in before)
+    best = select(pool, () if anew else [pool.forms[form.index] for form in before])
     for _ in range(ROUNDS):
         loads = [load for side in SIDES if (load := _asked(pool, best.forms, side)) is not None]
         if not any([_put(pool, _believed(pool, load)) for load in loads]):

@@ -175,6 +175,15 @@ class Pool:
         self._costs = np.array(self._costs)
         self._costs[[form.index for form in forms]] = np.inf
 
+    @property
+    def allowed(self) -> np.ndarray:
+        """(forms, dof + 1) what each form must explain to be believed; infinite where it was forbidden."""
+        return np.array(self._costs)
+
+    @allowed.setter
+    def allowed(self, costs: np.ndarray) -> None:
+        self._costs = np.array(costs)
+
     def chance(self, log_p: float) -> float:
         """A p-value, the whole search paid for, from a form's log p with its price."""
         return float(min(np.exp(log_p) * ALARMS / self.level, 1.0))

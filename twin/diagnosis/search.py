@@ -45,6 +45,10 @@ FEWEST: Final = 25.0
 """Of a chi²: where little is explained, scatter has its part in it."""
 ROUGHLY: Final = 0.2
 """How far from one such a share may be, beside other errors of the model."""
+PLIABLE: Final = ("affine_scale",)
+"""Effects of many numbers that take up a little of anything: beside what is much larger, what its form leaves looks like them."""
+LEAST: Final = 0.01
+"""Share of what all causes explain that such an effect has to do at least."""
 LIKELY: Final = 12
 """Forms whose inner products with all others are worked out in one go."""
 
@@ -120,7 +124,15 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
         best: the best set, whatever its size (`select`).
         anew: whether the search is made anew without a cause that is too large, or goes on from the others.
     """
+    allowed = pool.allowed
     while True:
+        if any(form.candidate.effect in PLIABLE and excessive(pool, form, best.forms) == np.inf for form in best.forms):
+            # None of them: what they displaced comes back.
+            pool.allowed = allowed
+            pool.forbid({form.key for form in pool.forms if form.candidate.effect in PLIABLE})
+            allowed = pool.allowed
+            best = select(pool, () if anew else [f for f in best.forms if f.candidate.effect not in PLIABLE])
+            continue
         excess = [excessive(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
@@ -156,7 +168,10 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
         gram: (w, w) inner products of its columns.
         explained: by all causes together.
     """
-    found = float(values @ gram @ values) / (CANCELS * (explained + FEWEST))
+    own = float(values @ gram @ values)
+    if form.candidate.effect in PLIABLE and own < LEAST * explained:
+        return np.inf
+    found = own / (CANCELS * (explained + FEWEST))
     scale = np.array([column.scale for column in form.cell.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)

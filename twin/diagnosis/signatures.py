@@ -22,6 +22,9 @@ from twin.units import UM
 LARGEST: Final = 1000.0
 """µm or µrad: how much an effect may do at most anywhere; a column is scaled to it."""
 
+STRAINS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Components of a strain, by the two directions each is of."""
+
 Field = tuple[str, int]
 """What moves, and along or about which of its directions."""
 
@@ -36,9 +39,20 @@ _FIELDS: Final[Mapping[str, Callable[[View, Rows], np.ndarray]]] = {
     "station turn": lambda view, rows: -(view.by_seen[rows] @ cross_matrix(view.seen[rows])),
     # The target on its carrier.
     "place": lambda view, rows: view.by_place[rows],
+    # The point in its station's frame, by a strain of that frame about its origin: x, y, z, then the right angles xy, xz, yz.
+    "strain": lambda view, rows: view.by_seen[rows] @ strained(view.seen[rows]),
     # All lengths from the station.
     "length": lambda view, rows: view.by_seen[rows] @ view.seen[rows][:, :, None],
 }
+
+
+def strained(points: np.ndarray) -> np.ndarray:
+    """(n, 3, 6) displacement of points by a symmetric strain: of x, y, z, and half each change of a right angle, xy, xz, yz."""
+    found = np.zeros((*points.shape, len(STRAINS)))
+    for k, (i, j) in enumerate(STRAINS):
+        share = 1.0 if i == j else 0.5
+        found[:, i, k], found[:, j, k] = share * points[:, j], share * points[:, i]
+    return found
 
 
 @final

@@ -48,7 +48,15 @@ class Advice:
     never: str
 
 
-INSTRUMENTS: Final = ("frame_shift", "target_shift", "station_drift", "refraction_scale", "read_back")
+INSTRUMENTS: Final = (
+    "frame_shift",
+    "target_shift",
+    "station_drift",
+    "refraction_scale",
+    "affine_scale",
+    "time_skew",
+    "read_back",
+)
 
 
 def kind(effect: str, origin: str) -> Kind:
@@ -356,6 +364,7 @@ def _filed(where: str) -> str:
 PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
     {
         "reversal": lambda where: f"lost motion of {where}",
+        "reversal_curve": lambda where: f"lost motion of {where} that changes along its travel",
         "pitch_error": lambda where: f"periodic positioning error of {where}",
         "squareness": _squareness,
         "axis_location": lambda where: motion(where),
@@ -378,6 +387,8 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
         "read_back": lambda where: f"reported positions of {where} were read too early",
         "following_error": lambda where: f"{where} stopped short of where it was told to go",
         "refraction_scale": lambda where: "all lengths read too long or too short",
+        "time_skew": lambda where: f"readings and positions of {where} not taken at the same moment",
+        "affine_scale": lambda where: f"scales and right angles of the instrument off ({where})",
         "station_drift": lambda where: f"instrument at station {where} creeps",
         "target_shift": _bumped,
         "misplaced": _filed,
@@ -386,6 +397,7 @@ PLAIN: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
 FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "reversal": "lost motion",
+        "reversal_curve": "lost motion that changes along the travel",
         "pitch_error": "periodic positioning errors",
         "axis_location": "places of rotary axes",
         "angular_error_motion": "tilts along the travel",
@@ -402,6 +414,8 @@ FAMILIES: Final[Mapping[str, str]] = MappingProxyType(
         "zero_offset": "zeros of axes",
         "read_back": "whether the control's reports can be trusted",
         "refraction_scale": "scale of all lengths",
+        "time_skew": "delay between readings and positions",
+        "affine_scale": "scales and right angles of the instrument",
         "station_drift": "creep of the instrument",
         "target_shift": "displaced targets",
         "misplaced": "curves of the calibration in the wrong place",
@@ -419,6 +433,11 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
             "Service: nut and preload of {axis}'s screw (a rotary axis: worm or gear), thrust bearing, coupling, seat of the scale.",
             f"{EXTENDED}: it knows from which side {{axis}} comes. Or enter it as backlash in the control.",
             f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error and leaves it as large.",
+        ),
+        "reversal_curve": (
+            "Service: wear of {axis}'s screw and nut where it works most, tension of the screw, friction of the guideway.",
+            f"{EXTENDED}: it knows from which side {{axis}} comes, and where it is.",
+            f"{NOT_TWICE} Do not enter one backlash in the control: it is right at one place only.",
         ),
         "pitch_error": (
             "Service: what of {axis} has this period: screw (its lead), coupling, gear, or the grating of the scale.",
@@ -506,6 +525,16 @@ ADVICE: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         "refraction_scale": (
             "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.",
             "Use the rest: it has been taken out of the account.",
+            NOTHING,
+        ),
+        "time_skew": (
+            "Who measured: how readings and positions of {axis} are brought together: trigger, filter, delay of the instrument.",
+            "Use the rest: it has been taken out of the account. Better, measure again at standstill, or at half the feed.",
+            NOTHING,
+        ),
+        "affine_scale": (
+            "Who measured: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
+            "Use the rest: it has been taken out of the account. Better, measure again with an instrument that was checked.",
             NOTHING,
         ),
         "station_drift": (

@@ -1,6 +1,6 @@
 """What makes a machine differ from its drawing, one small class an effect; a model is an ordered tuple of them."""
 
-from twin.effects.along import PitchError, Reversal, ZeroOffset
+from twin.effects.along import PitchError, Reversal, ReversalCurve, ZeroOffset
 from twin.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
 from twin.effects.control import ControlCorrection
 from twin.effects.coupled import CrossAxis, Harmonic, TableLoad
@@ -9,7 +9,7 @@ from twin.effects.error_motion import ErrorMotion
 from twin.effects.load import GravityCompliance, Payload
 from twin.effects.location import AxisLocation
 from twin.effects.squareness import Squareness
-from twin.effects.thermal import ThermalDrift, ThermalExpansion, ThermalGrowth
+from twin.effects.thermal import SteadyDrift, ThermalDrift, ThermalExpansion, ThermalGrowth
 
 __all__ = [
     "AxisLocation",
@@ -25,7 +25,9 @@ __all__ = [
     "Payload",
     "PitchError",
     "Reversal",
+    "ReversalCurve",
     "Squareness",
+    "SteadyDrift",
     "TableLoad",
     "ThermalDrift",
     "ThermalExpansion",

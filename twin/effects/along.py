@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi
-from typing import Any, final
+from typing import Any, Final, final
 
+import numpy as np
+
+from twin.curves import POWER
 from twin.effects.base import Effect, Frame, Parameter, channel
 from twin.elementary import cos, sin
 from twin.machine import Axis
+
+PLACES: Final = 201
+"""Positions at which the extremes of a curve are looked for."""
 
 
 def along(axis: Axis, value: Any) -> dict[int, Any]:
@@ -53,6 +59,51 @@ class Reversal(Effect):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
         return (along(self.axis, 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)),)
+
+
+@final
+class ReversalCurve(Effect):
+    """Lost motion that changes along the travel: the curve measured upwards less the one measured downwards, Σ c_k u^k.
+
+    u = (2q − lo − hi)/(hi − lo) over the axis's range.
+
+    Args:
+        axis: the axis; its range is limited.
+        coefficients: c_0, c_1, … µm or µrad, along the command.
+    """
+
+    def __init__(self, axis: Axis, coefficients: tuple[float, ...]) -> None:
+        self.name = f"reversal_curve:{axis.name}"
+        self.axis = axis
+        self.coefficients = coefficients
+
+    @property
+    def frame(self) -> Frame:
+        """The motion frame of its axis."""
+        return Frame(self.axis.name, "motion")
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`; needs ``approach_<axis>``."""
+        side = 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)
+        return along(self.axis, side * POWER.value(positions[self.axis.name], self.axis.domain, self.coefficients))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficients."""
+        unit = unit_of(self.axis)
+        return tuple(Parameter(f"{self.name}.c{k}", unit, value) for k, value in enumerate(self.coefficients))
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        side = 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)
+        functions = POWER.functions(positions[self.axis.name], self.axis.domain, len(self.coefficients))
+        return tuple(along(self.axis, side * function) for function in functions)
+
+    def lost_motion(self) -> tuple[float, float]:
+        """Smallest and largest reversal over the axis's range, µm or µrad."""
+        q = np.linspace(*self.axis.domain, PLACES)
+        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), PLACES)
+        return float(sizes.min()), float(sizes.max())
 
 
 @final

@@ -116,6 +116,14 @@ class ThermalDrift(Effect):
         """The same with other numbers."""
         return ThermalDrift(self._frame, self.direction, self._vector, amplitude, time_constant)
 
+    def steady(self, rate: float) -> SteadyDrift:
+        """The limit of a time constant far beyond the record.
+
+        Args:
+            rate: µm/h.
+        """
+        return SteadyDrift(self._frame, self.direction, self._vector, rate)
+
     @property
     def frame(self) -> Frame:
         """The frame nearest the base."""
@@ -142,3 +150,40 @@ class ThermalDrift(Effect):
             {i: part * shape for i, part in enumerate(self._vector) if part != 0.0}
             for shape in (1.0 - left, by_constant)
         )
+
+
+@final
+class SteadyDrift(Effect):
+    """The tool side creeps along a direction of the base in a straight line: r·t, the limit A/τ of `ThermalDrift` for t ≪ τ.
+
+    Args:
+        frame: the frame nearest the base on the tool side.
+        direction: ``X``, ``Y`` or ``Z`` of the base.
+        vector: that direction in the frame.
+        rate: r, µm/h.
+    """
+
+    def __init__(self, frame: Frame, direction: str, vector: tuple[float, float, float], rate: float) -> None:
+        self.name = f"thermal_drift:{direction}"
+        self.rate = rate
+        self._frame = frame
+        self._vector = vector
+
+    @property
+    def frame(self) -> Frame:
+        """The frame nearest the base."""
+        return self._frame
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`; needs ``time_s``."""
+        return {i: self.rate * shape for i, shape in self.derivatives(positions)[0].items()}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The rate."""
+        return (Parameter(f"{self.name}.rate", "um/h", self.rate),)
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        hours = channel(positions, "time_s", self.name) / 3600.0
+        return ({i: part * hours for i, part in enumerate(self._vector) if part != 0.0},)

@@ -133,14 +133,14 @@ def separate(
         sessions = _sessions(causes)
         plain = candidates(machine, own, safe_poses(machine, own, filler.rng), filler.rng)
         every, session = _in_sessions(plain, sessions)
-        cells = tuple(_cell(one, machine, every, known) for one in causes)
+        cells = tuple(form_meant(one, machine, every, known) for one in causes)
         found: list[Readings] = []
         for instrument in own.instruments:
             found.append(_readings(machine, own, instrument, every, session, sessions, known, causes, cells, after))
         stands = filler.best([one for readings in found for one in filler.stands(readings)])
         best = stands[0]
         way = filler.filled(best)
-        again = tuple(_cell(one, machine, way.plan, known) for one in causes)
+        again = tuple(form_meant(one, machine, way.plan, known) for one in causes)
         last = _readings(
             machine,
             own,
@@ -225,7 +225,7 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> tuple[Me
     return replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures)), session
 
 
-def _cell(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> tuple[Candidate, Cell]:
+def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> tuple[Candidate, Cell]:
     """The form of a cause that is meant: with the non-linear parameters given, else the plainest.
 
     Raises:
@@ -256,6 +256,8 @@ def _cell(one: Named, machine: Machine, plan: Measurements, calibration: Calibra
         )
 
     def off(cell: Cell) -> float:
+        if any(name in names and name not in cell.fixed for name in one.numbers):
+            return np.inf
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
@@ -328,7 +330,7 @@ def _told_already(
         setup,
         calibration,
     )
-    columns = [problem.signature(_cell(one, machine, kept, calibration)[1].columns) for one in causes]
+    columns = [problem.signature(form_meant(one, machine, kept, calibration)[1].columns) for one in causes]
     own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
     rest = np.concatenate([doubts, *columns], axis=1)
     # Not all of a set-up need show: a frame and everything that was read in it may move together.

@@ -1,0 +1,65 @@
+"""How fast each axis moved when a point was read: from the feed of the table, or from times where it was sampled on the fly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from twin.diagnosis.signatures import Column, first_component, of_values
+from twin.machine import Machine
+from twin.measurement import Measurements
+from twin.units import UM
+
+ON_THE_FLY: Final = 1.0
+"""s: rows that follow one another faster, while an axis moves, were read on the way."""
+
+
+def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]:
+    """(n,) mm or degrees a second of each axis that moved while it was read; axes without any are left out.
+
+    The feed holds along the path of the linear axes, whose share of it is that of the way from the row before. A row where nothing
+    moved was read on the same way as the one before, and the first as the next. The side of approach, where it is given, is the
+    direction.
+    """
+    timed = bool(np.all(np.isfinite(data.time_s)))
+    order = np.argsort(data.time_s, kind="stable") if timed else np.arange(len(data))
+    q = data.positions[order]
+    step = np.diff(q, axis=0, prepend=q[:1])
+    passed = np.diff(data.time_s[order], prepend=data.time_s[order][:1]) if timed else np.full(len(q), np.inf)
+    moved = np.any(step != 0.0, axis=1)
+    fly = moved & (passed > 0.0) & (passed < ON_THE_FLY)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(q)), int(np.argmax(moved))))
+    way = step[last]
+    linear = [axis.linear for axis in machine.axes]
+    path = np.linalg.norm(way[:, linear], axis=1)
+    feed = np.nan_to_num(data.feed_mm_min[order]) / 60.0
+    along = np.where(path > 0.0, feed / np.where(path > 0.0, path, 1.0), 0.0)
+    found = way * along[:, None]
+    found = np.where(fly[:, None], step / np.where(fly, passed, 1.0)[:, None], found)
+    side = data.approach[order]
+    found = np.where(side != 0.0, np.abs(found) * side, found)
+    back = np.empty_like(found)
+    back[order] = found
+    return {axis.name: back[:, i] for i, axis in enumerate(machine.axes) if np.any(back[:, i] != 0.0)}
+
+
+def time_skews(
+    data: Measurements, machine: Machine, missing: list[tuple[str, str, str]]
+) -> Iterator[tuple[str, Column]]:
+    """What a second between a position and its reading does: the axis had gone on by its velocity.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        missing: where the axes are put that nothing is known of.
+    """
+    moving = velocities(data, machine)
+    for axis in machine.axes:
+        if axis.name in moving:
+            start = first_component(machine, axis.name) + (0 if axis.linear else 3)
+            gone_on = moving[axis.name] * axis.scale / UM
+            yield axis.name, of_values({start + k: gone_on * v for k, v in enumerate(axis.direction) if v != 0.0})
+        elif not np.any(np.isfinite(data.feed_mm_min)):
+            missing.append(("time_skew", axis.name, "feed_mm_min"))
