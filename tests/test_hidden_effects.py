@@ -91,11 +91,12 @@ def look(
         outside: Callable[[Plan], np.ndarray] | None = None,
         plan: Plan | None = None,
         sigma_mm: float = SIGMA_MM,
+        read: np.ndarray | None = None,
     ) -> Diagnosis:
         of, rng = planned(seed) if plan is None else (plan, np.random.default_rng(seed))
-        read = hidden.noisy(
-            hidden.points(of, effects, outside=outside), rng, "tracker" if "tracker" in noise else "isotropic", sigma_mm
-        )
+        if read is None:
+            kind = "tracker" if "tracker" in noise else "isotropic"
+            read = hidden.noisy(hidden.points(of, effects, outside=outside), rng, kind, sigma_mm)
         u = sigma_mm if noise == "isotropic" else None
         path = hidden.write(folder / "measured.csv", of, read, u_mm=u, without=without)
         instrument = LaserTracker() if noise == "tracker" else None
@@ -467,6 +468,25 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
     else:
         assert (cause.effect, cause.where) == ("following_error", "Y")
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
+
+
+def test_a_reversal_of_reported_positions_carries_the_doubt(look: Callable[..., Diagnosis]) -> None:
+    """Only reported positions are in the table, taken before Y had settled: what looks like lost motion may be none."""
+    rng = np.random.default_rng(8)
+    plan = hidden.rounded(hidden.plan(rng, poses=POSES))
+    lag = np.zeros(plan.q.shape)
+    lag[:, 1] = 1e-4 * rng.standard_normal(len(lag)) - 8e-3 * plan.approach[:, 1]
+    lag[(plan.q[:, 1] < 0.1) | (plan.q[:, 1] > 449.9)] = 0.0  # at its stops Y stands where it was sent
+    reported = replace(plan, q=plan.q + lag)
+    read = hidden.noisy(hidden.points(plan, []), rng, "isotropic", SIGMA_MM)
+    result = look([], plan=reported, read=read)
+    assert result.verdict == "ambiguous"
+    (cause,) = result.causes
+    assert (cause.effect, cause.where) in {("reversal", "Y"), ("reversal_curve", "Y")}
+    assert ("read_back", "Y") in cause.equivalent and "readback_Y_mm" in cause.evidence
+    # As commanded, positions are whole increments, and lost motion is lost motion.
+    plainly = look([one("reversal", "Y", size=16.0)], plan=plan)
+    assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
 
 def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:

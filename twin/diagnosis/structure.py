@@ -153,7 +153,7 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Fo
         return tuple(forms), None
     likelihood = Likelihood(pool, found.traces)
     if found.patterned:
-        return tuple(_stepwise(likelihood, [], set())[0]), likelihood
+        return tuple(_stepwise(likelihood, [pool.forms[form.index] for form in found.forms], set())[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
@@ -321,23 +321,21 @@ def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred
 
 
 def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
-    """Without the causes that do not pay for themselves, the least worth first."""
+    """Without the causes that do not pay for themselves, those first that gain least at the variances as they are."""
     stand = list(forms)
-    while stand:
-        worst: tuple[float, Form, Model] | None = None
-        for form in stand:
-            price = _cost(likelihood.pool, form)
-            if likelihood.gained(stand, model, form) > CLEAR * price:
+    while True:
+        prices = {form.index: _cost(likelihood.pool, form) for form in stand}
+        gained = {form.index: likelihood.gained(stand, model, form) for form in stand}
+        for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
+            if gained[form.index] > CLEAR * prices[form.index]:
                 continue
-            less = likelihood.fit([one for one in stand if one is not form], model)
-            worth = model.twice - less.twice - price
-            if worth < (worst[0] if worst else 0.0):
-                worst = worth, form, less
-        if worst is None:
-            break
-        model = worst[2]
-        stand = [form for form in stand if form is not worst[1]]
-    return stand, model
+            others = [one for one in stand if one is not form]
+            less = likelihood.fit(others, model)
+            if model.twice - less.twice < prices[form.index]:
+                stand, model = others, less
+                break
+        else:
+            return stand, model
 
 
 def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
