@@ -7,8 +7,8 @@ Stations and targets are fitted, nothing else; what is left of the readings is j
 between them is taken out), else what no plain form of any cause accounts for. Rows too far off to be chance are listed and left
 out, unless one of the causes is why. Then every effect of a catalogue is tried wherever the machine can have it: reversal, constant
 or along the travel, pitch errors, squareness, axis locations, curves of the linear axes, harmonics of the rotary ones, thermal
-expansion, growth and drift, one axis's error growing with another, a drooping cradle, compliance under gravity; and the instrument's
-own: a frame re-aligned, a station that creeps, a bumped target, the refractive index, scales and right angles of one of several
+expansion, growth and drift, one axis's error growing with another, a drooping cradle, compliance under gravity and a payload; and the
+instrument's own: a frame re-aligned, a station that creeps, a bumped target, the refractive index, scales and right angles of one of several
 stations or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or
 rows read on the way); and
 what can be wrong with the calibration itself: a polynomial fitted without its constant, terms the machine does not have, a
@@ -21,6 +21,17 @@ Drifts of the machine and of the instrument have the same forms: a straight line
 record. A straight drift of the machine is a `thermal_drift` with its rate, and its amplitude over the record (`bounded`: the time
 constant is longer); in a calibration it is `{effect: thermal_drift, where: Z, parameters: {rate: 3.2}}`, µm/h. Which of the two
 creeps, targets on both sides decide; where they are on one side only, both are named.
+
+Joints give way (`gravity_compliance`) under the weights of the URDF and under a payload that it does not have: one `payload` a side,
+mass and centre of gravity in the tool's or the work's frame, the same for all joints that carry it. In a calibration it is
+`{effect: payload, where: tool, parameters: {mass: 2.4, centre_x_mm: 35, centre_y_mm: -20, centre_z_mm: 60}}`, part of the load of every
+`gravity_compliance` in the file, whose uncertainties there are those under exactly this payload. Where the machine's own weight does
+not show, as if the control corrected it, only the products of compliance and mass are known: the mass is then at its bound, the
+compliances are lower limits (`bounded`), and the evidence gives the products.
+
+Positions finer than the axis's least increment are no commands. A reversal found with them may be none: reported before the axis
+had settled, they are off by the side it came from. Such a reversal has `read_back` among its `equivalent`; commanded positions with a
+column `readback_<axis>_<unit>` beside them decide.
 
 Beside the causes, every column and every pair of columns is tested for a pattern without a name, on each side of the machine:
 short waves, steps, lost motion that depends on the position (`twin.diagnosis.unnamed`). Where one is left, the causes are judged
