@@ -153,7 +153,8 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Fo
         return tuple(forms), None
     likelihood = Likelihood(pool, found.traces)
     if found.patterned:
-        return tuple(_stepwise(likelihood, [pool.forms[form.index] for form in found.forms], set())[0]), likelihood
+        stand = [pool.forms[form.index] for form in found.forms]
+        return tuple(_dropped(likelihood, stand, likelihood.fit(stand))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
@@ -257,6 +258,8 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             gained = with_it.twice - model.twice - _cost(pool, form)
             if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
                 best = gained, form, with_it
+                if len(stand) >= FEW:
+                    break  # a model that is wrong all over: the order is not what matters
         if best is None:
             fewer, model = _dropped(likelihood, stand, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
