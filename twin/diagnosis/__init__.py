@@ -8,9 +8,9 @@ between them is taken out), else what no plain form of any cause accounts for. R
 out, unless one of the causes is why. Then every effect of a catalogue is tried wherever the machine can have it: reversal, constant
 or along the travel, pitch errors, squareness, axis locations, curves of the linear axes, harmonics of the rotary ones, thermal
 expansion, growth and drift, one axis's error growing with another, a drooping cradle, compliance under gravity and a payload; and the
-instrument's own: a frame re-aligned, a station that creeps, a bumped target, the refractive index, scales and right angles of one of several
-stations or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or
-rows read on the way); and
+instrument's own: a frame re-aligned, a station that creeps, a bumped target, the refractive index, scales and right angles of one of
+several stations or rounds, positions reported before an axis had settled, readings taken later than the positions (column
+`feed_mm_min`, or rows read on the way); and
 what can be wrong with the calibration itself: a polynomial fitted without its constant, terms the machine does not have, a
 wrong sign, a curve under another name or at another joint. A cause is judged by what it explains after everything the set-up
 and the calibration's own uncertainty can absorb has been projected out; every form tried is paid for, so that data with nothing
