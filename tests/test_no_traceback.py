@@ -189,7 +189,7 @@ def test_a_curve_with_more_terms_than_its_readings_have_stops() -> None:
 def test_an_effect_without_a_sentence_of_its_own_is_still_named() -> None:
     quantity = SimpleNamespace(name="size", value=3.0, u=0.5, unit="um")
     form: Any = SimpleNamespace(candidate=SimpleNamespace(effect="new_effect", where="X"))
-    found: Any = SimpleNamespace(quantities=((quantity,),))
+    found: Any = SimpleNamespace(quantities=((quantity,),), effects=((),))
     assert evidence(form, found, 0) == "X: an error of the kind new effect (6 standard uncertainties)"
 
 

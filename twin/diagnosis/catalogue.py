@@ -15,7 +15,7 @@ from twin.diagnosis.bounds import LONGEST_PERIOD, largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
 from twin.diagnosis.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.functions import Functions, Rows, given
-from twin.diagnosis.loads import payloads_of, yielding
+from twin.diagnosis.loads import free_payload, payloads_of, yielding
 from twin.diagnosis.reversals import VARYING, lost_motion
 from twin.diagnosis.signatures import (
     LARGEST,
@@ -494,7 +494,8 @@ def _yielding(machine: Machine, axis: Axis, load: np.ndarray, calibration: Calib
     cells = (Cell((own,)), *([Cell(free, {PAYLOAD: 1.0})] if free and not told else []))
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
-        return (gravity_compliance(machine, axis.name, float(values[0]), payloads_of(axis, fixed) or known),)
+        carried = free_payload(machine, axis, values) if PAYLOAD in fixed else payloads_of(axis, fixed) or known
+        return (gravity_compliance(machine, axis.name, float(values[0]), carried),)
 
     unit = "um/N" if axis.linear else "urad/(N.m)"
     names = tuple((name, unit) for name in ("compliance", "by mass", "by x", "by y", "by z"))

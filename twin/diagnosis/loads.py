@@ -55,5 +55,22 @@ def payloads_of(axis: Axis, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
     """The payload that a form was refined with; none if it was not."""
     if not fixed.get(MASS):
         return ()
-    x, y, z = (fixed[f"centre_{letter}_mm"] for letter in "xyz")
-    return (Payload("tool" if axis.side == "tool" else "work", fixed[MASS], (x, y, z)),)
+    return (_payload(axis, fixed[MASS], [fixed[f"centre_{letter}_mm"] for letter in "xyz"]),)
+
+
+def free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payload, ...]:
+    """The payload that a joint would need by itself; none where its mass comes to nothing.
+
+    Args:
+        machine: the machine.
+        axis: of the joint.
+        values: (5,) of the columns of `yielding` under a payload that is not known.
+    """
+    if values[0] == 0.0 or values[1] == 0.0:
+        return ()
+    return (_payload(axis, heaviest_kg(machine) * float(values[1] / values[0]), FARTHEST_MM * values[2:] / values[1]),)
+
+
+def _payload(axis: Axis, mass_kg: float, centre_mm: Sequence[float] | np.ndarray) -> Payload:
+    x, y, z = (float(one) for one in centre_mm)
+    return Payload("tool" if axis.side == "tool" else "work", mass_kg, (x, y, z))
