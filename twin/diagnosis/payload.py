@@ -249,7 +249,8 @@ def payload_causes(
             text += ", the compliance a lower limit" if heaviest else ""
             causes[k] = replace(
                 cause,
-                parameters=(replace(first, u=first.u * times),),
+                # A limit is that of the largest mass: as if it were known.
+                parameters=(first if heaviest else replace(first, u=first.u * times),),
                 evidence=text,
                 bounded=cause.bounded or heaviest,
             )
