@@ -134,11 +134,19 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
             other = _patterned(pool, tried)
             # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
             simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
-            if other.traces and (left or simpler):
+            # Causes that no pattern beside them can do are no parts of one.
+            better = _apart(found) and _worth(pool, found) > _worth(pool, other)
+            if other.traces and (left or simpler) and not better:
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
     fallen = tuple(form for form in forms if form.key not in keys)
     return Structure(found.forms, found.likelihood, found.model, found.problem, fallen, patterned)
+
+
+def _apart(found: Structure) -> bool:
+    """Whether there are causes and patterns, and no pattern could do most of any cause."""
+    likelihood = found.likelihood
+    return likelihood is not None and bool(found.forms) and not any(likelihood.imitated(f).any() for f in found.forms)
 
 
 def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
