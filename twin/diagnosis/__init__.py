@@ -97,7 +97,7 @@ trunnion robot stage --kinds known60 nothing outside-smooth outside-lost --draws
 stepwise-ebic --method lasso`, statsmodels and scikit-learn; 36 cases, 9 of them with one effect at λ = 60, 9 with nothing, 18 with a
 pattern that no catalogue has):
 
-| | one: right or in the group | one: a machine cause too many | nothing: alarm | pattern: a machine cause that is not there | pattern: unexplained |
+| | one: right or in group | one: false machine cause | nothing: alarm | pattern: false machine cause | pattern: unexplained |
 |---|---|---|---|---|---|
 | `twin` | 100 % | 0 % | 0 % | 0 % | 100 % |
 | stepwise BIC | 89 % | 33 % | 33 % | 89 % | 0 % |
