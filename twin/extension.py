@@ -10,7 +10,8 @@ Names, places and parameters are those of the contract's table (§5). A payload 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
@@ -33,7 +34,7 @@ from twin.effects import (
     ThermalGrowth,
     ZeroOffset,
 )
-from twin.effects.load import SIDES, loads
+from twin.effects.load import PAYLOAD_NUMBERS, SIDES, loads
 from twin.errors import InputError, nearest
 from twin.machine import Axis, Machine
 from twin.symbolic import gravity_load
@@ -67,6 +68,7 @@ def base_vector(turn: np.ndarray, direction: str) -> Vector:
     return x, y, z
 
 
+@lru_cache(maxsize=16)  # an effect is built for every step of an estimate; a machine never changes
 def loads_of(machine: Machine) -> Callable[[Mapping[str, Any]], Mapping[str, Sequence[Any]]]:
     """Of every axis the nine loads of `gravity_load`, at positions as effects are given them (arrays or expressions)."""
     function = gravity_load(machine)
@@ -107,23 +109,18 @@ def payload_named(where: str, numbers: Mapping[str, float]) -> Payload:
     Raises:
         InputError: no such place or parameter; a parameter that is missing, or that no payload can have.
     """
-    side: Literal["tool", "work"]
-    if where == "tool":
-        side = "tool"
-    elif where == "work":
-        side = "work"
-    else:
+    side = next((one for one in SIDES if one == where), None)
+    if side is None:
         raise InputError(
             "no such place for payload", expected="tool or work", value=where, nearest=nearest(where, SIDES)
         )
-    mass, *centre = _numbers(PAYLOAD, where, numbers)
-    if not 0.0 <= mass <= HEAVIEST_KG:
-        raise InputError(f"mass of payload {where}", expected=f"0 to {HEAVIEST_KG:g} kg", value=mass)
-    far = max(centre, key=abs)
+    found = Payload.of(side, dict(zip(PARAMETERS[PAYLOAD], _numbers(PAYLOAD, where, numbers), strict=True)))
+    if not 0.0 <= found.mass_kg <= HEAVIEST_KG:
+        raise InputError(f"mass of payload {where}", expected=f"0 to {HEAVIEST_KG:g} kg", value=found.mass_kg)
+    far = max(found.centre_mm, key=abs)
     if abs(far) > FARTHEST_MM:
         raise InputError(f"centre of payload {where}", expected=f"within {FARTHEST_MM:g} mm of the frame", value=far)
-    x, y, z = centre
-    return Payload(side, mass, (x, y, z))
+    return found
 
 
 def effect_named(
@@ -205,7 +202,7 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "reversal_curve": ("c0", "c1"),
     "zero_offset": ("offset",),
     "gravity_compliance": ("compliance",),
-    PAYLOAD: ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
+    PAYLOAD: PAYLOAD_NUMBERS,
     "pitch_error": ("amplitude", "period", "phase"),
     "thermal_expansion": ("coefficient",),
     "thermal_growth": ("coefficient",),
@@ -245,14 +242,7 @@ def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
     """The entries that `payload_named` reads back, of the payloads some effects have in their load."""
     carried = [payload for effect in effects if isinstance(effect, GravityCompliance) for payload in effect.payloads]
     return [
-        {
-            "effect": PAYLOAD,
-            "where": payload.side,
-            "parameters": dict(
-                zip(PARAMETERS[PAYLOAD], map(float, (payload.mass_kg, *payload.centre_mm)), strict=True)
-            ),
-        }
-        for payload in dict.fromkeys(carried)
+        {"effect": PAYLOAD, "where": payload.side, "parameters": payload.numbers} for payload in dict.fromkeys(carried)
     ]
 
 

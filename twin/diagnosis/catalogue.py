@@ -22,6 +22,7 @@ from twin.diagnosis.signatures import (
     Column,
     Field,
     Part,
+    along_command,
     first_component,
     of_components,
     of_effect,
@@ -237,8 +238,8 @@ def _pitch(axis: Axis, machine: Machine, state: Mapping[str, Any]) -> Candidate:
     frequencies = np.arange(lowest, highest + 1e-9 / span, 0.5 / span)
     # As `PitchError` has it, for all periods at once.
     count = len(frequencies)
-    functions, at = waves(q, 2.0 * np.pi * lowest, np.pi / span, count), first_component(machine, axis.name)
-    along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
+    functions = waves(q, 2.0 * np.pi * lowest, np.pi / span, count)
+    along = along_command(machine, axis)
     cells = [
         Cell(
             tuple(of_components([(i, functions, n, part) for i, part in along]) for n in (k, count + k)),
@@ -560,8 +561,7 @@ def _instrument(
         off = np.where(np.isfinite(reported), (reported - data.positions[:, i]) * axis.scale / UM, 0.0)
         if np.abs(off).max() < 1e-3:
             continue
-        start = first_component(machine, axis.name) + (0 if axis.linear else 3)
-        parts = {start + k: off * part for k, part in enumerate(axis.direction) if part != 0.0}
+        parts = {i: off * part for i, part in along_command(machine, axis)}
         found.append(
             Candidate("following_error", axis.name, "machine", (("share", "1"),), (Cell((of_values(parts),)),), 1.0)
         )

@@ -72,6 +72,7 @@ class Likelihood:
     def __init__(self, pool: Pool, traces: Sequence[Trace]) -> None:
         self.pool = pool
         self.traces = tuple(traces)
+        self._imitated: dict[int, np.ndarray] = {}
         self.columns: list[Column] = []
         group: list[int] = []
         for k, trace in enumerate(traces):
@@ -173,6 +174,8 @@ class Likelihood:
 
     def imitated(self, form: Form) -> np.ndarray:
         """(patterns,) share of what a cause does that each pattern could do as well: one where it is most of it, else zero."""
+        if form.index in self._imitated:
+            return self._imitated[form.index]
         own = form.columns
         whole = self.pool.gram([form])
         values = np.ones(len(own)) if len(own) == 1 else self.pool.fitted([form])[1]
@@ -184,6 +187,7 @@ class Likelihood:
             along = self._cross[np.ix_(mine, own)] @ values
             shared = along @ np.linalg.lstsq(inner, along, rcond=1e-8)[0]
             found[k] = 1.0 if shared > MOSTLY * size else 0.0
+        self._imitated[form.index] = found
         return found
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
@@ -216,7 +220,7 @@ class Likelihood:
             Numbers of the k columns whose variance is followed; (k,) how much of each, µm; (k, k) its covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
-        inverse = np.linalg.inv(inner)
+        inverse, _ = _inverse(inner)
         covariance = model.scatter * inverse * np.outer(deviation, deviation)
         return used, deviation * (inverse @ (slope[used] * deviation)), (covariance + covariance.T) / 2.0
 

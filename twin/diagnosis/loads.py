@@ -9,12 +9,12 @@ import numpy as np
 
 from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
 from twin.diagnosis.functions import given
-from twin.diagnosis.signatures import Column, first_component, of_components
+from twin.diagnosis.signatures import Column, along_command, of_components
 from twin.effects import Payload
-from twin.effects.load import SIDES, loads
+from twin.effects.load import PAYLOAD_NUMBERS, SIDES, Side, loads
 from twin.machine import Axis, Machine
 
-MASS: Final = "mass"
+MASS: Final = PAYLOAD_NUMBERS[0]
 UNLOADED: Final = 1e-6
 """N or N·m: rounding of a load that is none."""
 
@@ -38,24 +38,19 @@ def yielding(
     first = 1 + 4 * SIDES.index(side_of(axis))
     payload = load[:, first : first + 4] * heaviest_kg(machine) * [1.0, *[1e-3 * FARTHEST_MM] * 3]
     functions = given(np.column_stack([load @ loads(known), load[:, 0], payload]))
-    at = first_component(machine, axis.name) + (0 if axis.linear else 3)
-    own, *free = (
-        of_components([(at + i, functions, k, part) for i, part in enumerate(axis.direction) if part != 0.0])
-        for k in range(functions.count)
-    )
+    along = along_command(machine, axis)
+    own, *free = (of_components([(i, functions, k, part) for i, part in along]) for k in range(functions.count))
     return own, tuple(free) if np.any(np.abs(load[:, 0]) > UNLOADED) else ()
 
 
-def side_of(axis: Axis) -> str:
+def side_of(axis: Axis) -> Side:
     """The side whose payload an axis carries."""
     return "tool" if axis.side == "tool" else "work"
 
 
 def payloads_of(axis: Axis, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
     """The payload that a form was refined with; none if it was not."""
-    if not fixed.get(MASS):
-        return ()
-    return (_payload(axis, fixed[MASS], [fixed[f"centre_{letter}_mm"] for letter in "xyz"]),)
+    return (Payload.of(side_of(axis), fixed),) if fixed.get(MASS) else ()
 
 
 def free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payload, ...]:
@@ -68,9 +63,10 @@ def free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payl
     """
     if values[0] == 0.0 or values[1] == 0.0:
         return ()
-    return (_payload(axis, heaviest_kg(machine) * float(values[1] / values[0]), FARTHEST_MM * values[2:] / values[1]),)
+    return (payload_of(side_of(axis), heaviest_kg(machine), [values[1] / values[0], *(values[2:] / values[1])]),)
 
 
-def _payload(axis: Axis, mass_kg: float, centre_mm: Sequence[float] | np.ndarray) -> Payload:
-    x, y, z = (float(one) for one in centre_mm)
-    return Payload("tool" if axis.side == "tool" else "work", mass_kg, (x, y, z))
+def payload_of(side: Side, heaviest: float, four: Sequence[float] | np.ndarray) -> Payload:
+    """The payload of four numbers: its mass as a share of the heaviest, its centre as a share of the farthest."""
+    share, x, y, z = (float(one) for one in four)
+    return Payload(side, heaviest * share, (FARTHEST_MM * x, FARTHEST_MM * y, FARTHEST_MM * z))

@@ -19,13 +19,13 @@ from scipy.optimize import minimize
 from twin.arrays import locked
 from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
 from twin.diagnosis.catalogue import Cell
-from twin.diagnosis.loads import MASS, payloads_of, side_of
+from twin.diagnosis.loads import MASS, payload_of, payloads_of, side_of
 from twin.diagnosis.pool import Form, Pool, log_chance, pseudo, together
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import Selection, possible, select
 from twin.diagnosis.signatures import of_effect
 from twin.effects import Payload
-from twin.effects.load import SIDES
+from twin.effects.load import SIDES, Side
 from twin.extension import PAYLOAD, gravity_compliance
 from twin.machine import Axis
 from twin.measurement import state_of
@@ -58,7 +58,7 @@ class _Load:
         slope: (5k,) with the residual.
     """
 
-    side: str
+    side: Side
     heaviest: float
     joints: tuple[Form, ...]
     free: tuple[Form, ...]
@@ -77,20 +77,17 @@ class _Load:
 
     def payload(self) -> Payload:
         """The one that explains most."""
-        best: tuple[float, np.ndarray] | None = None
-        for share in FIRST:
-            fit = minimize(
+        fits = [
+            minimize(
                 lambda four: -self.under(four)[0],
                 np.array([share, 0.0, 0.0, 0.0]),
                 method="L-BFGS-B",
                 bounds=[(0.0, 1.0), *[(-1.0, 1.0)] * 3],
                 options={"maxiter": STEPS},
             )
-            if best is None or fit.fun < best[0]:
-                best = float(fit.fun), np.asarray(fit.x)
-        four = np.zeros(4) if best is None else best[1]
-        x, y, z = (FARTHEST_MM * float(one) for one in four[1:])
-        return Payload("tool" if self.side == "tool" else "work", self.heaviest * float(four[0]), (x, y, z))
+            for share in FIRST
+        ]
+        return payload_of(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
 
     def four(self, payload: Payload) -> np.ndarray:
         """(4,) of a payload."""
@@ -171,7 +168,7 @@ def _bar(pool: Pool) -> None:
     pool.bar([form for form in pool.forms if PAYLOAD in form.cell.fixed])
 
 
-def _asked(pool: Pool, forms: Sequence[Form], side: str) -> _Load | None:
+def _asked(pool: Pool, forms: Sequence[Form], side: Side) -> _Load | None:
     """The joints of a side that give way, if any of them asks for a payload or was given one."""
     free = {form.key: form for form in pool.forms if PAYLOAD in form.cell.fixed}
     joints = [form for form in forms if form.key in free and side_of(_axis(pool, form)) == side]
@@ -195,9 +192,8 @@ def _put(pool: Pool, payload: Payload) -> bool:
     """Have a payload in the load of every joint of its side; whether that changes anything."""
     machine = pool.problem.network.machine
     state = state_of(pool.problem.network.data, machine)
-    numbers = {"mass": payload.mass_kg}
-    numbers |= {f"centre_{letter}_mm": one for letter, one in zip("xyz", payload.centre_mm, strict=True)}
-    size = {"mass": heaviest_kg(machine)} | {f"centre_{letter}_mm": FARTHEST_MM for letter in "xyz"}
+    numbers = payload.numbers
+    size = payload_of(payload.side, heaviest_kg(machine), np.ones(4)).numbers
     moved = False
     for form in list(pool.forms):
         if form.candidate.effect != EFFECT or PAYLOAD in form.cell.fixed or side_of(_axis(pool, form)) != payload.side:
@@ -283,8 +279,8 @@ def payload_causes(
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    places = zip("xyz", payload.centre_mm, u[1:].tolist(), strict=True)
-    return (
-        Quantity(MASS, payload.mass_kg, "kg", float(u[0]) * heaviest),
-        *(Quantity(f"centre_{letter}_mm", value, "mm", own * FARTHEST_MM) for letter, value, own in places),
+    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[FARTHEST_MM] * 3)
+    return tuple(
+        Quantity(name, value, unit, float(own) * size)
+        for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
     )

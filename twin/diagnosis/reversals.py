@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.curves import POWER
 from twin.diagnosis.functions import Functions, Rows
-from twin.diagnosis.signatures import Column, first_component, of_components
+from twin.diagnosis.signatures import Column, along_command, of_components
 from twin.identification.unknowns import CurveSpace
 from twin.machine import Axis, Machine
 
@@ -48,6 +48,5 @@ def lost_motion(machine: Machine, axis: Axis, state: Mapping[str, Any]) -> tuple
         return np.asarray(0.5 * side[rows, None] * space.functions(np.clip(q[rows], *axis.domain)))
 
     functions = Functions(len(q), space.count, values)
-    at = first_component(machine, axis.name) + (0 if axis.linear else 3)
-    along = [(at + i, part) for i, part in enumerate(axis.direction) if part != 0.0]
+    along = along_command(machine, axis)
     return space, [of_components([(i, functions, k, part) for i, part in along]) for k in range(space.count)]

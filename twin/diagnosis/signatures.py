@@ -14,8 +14,9 @@ import numpy as np
 
 from twin.diagnosis.functions import Functions, Rows, given, of_state, pieces
 from twin.effects import Effect, Frame
+from twin.effects.along import along
 from twin.identification.network import View
-from twin.machine import Machine
+from twin.machine import Axis, Machine
 from twin.spatial import cross_matrix
 from twin.units import UM
 
@@ -148,6 +149,12 @@ def _of_shapes(
 def first_component(machine: Machine, axis: str, role: str = "motion") -> int:
     """Index of the first error component of a frame."""
     return 6 * next(i for i, one in enumerate(machine.frames) if (one.axis, one.role) == (axis, role))
+
+
+def along_command(machine: Machine, axis: Axis) -> list[tuple[int, float]]:
+    """The error components of a motion along an axis's command, and the share of it in each."""
+    at = first_component(machine, axis.name)
+    return [(at + i, part) for i, part in along(axis, 1.0).items()]
 
 
 def of_components(parts: Sequence[tuple[int, Functions, int, float]]) -> Column:

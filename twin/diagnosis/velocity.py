@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.signatures import Column, first_component, of_values
+from twin.diagnosis.signatures import Column, along_command, of_values
 from twin.machine import Machine
 from twin.measurement import Measurements
 from twin.units import UM
@@ -58,8 +58,7 @@ def time_skews(
     moving = velocities(data, machine)
     for axis in machine.axes:
         if axis.name in moving:
-            start = first_component(machine, axis.name) + (0 if axis.linear else 3)
             gone_on = moving[axis.name] * axis.scale / UM
-            yield axis.name, of_values({start + k: gone_on * v for k, v in enumerate(axis.direction) if v != 0.0})
+            yield axis.name, of_values({i: gone_on * part for i, part in along_command(machine, axis)})
         elif not np.any(np.isfinite(data.feed_mm_min)):
             missing.append(("time_skew", axis.name, "feed_mm_min"))

@@ -12,7 +12,10 @@ from twin.effects.along import along
 from twin.effects.base import Effect, Frame, Parameter
 from twin.machine import Axis
 
-SIDES: Final = ("tool", "work")
+Side = Literal["tool", "work"]
+SIDES: Final[tuple[Side, ...]] = ("tool", "work")
+PAYLOAD_NUMBERS: Final = ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm")
+"""Parameters of a payload: contract §5."""
 
 
 @final
@@ -26,9 +29,20 @@ class Payload:
         centre_mm: of gravity, in that frame.
     """
 
-    side: Literal["tool", "work"]
+    side: Side
     mass_kg: float
     centre_mm: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, side: Side, numbers: Mapping[str, float]) -> Payload:
+        """A payload from its `numbers`."""
+        mass, x, y, z = (float(numbers[name]) for name in PAYLOAD_NUMBERS)
+        return cls(side, mass, (x, y, z))
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Its parameters by name."""
+        return dict(zip(PAYLOAD_NUMBERS, (self.mass_kg, *self.centre_mm), strict=True))
 
     @property
     def weights(self) -> np.ndarray:

@@ -48,8 +48,37 @@ class ThermalExpansion(Effect):
         return (along(self.axis, 1e-3 * positions[self.axis.name] * warm),)
 
 
+class _Shift(Effect):
+    """The tool side moves along a direction of the base, in proportion to the first parameter.
+
+    Args:
+        name: of the effect.
+        frame: the frame nearest the base on the tool side.
+        vector: the direction in that frame.
+    """
+
+    def __init__(self, name: str, frame: Frame, vector: tuple[float, float, float]) -> None:
+        self.name = name
+        self._frame = frame
+        self._vector = vector
+
+    @property
+    def frame(self) -> Frame:
+        """The frame nearest the base."""
+        return self._frame
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`."""
+        size = self.parameters[0].value
+        return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
+
+    def _shifted(self, shape: Any) -> dict[int, Any]:
+        """A shift of ``shape`` along the direction, by component."""
+        return {i: part * shape for i, part in enumerate(self._vector) if part != 0.0}
+
+
 @final
-class ThermalGrowth(Effect):
+class ThermalGrowth(_Shift):
     """The tool side moves along a direction of the base with a sensor: c·(T − 20 °C).
 
     Args:
@@ -63,21 +92,10 @@ class ThermalGrowth(Effect):
     def __init__(
         self, frame: Frame, direction: str, vector: tuple[float, float, float], sensor: str, coefficient: float
     ) -> None:
-        self.name = f"thermal_growth:{direction} by {sensor}"
+        super().__init__(f"thermal_growth:{direction} by {sensor}", frame, vector)
         self.direction = direction
         self.sensor = sensor
         self.coefficient = coefficient
-        self._frame = frame
-        self._vector = vector
-
-    @property
-    def frame(self) -> Frame:
-        """The frame nearest the base."""
-        return self._frame
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`; needs ``T_<sensor>_degC``."""
-        return {i: self.coefficient * shape for i, shape in self.derivatives(positions)[0].items()}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -85,13 +103,13 @@ class ThermalGrowth(Effect):
         return (Parameter(f"{self.name}.coefficient", "um/K", self.coefficient),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """See `Effect.derivatives`."""
+        """See `Effect.derivatives`; needs ``T_<sensor>_degC``."""
         warm = channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC
-        return ({i: part * warm for i, part in enumerate(self._vector) if part != 0.0},)
+        return (self._shifted(warm),)
 
 
 @final
-class ThermalDrift(Effect):
+class ThermalDrift(_Shift):
     """The tool side creeps along a direction of the base as the machine warms up: A·(1 − exp(−t/τ)).
 
     Args:
@@ -105,12 +123,10 @@ class ThermalDrift(Effect):
     def __init__(
         self, frame: Frame, direction: str, vector: tuple[float, float, float], amplitude: float, time_constant: float
     ) -> None:
-        self.name = f"thermal_drift:{direction}"
+        super().__init__(f"thermal_drift:{direction}", frame, vector)
         self.direction = direction
         self.amplitude = amplitude
         self.time_constant = time_constant
-        self._frame = frame
-        self._vector = vector
 
     def changed(self, amplitude: float, time_constant: float) -> ThermalDrift:
         """The same with other numbers."""
@@ -125,15 +141,6 @@ class ThermalDrift(Effect):
         return SteadyDrift(self._frame, self.direction, self._vector, rate)
 
     @property
-    def frame(self) -> Frame:
-        """The frame nearest the base."""
-        return self._frame
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`; needs ``time_s``."""
-        return {i: self.amplitude * shape for i, shape in self.derivatives(positions)[0].items()}
-
-    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Amplitude and time constant."""
         return (
@@ -142,18 +149,15 @@ class ThermalDrift(Effect):
         )
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """See `Effect.derivatives`."""
+        """See `Effect.derivatives`; needs ``time_s``."""
         time = channel(positions, "time_s", self.name)
         left = exp(-time / self.time_constant)
         by_constant = -self.amplitude * left * time / self.time_constant**2
-        return tuple(
-            {i: part * shape for i, part in enumerate(self._vector) if part != 0.0}
-            for shape in (1.0 - left, by_constant)
-        )
+        return self._shifted(1.0 - left), self._shifted(by_constant)
 
 
 @final
-class SteadyDrift(Effect):
+class SteadyDrift(_Shift):
     """The tool side creeps along a direction of the base in a straight line: r·t, the limit A/τ of `ThermalDrift` for t ≪ τ.
 
     Args:
@@ -164,19 +168,8 @@ class SteadyDrift(Effect):
     """
 
     def __init__(self, frame: Frame, direction: str, vector: tuple[float, float, float], rate: float) -> None:
-        self.name = f"thermal_drift:{direction}"
+        super().__init__(f"thermal_drift:{direction}", frame, vector)
         self.rate = rate
-        self._frame = frame
-        self._vector = vector
-
-    @property
-    def frame(self) -> Frame:
-        """The frame nearest the base."""
-        return self._frame
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`; needs ``time_s``."""
-        return {i: self.rate * shape for i, shape in self.derivatives(positions)[0].items()}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -184,6 +177,6 @@ class SteadyDrift(Effect):
         return (Parameter(f"{self.name}.rate", "um/h", self.rate),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """See `Effect.derivatives`."""
+        """See `Effect.derivatives`; needs ``time_s``."""
         hours = channel(positions, "time_s", self.name) / 3600.0
-        return ({i: part * hours for i, part in enumerate(self._vector) if part != 0.0},)
+        return (self._shifted(hours),)
