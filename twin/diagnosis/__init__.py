@@ -44,7 +44,9 @@ method gives it (sum of single effects, `twin.diagnosis.second_opinion`); where 
 Causes of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left out
 (`promised: false`). Every figure of gain is that of the calibration as it is written, evaluated on the readings anew; held out is
 what the claim is about: positions or poses for functions of position, rounds or blocks of time for changes in time, with an
-interval from six groups on. `--extended` writes the calibration with what was found of the machine, parameters and covariance
+interval from six groups on. The causes are those found on all readings; each is fitted to the other groups, and stays only where it is
+worth it there. So what was selected has seen all readings, and the payload's mass and centre stay as all readings have them: held-out
+figures are slightly favourable. `--extended` writes the calibration with what was found of the machine, parameters and covariance
 (`effects:` entries `{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase: 0.5}}` beside the curves),
 and `compensate`, `scene` and `info` use it:
 

@@ -255,7 +255,7 @@ def _gain(diagnosis: Diagnosis) -> str:
     doubt = ""
     held = gain.held_out
     if held is not None:
-        where = f"on {held_out_words(held.of)} that were not looked at"
+        where = f"on {held_out_words(held.of)} left out of the fit"
         low, high = (float("nan"), float("nan")) if held.ci95_um is None else held.ci95_um
         less = f"less by {low:.2g} to {high:.2g} (95 %)"
         if held.ci95_um is None:

@@ -103,7 +103,7 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals of readings that neither selection nor fit has seen.
+    """Residuals of readings that the fit has not seen; the causes are those found on all readings that are worth it on the others.
 
     Attributes:
         of: what was held out: ``rounds``, ``positions``, ``poses`` or ``blocks`` of time.

@@ -156,9 +156,7 @@ def _gain(diagnosis: Diagnosis) -> list[str]:
     text = f"Modelling it: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
     held = gain.held_out
     if held is not None:
-        text += (
-            f"; on {held_out_words(held.of)} left out and not looked at {held.before_um:.3g} → {held.after_um:.3g} µm"
-        )
+        text += f"; on {held_out_words(held.of)} left out of the fit {held.before_um:.3g} → {held.after_um:.3g} µm"
         if held.ci95_um is not None:
             low, high = held.ci95_um
             text += f" (less by {low:.2g} to {high:.2g}, 95 %)".replace("-", "−")
