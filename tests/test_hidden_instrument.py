@@ -105,6 +105,18 @@ def test_a_straight_drift_goes_into_the_calibration_as_a_rate(look: Callable[...
     assert effect.components({"time_s": np.array([0.0, 1800.0])})[2] == pytest.approx([0.0, rate.value / 2.0])
 
 
+def test_a_nearly_straight_drift_beside_a_large_pitch_error_whose_period_is_sought(
+    look: Callable[..., Diagnosis],
+) -> None:
+    """The line is the form that is sought, an exponential the one that fits as well: its time constant is in no column."""
+    pitch = one("pitch_error", "X", amplitude=40.0, period=17.3, phase=0.4)
+    result = look([one("thermal_drift", "Z", rate=3.0), pitch], 43)
+    found = {(cause.effect, cause.where): {q.name: q for q in cause.parameters} for cause in result.causes}
+    assert found.keys() == {("thermal_drift", "Z"), ("pitch_error", "X")}
+    period = found["pitch_error", "X"]["period"]
+    assert abs(period.value - 17.3) < 3.0 * period.u
+
+
 AFFINE = dict(scale_x=-40.0, scale_y=25.0, scale_z=15.0, shear_xy=30.0, shear_xz=-20.0, shear_yz=10.0)
 
 

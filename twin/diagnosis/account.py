@@ -75,9 +75,9 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
             for cause, own in zip(causes, comparison.causes, strict=True)
         ]
     also, silent = reported(pool, forms, lambda moved: unwhitened(problem, moved))
-    silent += [_not_beyond(pool, forms, form, excess) for form in dropped]
+    silent += _not_beyond(pool, forms, dropped, excess)
     silent += [_further(effect) for effect in (() if comparison is None else comparison.further)]
-    silent += [_fallen(form) for form in found.structure.fallen]
+    silent += _fallen(found.structure.fallen)
     causes, loads = payload_causes(pool, forms, causes, lambda moved: unwhitened(problem, moved))
     also += loads
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
@@ -225,13 +225,16 @@ def _log_p(against: tuple[float, int, float]) -> float:
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
-def _not_beyond(pool: Pool, forms: Sequence[Form], form: Form, excess: float) -> str:
-    share = 100.0 * float(pool.scores(forms, [form.index])[0, 0]) / excess
-    return f"{' '.join(form.key)} shows ({share:.2g} % of the excess), but not beyond what else is left unexplained: not named"
+def _not_beyond(pool: Pool, forms: Sequence[Form], dropped: Sequence[Form], excess: float) -> list[str]:
+    shares = [100.0 * float(pool.scores(forms, [form.index])[0, 0]) / excess for form in dropped]
+    each = [f"{' '.join(form.key)} ({share:.2g} %)" for form, share in zip(dropped, shares, strict=True)]
+    text = "not named, for they are not beyond what else is left unexplained (share of the excess): "
+    return [text + ", ".join(each)] if each else []
 
 
-def _fallen(form: Form) -> str:
-    return f"{' '.join(form.key)} explains a part of a pattern that no known effect explains as a whole: not named"
+def _fallen(fallen: Sequence[Form]) -> list[str]:
+    text = "not named, for they carry only a part of a pattern that no known effect explains as a whole: "
+    return [text + ", ".join(sorted({" ".join(form.key) for form in fallen}))] if fallen else []
 
 
 def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:

@@ -186,10 +186,9 @@ class Searcher:
         found = estimate(self.problem, best.forms)
         moved = False
         for form, effects, quantities in zip(best.forms, found.effects, found.quantities, strict=True):
-            put = {
-                q.name: abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in quantities if q.name in GRIDDED
-            }
-            if form not in large or not any(put.values()):
+            # A straight drift has a time constant to show, but none in its columns.
+            put = [q for q in quantities if form in large and q.name in GRIDDED]
+            if not any(abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in put):
                 continue
             moved = True
             if effects and isinstance(effects[0], PitchError):
