@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from twin import cli
+from twin.cli import commands  # noqa: F401  (`cli.main` imports them where it needs them)
 
 STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # of `sys.addaudithook`; told before the step is taken
 

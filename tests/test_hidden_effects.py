@@ -327,7 +327,12 @@ def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Dia
 
 
 @pytest.mark.parametrize(
-    ("names", "side"), [(("B_deg", "C_deg"), "work"), (("X_mm", "Z_mm"), "tool"), (("Y_mm", "time_s"), "tool")]
+    ("names", "side"),
+    [
+        pytest.param(("B_deg", "C_deg"), "work", marks=pytest.mark.slow),
+        (("X_mm", "Z_mm"), "tool"),
+        (("Y_mm", "time_s"), "tool"),
+    ],
 )
 def test_an_effect_outside_the_catalogue_is_unexplained(
     look: Callable[..., Diagnosis], names: tuple[str, str], side: str

@@ -82,7 +82,13 @@ def planned(seed: int) -> Plan:
     return hidden.rounded(hidden.plan(np.random.default_rng(seed), poses=140))
 
 
-@pytest.mark.parametrize("what", UNKNOWN)
+@pytest.mark.parametrize(
+    "what",
+    [
+        pytest.param(what, marks=pytest.mark.slow) if what in ("a bump", "short waves on the table") else what
+        for what in UNKNOWN
+    ],
+)
 def test_what_is_in_no_catalogue_is_unexplained_and_nothing_else(
     what: str, calibration: Calibration, tmp_path: Path
 ) -> None:

@@ -2,7 +2,7 @@
 
 The machine and its tracker are those of `tests`, which share no code with the package. The truth is the bundled calibration in the
 estimate's datum, which a measurement without noise gives to 1e-7 µm (test_identify.py).
-By default twelve seeds, with the allowance that so few need; `pytest -m slow` asks for the numbers themselves, on 60.
+By default eight seeds, with the allowance that so few need; `pytest -m slow` asks for the numbers themselves, on 60.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from twin.measurement import Measurements, load
 from twin.samples import thesis_plan
 from twin.thesis_identification import identify_as_thesis
 
-FEW, MANY = 12, 60
+FEW, MANY = 8, 60
 AXES = ("X", "Y", "Z")
 ROOT = Path(__file__).resolve().parents[1]
 

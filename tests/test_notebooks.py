@@ -14,8 +14,8 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.i
 SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
-LONG = {"03_plan_a_measurement"}
-"""A minute by itself; what it does is in the default run in parts (`test_plan.py`)."""
+LONG = {"02_diagnose", "03_plan_a_measurement", "04_your_own_machine"}
+"""Ten seconds to a minute each; what they do is in the default run in parts (`test_hidden_effects.py`, `test_plan.py`, `test_few_axes.py`)."""
 
 
 def test_there_are_notebooks() -> None:

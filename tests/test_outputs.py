@@ -229,7 +229,8 @@ def _state(pid: int) -> str:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see child processes")
 @pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP, signal.SIGKILL]
+    "number",
+    [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGHUP, signal.SIGKILL))],
 )
 def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.Signals) -> None:
     for name in ("a.nc", "b.nc"):
@@ -255,7 +256,7 @@ def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.S
 
 
 @pytest.mark.skipif(shutil.which("sh") is None, reason="needs a shell")
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGHUP, marks=pytest.mark.slow), signal.SIGKILL])
 def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.Signals) -> None:
     """A compiler that takes its time, with a child of its own and a temporary file, as g++ has."""
     slow, temporary, home = tmp_path / "slow", tmp_path / "tmp", tmp_path / "home"

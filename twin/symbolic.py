@@ -33,6 +33,7 @@ class Pose(NamedTuple):
         return Pose(self.rotation.T, -(self.rotation.T @ self.translation))
 
 
+@lru_cache(maxsize=16)  # every calibration asks for it; a machine never changes
 def chain_function(machine: Machine) -> ca.Function:
     """The pose of the tool in the work frame.
 
