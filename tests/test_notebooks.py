@@ -15,7 +15,7 @@ SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
 LONG = {"02_diagnose", "03_plan_a_measurement", "04_your_own_machine"}
-"""Ten seconds to a minute each; what they do is in the default run in parts (`test_hidden_effects.py`, `test_plan.py`, `test_few_axes.py`)."""
+"""Ten seconds to a minute each; in the default run `test_hidden_effects.py`, `test_plan.py` and `test_few_axes.py` do what they do."""
 
 
 def test_there_are_notebooks() -> None:
