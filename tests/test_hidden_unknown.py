@@ -6,6 +6,7 @@ The truth machine (`tests.hidden`, and for one axis the few lines here) shares n
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -189,6 +190,7 @@ def test_a_curve_that_foretells_positions_left_out_is_promised(tmp_path: Path) -
     assert held is not None and (held.of, held.groups) == ("positions", 11)
     assert held.ci95_um is not None and held.ci95_um[0] > 0.0
     assert held.after_um < 1.0
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["causes"][0]["promised"] is True
 
 
 def test_what_physics_forbids_is_no_cause(tmp_path: Path) -> None:

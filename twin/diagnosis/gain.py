@@ -191,7 +191,7 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
     whole = float(np.sqrt(total[0] / total[2]) - np.sqrt(total[1] / total[2]))
     without = np.sqrt(rest[:, 0] / used) - np.sqrt(rest[:, 1] / used)
     pseudo = count * whole - (count - 1) * without
-    half = student_isf(0.025, count - 1) * float(pseudo.std(ddof=1)) / np.sqrt(count)
+    half = float(student_isf(0.025, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
     return whole - half, whole + half
 
 
