@@ -77,7 +77,7 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
     also, silent = reported(pool, forms, lambda moved: unwhitened(problem, moved))
     silent += _not_beyond(pool, forms, dropped, excess)
     silent += [_further(effect) for effect in (() if comparison is None else comparison.further)]
-    silent += _fallen(found.structure.fallen)
+    silent += _fallen(found.structure.fallen) + _contradicted(found.refuted)
     causes, loads = payload_causes(pool, forms, causes, lambda moved: unwhitened(problem, moved))
     also += loads
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
@@ -235,6 +235,11 @@ def _not_beyond(pool: Pool, forms: Sequence[Form], dropped: Sequence[Form], exce
 def _fallen(fallen: Sequence[Form]) -> list[str]:
     text = "not named, for they carry only a part of a pattern that no known effect explains as a whole: "
     return [text + ", ".join(sorted({" ".join(form.key) for form in fallen}))] if fallen else []
+
+
+def _contradicted(refuted: Sequence[Form]) -> list[str]:
+    text = "not named, for with them in the fit the readings left out of it are farther off: too few readings for so many causes: "
+    return [text + ", ".join(sorted({" ".join(form.key) for form in refuted}))] if refuted else []
 
 
 def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:

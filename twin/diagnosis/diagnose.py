@@ -14,6 +14,7 @@ from twin.diagnosis.catalogue import Catalogue, Cell
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.folds import parts
 from twin.diagnosis.gain import foretells
+from twin.diagnosis.held_up import held_up
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import patterns
 from twin.diagnosis.payload import chosen
@@ -24,7 +25,7 @@ from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
-from twin.diagnosis.structure import Findings, settled
+from twin.diagnosis.structure import Findings, named, settled
 from twin.effects import PitchError
 from twin.identification.outliers import outliers
 from twin.instruments import Instrument
@@ -156,8 +157,12 @@ class Searcher:
         ]:
             self.pool.forbid({form.key for form in refuted})
             found = settled(self.pool, self._best().forms, self.patterns)
+        kept = held_up(self.pool, found.forms)
+        contradicted = tuple(form for form in found.forms if form not in kept)
+        if contradicted:
+            found = named(self.pool, kept, self.patterns)
         beside = self.pool.beside(found.problem) if found.traces else self.pool
-        return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found)
+        return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found, contradicted)
 
     def _best(self) -> Selection:
         """Named causes alone.

@@ -108,7 +108,9 @@ def held_out(
         return None
 
     def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
-        kept, likelihood = again(small, payload.chosen_on(small, forms).forms, found.structure)
+        # Where causes were refuted by readings left out, those that stand are not searched anew.
+        chosen = forms if found.refuted else payload.chosen_on(small, forms).forms
+        kept, likelihood = again(small, chosen, found.structure)
         after = foretold(problem, small, [form for form in kept if form.key not in barred])
         if written and likelihood is not None:
             after = after + foretold_patterns(likelihood, kept, written)
@@ -143,7 +145,7 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
 
 
 def _held_out(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> HeldOut | None:
-    table = _on_parts(pool, split, judged)
+    table = on_parts(pool, split, judged)
     if table is None:
         return None
     total = table.sum(axis=0)
@@ -235,20 +237,20 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
     def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
         return foretold(pool.problem, small, others), foretold(pool.problem, small, [*others, form])
 
-    table = _on_parts(pool, split, judged)
+    table = on_parts(pool, split, judged)
     return None if table is None else interval(table)
 
 
-def _on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
-    """(groups, 3) sums of squares of what is held out, µm², with one model and with another, and how many values.
+def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
+    """(groups, models + 1) sums of squares of what is held out, µm², with each model, and how many values.
 
     Args:
         pool: all data.
         split: what is held out together.
-        judged: the rest of the data → (3n,) what each of two models, fitted to it, does to the whitened readings, all of them.
+        judged: the rest of the data → (3n,) what each model, fitted to it, does to the whitened readings, all of them.
     """
     problem = pool.problem
-    table = np.zeros((int(split.group.max()) + 1, 3))
+    table: np.ndarray | None = None
     for k in range(int(split.part.max()) + 1):
         rows = split.part == k
         part = problem.without(rows)
@@ -260,7 +262,9 @@ def _on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarra
             left = part.following(problem.residual - made).reshape(-1, 3, 1)[rows]
             squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
-        np.add.at(table, split.group[rows], np.stack([*squares, read], axis=1))
+        counted = np.stack([*squares, read], axis=1)
+        table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
+        np.add.at(table, split.group[rows], counted)
     return table
 
 

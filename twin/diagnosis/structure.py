@@ -107,6 +107,7 @@ class Findings:
         pool: the causes, beside the set-up.
         beside: the same, beside the patterns that were found as well; ``pool`` itself where there are none.
         structure: the causes that stand, and those patterns.
+        refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.held_up`).
     """
 
     problem: Problem
@@ -116,6 +117,7 @@ class Findings:
     pool: Pool
     beside: Pool
     structure: Structure
+    refuted: tuple[Form, ...] = ()
 
 
 def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
@@ -126,7 +128,7 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
         forms: the causes that were chosen.
         tried: patterns to look for.
     """
-    found = _named(pool, forms, tried)
+    found = named(pool, forms, tried)
     left, patterned = bool(found.traces), False
     if left or len(forms) >= FEWER:
         carried = pool.explained_by(found.forms)
@@ -166,7 +168,7 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Fo
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
-def _named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+def named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
     stand = list(forms)
     traces: list[Trace] = []
