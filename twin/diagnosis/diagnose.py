@@ -18,14 +18,14 @@ from twin.diagnosis.held_up import held_up
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import patterns
 from twin.diagnosis.payload import chosen
-from twin.diagnosis.pool import Pool
+from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
-from twin.diagnosis.structure import Findings, named, settled
+from twin.diagnosis.structure import Findings, Structure, named, settled
 from twin.effects import PitchError
 from twin.identification.outliers import outliers
 from twin.instruments import Instrument
@@ -148,21 +148,31 @@ class Searcher:
 
     def run(self) -> Findings:
         """The best set of causes, and the patterns without a name that stand beside them."""
-        found = settled(self.pool, self._best().forms, self.patterns)
+        found, refuted = self._settled()
         # What a reversal does between positions is asked of positions left out: refuted there, it is the plain reversal and a rest.
-        while refuted := [
+        while varying := [
             form
             for form in found.forms
             if form.candidate.effect == VARYING and not foretells(self.pool, form, found.forms)
         ]:
-            self.pool.forbid({form.key for form in refuted})
-            found = settled(self.pool, self._best().forms, self.patterns)
-        kept = held_up(self.pool, found.forms)
-        contradicted = tuple(form for form in found.forms if form not in kept)
-        if contradicted:
-            found = named(self.pool, kept, self.patterns)
+            self.pool.forbid({form.key for form in varying})
+            found, refuted = self._settled()
         beside = self.pool.beside(found.problem) if found.traces else self.pool
-        return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found, contradicted)
+        return Findings(self.problem, self.known, self.scatter, self.patterns, self.pool, beside, found, refuted)
+
+    def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
+        """The causes that stand and the patterns beside them, and the causes that readings left out refute.
+
+        Where these are too few for what was fitted to them, they are too few as well to ask what causes a pattern could do.
+        """
+        chosen = self._best().forms
+        kept = held_up(self.pool, chosen)
+        if len(kept) == len(chosen):
+            found = settled(self.pool, chosen, self.patterns)
+            chosen, kept = found.forms, held_up(self.pool, found.forms)
+            if len(kept) == len(chosen):
+                return found, ()
+        return named(self.pool, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
         """Named causes alone.
