@@ -85,7 +85,7 @@ tells two causes apart; `twin.diagnosis.plots` (extra `plots`) has the pictures.
 How often it is right, on 200 draws a row (`python -m tests.battery ROW --poses 100 --seed 11`; effects drawn from the whole catalogue
 and scaled to a noncentrality λ after projection; scatter alike in all directions, or that of a tracker):
 
-| | right or in the group it states | right where nothing could be mistaken for it | nothing found | one too many | 95 % intervals cover |
+| | right or in the group it states | right where nothing equals it | nothing found | one too many | 95 % intervals cover |
 |---|---|---|---|---|---|
 | one, λ = 60 | 99.5 %, tracker 100 % | 99 %, tracker 100 % | 0 % | 1.5 %, tracker 0 % | 95 %, tracker 94 % |
 | one, λ = 30 | 89.5 %, tracker 94 % | 89 %, tracker 85 % | 9 %, tracker 6 % | 1 %, tracker 0 % | 95 %, tracker 94 % |

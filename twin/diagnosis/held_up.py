@@ -14,8 +14,10 @@ import numpy as np
 
 from twin.diagnosis.folds import parts
 from twin.diagnosis.gain import ENOUGH, foretells, foretold, on_parts, plain
-from twin.diagnosis.pool import Form, Pool, log_chance
+from twin.diagnosis.pool import Form, Pool, log_chance, together
 
+PLENTY: Final = 20
+"""Degrees of freedom a parameter from which on a fit cannot be much nearer to its readings than to others."""
 OVERFITTED: Final = 1.25
 """RMS at what was left out, by that in the fit, from which on there may be more causes than the readings carry."""
 
@@ -32,6 +34,8 @@ def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
         pool: the data.
         forms: the causes.
     """
+    if PLENTY * len(together(forms)) < pool.problem.dof:
+        return list(forms)
     split = parts(pool.problem.network.data, pool.problem.network.machine, [form.candidate for form in forms])
     if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
         return list(forms)
