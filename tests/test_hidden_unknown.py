@@ -193,6 +193,22 @@ def test_a_curve_that_foretells_positions_left_out_is_promised(tmp_path: Path) -
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["causes"][0]["promised"] is True
 
 
+def test_a_period_that_evenly_spaced_positions_cannot_tell_is_not_promised(tmp_path: Path) -> None:
+    """At every 25 mm, a period of 62.5 mm is one of 41.7 mm: 1/25 − 1/62.5."""
+    machine = Machine.load(write_stage(tmp_path))
+    found, uneven = [], np.random.default_rng(3).uniform(0.0, 500.0, 31).round(2)
+    for positions in (np.arange(0.0, 501.0, 25.0), np.sort(uneven)):
+        wave = 8.0 * np.sin(2.0 * np.pi * positions / 62.5 + 0.7)
+        data = load(stage_table(tmp_path / "wave.csv", positions, wave, 0.0, 0.6), machine)
+        (cause,) = diagnose(data, machine, Calibration.zero(machine)).causes
+        assert (cause.effect, cause.where) == ("pitch_error", "X")
+        found.append(cause)
+    even, apart = found
+    assert not even.promised and even.effects == () and "fits as well at these positions" in even.evidence
+    period = next(q for q in apart.parameters if q.name == "period")
+    assert apart.promised and abs(period.value - 62.5) < 3.0 * period.u
+
+
 def test_what_physics_forbids_is_no_cause(tmp_path: Path) -> None:
     """A length error of 200 ppm is no refractive index: 20 ppm would be air 20 K off."""
     machine = Machine.load(write_stage(tmp_path))

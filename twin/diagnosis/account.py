@@ -15,7 +15,7 @@ from twin.covariance import Covariance
 from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
-from twin.diagnosis.evidence import curve_flaw, evidence
+from twin.diagnosis.evidence import curve_flaw, evidence, other_periods
 from twin.diagnosis.extend import Extended, extend
 from twin.diagnosis.gain import at_tool, foretells, held_out, of_file, plain, rms, tool_mm, unwhitened
 from twin.diagnosis.misfit import MANY
@@ -31,6 +31,7 @@ from twin.diagnosis.search import GRIDDED, excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
+from twin.diagnosis.words import listed
 from twin.distributions import chi2_sf, f_log_sf, f_sf
 from twin.effects import Effect
 from twin.units import UM
@@ -62,8 +63,12 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
     forms, estimated, dropped = _sized(found)
     beside = [found.beside.forms[form.index] for form in forms]
     excess = max(problem.chi2 - problem.dof, estimated.explained, 1e-30)
-    promised = [foretells(pool, form, forms) for form in forms]
-    causes = [_cause(found, beside, forms, estimated, k, excess, calibration, promised[k]) for k in range(len(forms))]
+    alike = [other_periods(pool, forms, form) for form in forms]
+    promised = [not alike[k] and foretells(pool, form, forms) for k, form in enumerate(forms)]
+    causes = [
+        _cause(found, beside, forms, estimated, k, excess, calibration, promised[k], alike[k])
+        for k in range(len(forms))
+    ]
     # Beside patterns the variances hold what a cause can imitate: the likelihood has decided, and no posterior is given.
     comparison = None if found.structure.traces else _compared(found, forms, causes)
     if comparison is not None:
@@ -164,6 +169,7 @@ def _cause(
     excess: float,
     calibration: Calibration,
     promised: bool,
+    alike: Sequence[float],
 ) -> Cause:
     """One cause: its share beside the other causes, its rivals beside the patterns as well."""
     form, others = forms[k], [one for one in forms if one is not forms[k]]
@@ -171,7 +177,12 @@ def _cause(
     log_p = _log_p_beside(found, estimated, forms, form)
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
-    if not promised:
+    if alike:
+        periods = listed([f"{one:.3g}" for one in alike])
+        text += (
+            f"; with other periods, as {periods}, it fits as well at these positions: nothing is promised between them"
+        )
+    elif not promised:
         text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
     equal = equivalent(found, beside[k], rest)
     if form.candidate.effect.startswith("reversal") and (why := _unsettled(found, form)):

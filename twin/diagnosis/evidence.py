@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,7 +12,11 @@ from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
+from twin.diagnosis.waves import sampling
 from twin.effects import ReversalCurve
+
+ALIKE: Final = 9.0
+"""Chi² (three standard deviations) by which a period must fit worse to be another than the best."""
 
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
@@ -102,6 +107,37 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
         covariance[first:, first:] = inverse[np.ix_(own, own)] * np.outer(scale, scale)
         text = flaw(space, curve, correction, covariance)
     return f"; {text}" if text else ""
+
+
+def other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
+    """Periods, mm or degrees, with which a pitch error fits the readings as well: aliases.
+
+    Args:
+        pool: the data.
+        forms: the causes.
+        form: one of them.
+    """
+    if form.candidate.effect != "pitch_error":
+        return []
+    network = pool.problem.network
+    q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
+    span, even = float(np.ptp(q)), sampling(q)
+    if even is not None:
+        own = 1.0 / form.cell.fixed["period"]
+        return [float(1.0 / max(abs(even - own), 1e-9)), float(1.0 / (even + own))]
+    tried = [one for one in pool.forms if one.key == form.key and one is not form]
+    periods = np.array([one.cell.fixed["period"] for one in tried])
+    explained = pool.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[:, 0]
+    away = np.abs(1.0 / periods - 1.0 / form.cell.fixed["period"]) * span
+    # Between two that were tried even the right one explains less.
+    lost = explained[0] - explained[1:][away < 1.0].max(initial=0.0)
+    found: list[float] = []
+    for i in np.argsort(-explained[1:]):
+        if explained[1 + i] < explained[0] - ALIKE - 2.0 * lost:
+            break
+        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):
+            found.append(float(periods[i]))
+    return found
 
 
 def _misplaced(where: str) -> str:

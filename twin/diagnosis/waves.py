@@ -27,6 +27,21 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
     return _unlike(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
 
 
+def sampling(q: np.ndarray) -> float | None:
+    """Positions a mm where they are even, so that they cannot tell a wave of f from one of this less f; None where they are not."""
+    places = np.unique(np.round(q, 3))
+    span = float(np.ptp(places))
+    if len(places) < 2:
+        return None
+    highest = 1.01 * (len(places) - 1) / span
+    limit = _unlike(places, span, highest)
+    if limit >= highest:
+        return None
+    # From the edge of the window's peak to the peak itself.
+    near = 2.0 * limit + np.linspace(0.0, 1.5, 76) / span
+    return float(near[np.argmax(np.abs(np.sum(np.exp(2j * np.pi * np.outer(near, places)), axis=1)))])
+
+
 def _unlike(places: np.ndarray, span: float, highest: float) -> float:
     """Largest frequency up to ``highest`` that does not look like a slower one."""
     if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
