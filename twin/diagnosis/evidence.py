@@ -129,11 +129,9 @@ def other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
     periods = np.array([one.cell.fixed["period"] for one in tried])
     explained = pool.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[:, 0]
     away = np.abs(1.0 / periods - 1.0 / form.cell.fixed["period"]) * span
-    # Between two that were tried even the right one explains less.
-    lost = explained[0] - explained[1:][away < 1.0].max(initial=0.0)
     found: list[float] = []
     for i in np.argsort(-explained[1:]):
-        if explained[1 + i] < explained[0] - ALIKE - 2.0 * lost:
+        if explained[1 + i] < explained[0] - ALIKE:
             break
         if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):
             found.append(float(periods[i]))
