@@ -44,15 +44,16 @@ arm whose joints are off by what has no law, 30 causes fitted everything; none i
 
 The verdict is `consistent`, `explained` (the causes carry nine tenths), `ambiguous` (a cause these data cannot tell from others,
 which are named, with points that would tell them) or `unexplained`. Each cause carries the probability that a second, Bayesian
-method gives it (sum of single effects, `twin.diagnosis.second_opinion`); where the two disagree, the verdict is `ambiguous`.
-Causes of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left out
-(`promised: false`). Every figure of gain is that of the calibration as it is written, evaluated on the readings anew; held out is
-what the claim is about: positions or poses for functions of position, rounds or blocks of time for changes in time, with an
-interval from six groups on. The causes are those found on all readings; each is fitted to the other groups, and stays only where it is
-worth it there. So what was selected has seen all readings, and the payload's mass and centre stay as all readings have them: held-out
-figures are slightly favourable. `--extended` writes the calibration with what was found of the machine, parameters and covariance
-(`effects:` entries `{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase: 0.5}}` beside the curves),
-and `compensate`, `scene` and `info` use it:
+method gives it (sum of single effects, `twin.diagnosis.second_opinion`); where the two disagree, the verdict is `ambiguous`. Causes
+of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left out and pitch
+errors at evenly spaced positions, where another period fits as well (`promised: false`). Every figure of gain is that of the
+calibration as it is written, evaluated on the readings anew; held out is what the claim is about: positions or poses for functions
+of position, rounds or blocks of time for changes in time, with an interval from six groups on. The causes are those found on all
+readings; each is fitted to the other groups, and stays only where it is worth it there. So what was selected has seen all readings,
+and the payload's mass and centre stay as all readings have them: held-out figures are slightly favourable. `--extended` writes the
+calibration with what was found of the machine, parameters and covariance (`effects:` entries
+`{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase: 0.5}}` beside the curves), and `compensate`,
+`scene` and `info` use it:
 
 - Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`; where one is missing the program is refused, naming
   it.
