@@ -236,8 +236,8 @@ def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
 
 
 def louder(truth: Hidden, noise: str) -> Hidden:
-    """Four times as large for a tracker: at 2 m it scatters 13 µm across its beam."""
-    size = 4.0 if noise.startswith("tracker") else 1.0
+    """Four times as large for a tracker: at 2 m it scatters 13 µm across its beam; three times what may be 20 ppm at most."""
+    size = (3.0 if truth.effect == "refraction_scale" else 4.0) if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
 
