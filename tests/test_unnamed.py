@@ -105,16 +105,16 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
 
 
 def test_without_anything_left_patterns_are_seldom_found(searched: Searcher) -> None:
-    """One in a hundred of data sets, as promised; by the union bound less. Of 25 draws two or more: 1 in 38 at the promise."""
+    """One in a hundred of data sets, as promised; by the union bound less. Of 60 draws three or more: 1 in 43 at the promise."""
     problem, rng = searched.problem, np.random.default_rng(5)
     before, found = problem.residual, 0
     try:
-        for _ in range(25):
+        for _ in range(60):
             problem.judge(rng.standard_normal(len(before)))
             found += scan(problem, searched.patterns, (), np.inf)[0].found
     finally:
         problem.judge(before)
-    assert found <= 1
+    assert found <= 2
 
 
 def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likelihood:

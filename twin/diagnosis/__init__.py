@@ -38,9 +38,9 @@ short waves, steps, lost motion that depends on the position (`twin.diagnosis.un
 anew by likelihood beside it (`twin.diagnosis.structure`). A cause that carries most of what goes with its columns keeps its name,
 and what its form leaves is given in µm as unexplained; a cause that only imitates a part of a pattern is not named.
 
-To few readings many causes fit, and foretell nothing. Where positions or poses left out of the fit are much farther off than those
-in it, only so many causes are named as are beyond what is left and foretell best; the others are listed as not named. Of 24 poses of an
-arm whose joints are off by what has no law, 30 causes fitted everything; none is named.
+With few readings, many causes fit and predict nothing. Where held-out positions or poses fit much worse than those in the fit, only
+those causes are named that are significant against the residual and lower the held-out error; the others are listed as not named. With
+24 poses of an arm whose joints have random errors, 30 causes fitted everything; none is named.
 
 The verdict is `consistent`, `explained` (the causes carry nine tenths), `ambiguous` (a cause these data cannot tell from others,
 which are named, with points that would tell them) or `unexplained`. Each cause carries the probability that a second, Bayesian

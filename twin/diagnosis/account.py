@@ -15,9 +15,9 @@ from twin.covariance import Covariance
 from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
-from twin.diagnosis.evidence import curve_flaw, evidence, other_periods
+from twin.diagnosis.evidence import between_positions, curve_flaw, evidence
 from twin.diagnosis.extend import Extended, extend
-from twin.diagnosis.gain import at_tool, foretells, held_out, of_file, plain, rms, tool_mm, unwhitened
+from twin.diagnosis.gain import at_tool, held_out, of_file, plain, rms, tool_mm, unwhitened
 from twin.diagnosis.misfit import MANY
 from twin.diagnosis.next_points import next_points
 from twin.diagnosis.noise import Scatter
@@ -31,7 +31,6 @@ from twin.diagnosis.search import GRIDDED, excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
-from twin.diagnosis.words import listed
 from twin.distributions import chi2_sf, f_log_sf, f_sf
 from twin.effects import Effect
 from twin.units import UM
@@ -63,12 +62,9 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
     forms, estimated, dropped = _sized(found)
     beside = [found.beside.forms[form.index] for form in forms]
     excess = max(problem.chi2 - problem.dof, estimated.explained, 1e-30)
-    alike = [other_periods(pool, forms, form) for form in forms]
-    promised = [not alike[k] and foretells(pool, form, forms) for k, form in enumerate(forms)]
-    causes = [
-        _cause(found, beside, forms, estimated, k, excess, calibration, promised[k], alike[k])
-        for k in range(len(forms))
-    ]
+    doubts = [between_positions(pool, forms, form) for form in forms]
+    promised = [not doubt for doubt in doubts]
+    causes = [_cause(found, beside, forms, estimated, k, excess, calibration, doubts[k]) for k in range(len(forms))]
     # Beside patterns the variances hold what a cause can imitate: the likelihood has decided, and no posterior is given.
     comparison = None if found.structure.traces else _compared(found, forms, causes)
     if comparison is not None:
@@ -82,7 +78,13 @@ def account(found: Findings, calibration: Calibration, *, empirical: bool = Fals
     also, silent = reported(pool, forms, lambda moved: unwhitened(problem, moved))
     silent += _not_beyond(pool, forms, dropped, excess)
     silent += [_further(effect) for effect in (() if comparison is None else comparison.further)]
-    silent += _fallen(found.structure.fallen) + _contradicted(found.refuted)
+    silent += _unnamed(
+        "they carry only a part of a pattern that no known effect explains as a whole", found.structure.fallen
+    )
+    silent += _unnamed(
+        "with them in the fit the readings left out of it are farther off: too few readings for so many causes",
+        found.refuted,
+    )
     causes, loads = payload_causes(pool, forms, causes, lambda moved: unwhitened(problem, moved))
     also += loads
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
@@ -168,22 +170,14 @@ def _cause(
     k: int,
     excess: float,
     calibration: Calibration,
-    promised: bool,
-    alike: Sequence[float],
+    doubt: str,
 ) -> Cause:
     """One cause: its share beside the other causes, its rivals beside the patterns as well."""
     form, others = forms[k], [one for one in forms if one is not forms[k]]
     explained = found.pool.scores(others, [form.index])[0, 0]
     log_p = _log_p_beside(found, estimated, forms, form)
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
-    text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration)
-    if alike:
-        periods = listed([f"{one:.3g}" for one in alike])
-        text += (
-            f"; with other periods, as {periods}, it fits as well at these positions: nothing is promised between them"
-        )
-    elif not promised:
-        text += "; no curve through the positions measured foretells those left out: nothing is promised between them"
+    text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration) + doubt
     equal = equivalent(found, beside[k], rest)
     if form.candidate.effect.startswith("reversal") and (why := _unsettled(found, form)):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK, form.candidate.where))
@@ -198,8 +192,8 @@ def _cause(
         equivalent=equal,
         evidence=text,
         pattern_um=locked(unwhitened(found.problem, estimated.signature[:, k])),
-        effects=estimated.effects[k] if promised else (),
-        promised=promised,
+        effects=() if doubt else estimated.effects[k],
+        promised=not doubt,
         bounded=_bounded(form, quantities),
         rivals=_rivals(pool, beside[k], rest, excess),
     )
@@ -243,14 +237,8 @@ def _not_beyond(pool: Pool, forms: Sequence[Form], dropped: Sequence[Form], exce
     return [text + ", ".join(each)] if each else []
 
 
-def _fallen(fallen: Sequence[Form]) -> list[str]:
-    text = "not named, for they carry only a part of a pattern that no known effect explains as a whole: "
-    return [text + ", ".join(sorted({" ".join(form.key) for form in fallen}))] if fallen else []
-
-
-def _contradicted(refuted: Sequence[Form]) -> list[str]:
-    text = "not named, for with them in the fit the readings left out of it are farther off: too few readings for so many causes: "
-    return [text + ", ".join(sorted({" ".join(form.key) for form in refuted}))] if refuted else []
+def _unnamed(why: str, forms: Sequence[Form]) -> list[str]:
+    return [f"not named, for {why}: {', '.join(sorted({' '.join(form.key) for form in forms}))}"] if forms else []
 
 
 def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:

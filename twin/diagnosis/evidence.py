@@ -10,9 +10,11 @@ import numpy as np
 from twin.calibration import Calibration
 from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.gain import foretells
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
-from twin.diagnosis.waves import sampling
+from twin.diagnosis.waves import SHORTEST_PERIOD, sampling
+from twin.diagnosis.words import listed
 from twin.effects import ReversalCurve
 
 ALIKE: Final = 9.0
@@ -109,14 +111,25 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
     return f"; {text}" if text else ""
 
 
-def other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
-    """Periods, mm or degrees, with which a pitch error fits the readings as well: aliases.
+def between_positions(pool: Pool, forms: Sequence[Form], form: Form) -> str:
+    """Why a cause is not promised between the measured positions; empty if it is.
 
     Args:
         pool: the data.
         forms: the causes.
         form: one of them.
     """
+    periods = _other_periods(pool, forms, form)
+    if periods:
+        other = listed([f"{one:.3g}" for one in periods])
+        return f"; with other periods, as {other}, it fits as well at these positions: nothing is promised between them"
+    if not foretells(pool, form, forms):
+        return "; no curve through the positions measured foretells those left out: nothing is promised between them"
+    return ""
+
+
+def _other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
+    """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
     if form.candidate.effect != "pitch_error":
         return []
     network = pool.problem.network
@@ -124,7 +137,8 @@ def other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
     span, even = float(np.ptp(q)), sampling(q)
     if even is not None:
         own = 1.0 / form.cell.fixed["period"]
-        return [float(1.0 / max(abs(even - own), 1e-9)), float(1.0 / (even + own))]
+        aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
+        return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
     tried = [one for one in pool.forms if one.key == form.key and one is not form]
     periods = np.array([one.cell.fixed["period"] for one in tried])
     explained = pool.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[:, 0]

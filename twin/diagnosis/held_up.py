@@ -1,8 +1,7 @@
-"""Causes that hold at positions and poses that their fit has not seen: to few readings many causes fit, and foretell nothing.
+"""Causes that predict positions and poses that were not in their fit: with few readings, many causes fit and predict nothing.
 
-A small scatter, stated or presumed, lets every part of a misfit that nobody knows be significant. What was fitted to twenty poses
-with forty numbers is then "explained", and wrong at the twenty-first. As many causes are kept as foretell best (cross-validation,
-Stone 1974).
+If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
+twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
 """
 
 from __future__ import annotations
@@ -13,22 +12,22 @@ from typing import Final
 import numpy as np
 
 from twin.diagnosis.folds import parts
-from twin.diagnosis.gain import ENOUGH, foretells, foretold, on_parts, plain
+from twin.diagnosis.gain import ENOUGH, foretells, foretold, on_parts, rms, unwhitened
 from twin.diagnosis.pool import Form, Pool, log_chance, together
 
 PLENTY: Final = 20
-"""Degrees of freedom a parameter from which on a fit cannot be much nearer to its readings than to others."""
+"""Degrees of freedom per parameter above which overfitting is negligible."""
 OVERFITTED: Final = 1.25
-"""RMS at what was left out, by that in the fit, from which on there may be more causes than the readings carry."""
+"""Ratio of the RMS residual of held-out readings to that of the fit above which the fit is checked for too many causes."""
 
 
 def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
-    """Causes without those that only fit: all of them unless what was left out is much farther off than what was fitted.
+    """The causes without those that only overfit; all of them unless held-out readings fit much worse than the others.
 
-    In the order in which they explain most, each must be beyond what is left when it has entered, be that scatter or not (F to enter;
-    Efroymson 1960). Of those, the fewest are kept that foretell as well as the best number does, within a standard error of the
-    difference between groups (Breiman and others 1984, the one-standard-error rule). Where one axis moved, causes that are
-    not promised (`twin.diagnosis.gain.foretells`) claim nothing between the positions, and stay.
+    Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
+    1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
+    1984). If only one axis moved, causes that are not promised (`twin.diagnosis.gain.foretells`) are kept: they make no claim between
+    the measured positions.
 
     Args:
         pool: the data.
@@ -45,14 +44,14 @@ def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
         return [foretold(pool.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
 
     table = on_parts(pool, split, judged)
-    if table is None or table[:, -2].sum() / table[:, -1].sum() <= OVERFITTED**2 * _in_fit(pool, claimed):
+    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(pool, claimed)) ** 2:
         return list(forms)
     gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(pool, claimed) + 1]) :]}
     return [form for form in forms if form.index not in gone]
 
 
 def _beyond_rest(pool: Pool, forms: Sequence[Form]) -> int:
-    """How many forms, entered in this order, are beyond what is left."""
+    """Number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
     problem, free = pool.problem, float(pool.problem.dof)
     for k, form in enumerate(forms):
         explained, dof, _ = pool.scores(forms[:k], [form.index])[0]
@@ -81,7 +80,7 @@ def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
 
 
 def _in_fit(pool: Pool, forms: Sequence[Form]) -> float:
-    """Mean square of what is left in the fit, µm²."""
+    """RMS residual of the fit, µm."""
     problem = pool.problem
-    left = problem.project(problem.residual - foretold(problem, pool, forms))
-    return float(np.sum((plain(problem, left.reshape(-1, 3, 1)) * 1e6) ** 2) / np.count_nonzero(problem.network.read))
+    residual = problem.project(problem.residual - foretold(problem, pool, forms))
+    return rms(unwhitened(problem, residual), problem.network.read)

@@ -39,7 +39,12 @@ def sampling(q: np.ndarray) -> float | None:
         return None
     # From the edge of the window's peak to the peak itself.
     near = 2.0 * limit + np.linspace(0.0, 1.5, 76) / span
-    return float(near[np.argmax(np.abs(np.sum(np.exp(2j * np.pi * np.outer(near, places)), axis=1)))])
+    return float(near[np.argmax(_window(near, places))])
+
+
+def _window(frequencies: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The spectral window of positions: 1 where all are whole periods apart."""
+    return np.asarray(np.abs(np.mean(np.exp(2j * np.pi * np.outer(frequencies, places)), axis=1)))
 
 
 def _unlike(places: np.ndarray, span: float, highest: float) -> float:
@@ -47,7 +52,7 @@ def _unlike(places: np.ndarray, span: float, highest: float) -> float:
     if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
         places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
     looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
-    window = np.abs(np.mean(np.exp(2j * np.pi * np.outer(looks, places)), axis=1))
+    window = _window(looks, places)
     # Down from the window's own peak at zero, which is one over the span wide.
     alike = looks[(window > ALIKE) & (looks > 1.5 / span)]
     return min(highest, 0.5 * float(alike[0])) if alike.size else highest
