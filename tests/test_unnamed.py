@@ -164,6 +164,27 @@ def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searche
         pool.judge(problem)
 
 
+def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searched: Searcher) -> None:
+    """s²(ΦᵀMΦ + D⁻¹)⁻¹ and its product with Φᵀr: Bayesian linear regression, also along what no reading shows."""
+    problem, pool = searched.problem, searched.pool
+    before = problem.residual
+    try:
+        pattern = max((p for p in searched.patterns if p.side == "work"), key=lambda p: len(p.columns(p.highest, [0])))
+        likelihood = found_pattern(searched, pattern, 1.0)
+        model = likelihood.fit([])
+        which, values, covariance = likelihood.most_likely(model, likelihood.slope_with(problem.residual))
+        phi = beside(problem, problem.signature([likelihood.columns[i] for i in which]))
+        inner = phi.T @ phi + np.diag(1.0 / model.variances[likelihood.group[which]])
+        expected = np.linalg.inv(inner)
+        np.testing.assert_allclose(covariance, model.scatter * expected, atol=1e-5 * model.variances.max())
+        np.testing.assert_allclose(values, expected @ (phi.T @ problem.residual), atol=1e-3 * np.abs(values).max())
+        alone = likelihood.slope_beside([])
+        np.testing.assert_allclose(likelihood.slope_with(problem.residual), alone, atol=1e-6 * np.abs(alone).max())
+    finally:
+        problem.judge(before)
+        pool.judge(problem)
+
+
 def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None:
     """µm a unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")

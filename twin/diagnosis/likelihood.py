@@ -25,6 +25,8 @@ STILL: Final = 0.02
 """Change of a variance's logarithm below which it is settled."""
 SMALL: Final = 1e-3
 """Share of a variance that fits the misfit below which a pattern is no more followed along a direction."""
+LITTLE: Final = 1e-6
+"""Noncentrality below which a function of a pattern changes the likelihood by nothing that counts."""
 UNREAD: Final = 1e-9
 """Share of the best read direction below which a direction is not read."""
 FIRST: Final = 10.0
@@ -45,7 +47,7 @@ class Model:
         scatter: s², at least one.
         explained: of the misfit, by causes and patterns together.
         values: (columns,) of the causes, in the order of `together`.
-        random: (columns,) of the patterns, µm.
+        random: of the patterns' rotated columns, µm.
         covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
         followed: degrees of freedom that the patterns follow the readings with.
     """
@@ -63,6 +65,9 @@ class Model:
 @final
 class Likelihood:
     """Causes of a pool beside some patterns.
+
+    The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
+    without a reading drop out: for few readings, that is most of the columns.
 
     Args:
         pool: the data and the causes.
@@ -84,10 +89,12 @@ class Likelihood:
         self.group = np.array(group, dtype=int)
         problem = pool.problem
         found = problem.products(self.columns)
-        self._gram, self._slope = found.gram, found.slope
-        self._cross = pool.along(self.columns)
-        size = np.bincount(self.group, np.diag(self._gram), 3 * len(traces))
+        size = np.bincount(self.group, np.diag(found.gram), 3 * len(traces))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
+        self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
+        self._gram = self._rotation.T @ found.gram @ self._rotation
+        self._slope = self._rotation.T @ found.slope
+        self._cross = self._rotation.T @ pool.along(self.columns)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
@@ -118,9 +125,10 @@ class Likelihood:
         return self._at(columns, fixed, variances, scatter)[0]
 
     def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Columns whose variance is worth following, their deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
-        used = np.flatnonzero(variances[self.group] * self._size[self.group] > SMALL)
-        deviation = np.sqrt(variances[self.group[used]])
+        """Rotated columns whose variance is worth following, their deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
+        followed = (variances * self._size)[self._own] > SMALL
+        used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
+        deviation = np.sqrt(variances[self._own[used]])
         inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
         inner[np.diag_indices_from(inner)] += 1.0
         return used, deviation, inner
@@ -144,10 +152,10 @@ class Likelihood:
         twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
         share = 1.0 - np.diag(inverse)
-        known = np.bincount(self.group[used], share, groups)
-        squares = np.bincount(self.group[used], found**2, groups)
+        known = np.bincount(self._own[used], share, groups)
+        squares = np.bincount(self._own[used], found**2, groups)
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
-        random = np.zeros(len(self.columns))
+        random = np.zeros(len(self._own))
         random[used] = found * deviation
         return Model(twice, variances, more, explained, values, random, back, float(share.sum())), moved
 
@@ -182,7 +190,7 @@ class Likelihood:
         size = float(values @ whole @ values)
         found = np.zeros(len(self.traces))
         for k in range(len(self.traces)):
-            mine = np.flatnonzero((self.group // 3 == k) & (np.diag(self._gram) > 0.0))
+            mine = np.flatnonzero(self._own // 3 == k)
             inner = self._gram[np.ix_(mine, mine)]
             along = self._cross[np.ix_(mine, own)] @ values
             shared = along @ np.linalg.lstsq(inner, along, rcond=1e-8)[0]
@@ -195,34 +203,41 @@ class Likelihood:
         return model.explained - self.pool.explained_by(forms)
 
     def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
-        """(columns,) inner products of the patterns' columns with what the causes leave, these fitted alone."""
+        """Inner products of the patterns' rotated columns with what the causes leave, these fitted alone."""
         columns, values, _ = self.pool.fitted(forms)
         return np.asarray(self._slope - self._cross[:, columns] @ values)
 
     def slope_with(self, residual: np.ndarray) -> np.ndarray:
-        """(columns,) inner products of the patterns' columns with a (3n,) whitened residual, beside the set-up."""
+        """Inner products of the patterns' rotated columns with a (3n,) whitened residual, beside the set-up."""
         problem = self.pool.problem
         left = problem.project(residual)
         found = [
             problem.along(problem.signature(self.columns[start : start + TOGETHER]), left)
             for start in range(0, len(self.columns), TOGETHER)
         ]
-        return np.concatenate(found)
+        return np.asarray(self._rotation.T @ np.concatenate(found))
 
     def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the patterns most likely are at some variances, beside causes that stay as they are.
 
         Args:
             model: the variances.
-            slope: (columns,) inner products of the patterns' columns with what the causes leave, beside the set-up.
+            slope: what `slope_beside` or `slope_with` gives.
 
         Returns:
             Numbers of the k columns whose variance is followed; (k,) how much of each, µm; (k, k) its covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
         inverse, _ = _inverse(inner)
-        covariance = model.scatter * inverse * np.outer(deviation, deviation)
-        return used, deviation * (inverse @ (slope[used] * deviation)), (covariance + covariance.T) / 2.0
+        which = self._followed_columns(model)
+        rotation = self._rotation[np.ix_(which, used)] * deviation
+        # What is not read is as uncertain as its variance.
+        covariance = np.diag(model.variances[self.group[which]]) + rotation @ (inverse - np.eye(len(used))) @ rotation.T
+        values = rotation @ (inverse @ (slope[used] * deviation))
+        return which, values, model.scatter * (covariance + covariance.T) / 2.0
+
+    def _followed_columns(self, model: Model) -> np.ndarray:
+        return np.flatnonzero((model.variances * self._size)[self.group] > SMALL)
 
     def made(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(3n,) what some columns of the patterns do to the whitened readings, held out or not.
@@ -241,7 +256,7 @@ class Likelihood:
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
         problem = self.pool.problem
-        found = self.made(np.arange(len(self.columns)), model.random)
+        found = self.made(np.arange(len(self.columns)), self._rotation @ model.random)
         columns = together(forms)
         if len(columns):
             back, _ = pseudo(self.pool.gram(forms))
@@ -251,9 +266,30 @@ class Likelihood:
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """The patterns' columns with their standard deviations, µm."""
-        used, deviation, _ = self._followed(model.variances)
-        sizes = (deviation * np.sqrt(model.scatter)).tolist()
-        return [(self.columns[i], size) for i, size in zip(used.tolist(), sizes, strict=True)]
+        which = self._followed_columns(model)
+        sizes = np.sqrt(model.variances[self.group[which]] * model.scatter).tolist()
+        return [(self.columns[i], size) for i, size in zip(which.tolist(), sizes, strict=True)]
+
+
+def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A rotation of the columns of each group after which they are orthogonal in the readings, without those that are not read.
+
+    Args:
+        gram: (columns, columns) their inner products.
+        group: (columns,) of each.
+        size: (groups,) the sum of the squares of each; zero for one that is not read.
+
+    Returns:
+        (columns, k) the rotation, and (k,) the group of each rotated column.
+    """
+    rotation = np.zeros((len(group), len(group)))
+    kept: list[int] = []
+    for number in np.flatnonzero(size > 0.0).tolist():
+        own = np.flatnonzero(group == number)
+        found, vectors = np.linalg.eigh(gram[np.ix_(own, own)])
+        rotation[np.ix_(own, own)] = vectors
+        kept += own[found > UNREAD * found[-1]].tolist()
+    return rotation[:, kept], group[kept]
 
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:

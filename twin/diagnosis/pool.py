@@ -382,12 +382,22 @@ class Pool:
 
     def _with(self, columns: np.ndarray) -> np.ndarray:
         """(columns, all) inner products."""
+        rows = self._rows_of(columns)
+        return self._cross[rows]
+
+    def _rows_of(self, columns: np.ndarray) -> np.ndarray:
+        """Where the inner products of some columns with all stand, worked out first where they were not yet."""
         if np.any(self._row[columns] < 0):
             fresh = self._with_likely(columns[self._row[columns] < 0])
             found = self.products.cross(fresh) - self._within[:, fresh].T @ self._within
-            self._row[fresh] = len(self._cross) + np.arange(len(fresh))
-            self._cross = np.concatenate([self._cross, found])
-        return self._cross[self._row[columns]]
+            filled = int(self._row.max()) + 1
+            if filled + len(found) > len(self._cross):
+                grown = np.zeros((2 * filled + len(found), self._cross.shape[1]))
+                grown[:filled] = self._cross[:filled]
+                self._cross = grown
+            self._row[fresh] = filled + np.arange(len(fresh))
+            self._cross[self._row[fresh]] = found
+        return self._row[columns]
 
     def _with_likely(self, columns: np.ndarray) -> np.ndarray:
         """Columns, and those that are likely to be asked for next: a pass over the data costs more than what is done in it.
@@ -431,9 +441,10 @@ class Pool:
         if len(others) == 0:
             return np.asarray(block)
         columns = together(others)
-        cross = self._with(columns)
-        inverse, _ = pseudo(cross[:, columns])
-        return np.asarray(block - cross[:, form.columns].T @ inverse @ cross[:, form.columns])
+        rows = self._rows_of(columns)
+        inverse, _ = pseudo(self._cross[np.ix_(rows, columns)])
+        shared = self._cross[np.ix_(rows, form.columns)]
+        return np.asarray(block - shared.T @ inverse @ shared)
 
 
 def _explained(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

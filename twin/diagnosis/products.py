@@ -44,7 +44,8 @@ class Products:
         self._from: tuple[Products, np.ndarray | int] | None = None
         self._within = self.signatures.within(groups, points)
         self._by_basis, self._by_residual = self._along_problem(points)
-        self._cross = np.zeros((len(self._by_residual), 0, len(columns)))
+        # (parts, all) of each column that was asked for.
+        self._cross: list[np.ndarray] = []
         self._row = np.full(len(columns), -1)
         self._changed = np.zeros(0, dtype=int)
         self.within = [own.sum(axis=0) for own in self._within]
@@ -70,7 +71,7 @@ class Products:
             other._from = self, points
             within = [own[0] for own in self.signatures.within(self._groups, points)]
             by_basis, by_residual = (own[0] for own in self._along_problem(points))
-        other._cross, other._changed = self._cross[:1, :0], self._changed[:0]
+        other._cross, other._changed = [], self._changed[:0]
         other._row = np.full_like(self._row, -1)
         other.within = [whole - gone for whole, gone in zip(self.within, within, strict=True)]
         other.by_basis, other.by_residual = self.by_basis - by_basis, self.by_residual - by_residual
@@ -121,11 +122,13 @@ class Products:
             known = np.flatnonzero(self._row >= 0)
             if len(self._changed):
                 own = found[:, np.searchsorted(fresh, self._changed)][:, :, known]
-                self._cross[np.ix_(np.arange(len(found)), self._row[known], self._changed)] = own.transpose(0, 2, 1)
+                for k, row in enumerate(self._row[known].tolist()):
+                    self._cross[row][:, self._changed] = own[:, :, k]
             self._changed = self._changed[:0]
-            self._row[fresh] = self._cross.shape[1] + np.arange(len(fresh))
-            self._cross = np.concatenate([self._cross, found], axis=1)
-        return np.asarray(self._cross[:, self._row[columns]])
+            self._row[fresh] = len(self._cross) + np.arange(len(fresh))
+            self._cross += [np.ascontiguousarray(found[:, k]) for k in range(len(fresh))]
+        rows = [self._cross[row] for row in self._row[columns].tolist()]
+        return np.stack(rows, axis=1) if rows else np.zeros((len(self._by_residual), 0, len(self._row)))
 
     @property
     def at_hand(self) -> np.ndarray:
