@@ -456,6 +456,8 @@ BAD = [
     ("heidenhain", "CONFIG.CMA", "* X_CORR", "* Q_CORR", 3, "not given"),
     ("siemens", "cec.mpf", "$AN_CEC[0,1]=0.02\n", "", 1, "points"),
     ("siemens", "cec.mpf", "STEP[0]=100", "STEP[0]=30", 5, "does not divide"),
+    ("siemens", "cec.mpf", "STEP[0]=100", "STEP[0]=1e-308", 5, "does not divide"),
+    ("siemens", "cec.mpf", "STEP[0]=100", "STEP[0]=1e-300", 1, "points"),
     ("siemens", "cec.mpf", "$AN_CEC_MAX[0]=100\n", "", 1, "lacks"),
     ("siemens", "cec.mpf", "(AX2)", "(AX9)", 4, "no such axis"),
     ("siemens", "cec.mpf", "BY_TABLE[0]=0", "BY_TABLE[0]=7", 8, "no such table"),

@@ -19,6 +19,7 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -227,7 +228,8 @@ def _curve(index: int, path: Path, entry: _Entry, machine: Machine) -> tuple[Axi
         return number(text, path, line, f"$AN_CEC_{name}")
 
     step, low, high = value("STEP"), value("MIN"), value("MAX")
-    intervals = round((high - low) / step) if step > 0.0 else 0
+    steps = (high - low) / step if step > 0.0 else 0.0
+    intervals = round(steps) if math.isfinite(steps) else 0
     if intervals < 1 or abs(low + intervals * step - high) > 1e-5 * max(1.0, abs(high), abs(low)):
         line = entry.fields["STEP"][0]
         raise InputError(
@@ -237,14 +239,14 @@ def _curve(index: int, path: Path, entry: _Entry, machine: Machine) -> tuple[Axi
             line=line,
             value=f"{step:g}",
         )
-    missing = [n for n in range(intervals + 1) if n not in entry.values]
-    if missing or max(entry.values) > intervals:
+    missing = next((n for n in range(intervals + 1) if n not in entry.values), None)
+    if missing is not None or max(entry.values) > intervals:
         raise InputError(
             f"table {index} has not the points that MIN, MAX and STEP say",
             expected=f"0 … {intervals}",
             file=path,
             line=entry.line,
-            value=f"{missing[0]} missing" if missing else max(entry.values),
+            value=max(entry.values) if missing is None else f"{missing} missing",
         )
     axes = []
     for name in ("INPUT_AXIS", "OUTPUT_AXIS"):
