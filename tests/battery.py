@@ -400,6 +400,10 @@ def _pulls(
         _, _, candidate, fixed, linear = next(one for one in truth if one[0] == form.key)
         if fixed.get("order", 0.0) != form.cell.fixed.get("order", 0.0):
             continue
+        if candidate.effect == "station_drift" and ("time_constant" in fixed) != any(
+            q.name == "time_constant" for q in quantities
+        ):
+            continue  # the rate at the beginning of an exponential, and the mean rate: not the same number
         if candidate.space is not None:
             # The truth has no constant, a straightness no slope; a form without them is as good.
             linear = linear[round(form.cell.fixed.get("first", 0.0)) :]
