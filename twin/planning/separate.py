@@ -228,6 +228,8 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> tuple[Me
 def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> tuple[Candidate, Cell]:
     """The form of a cause that is meant: with the non-linear parameters given, else the plainest.
 
+    A drift is an exponential if its ``amplitude`` or ``time_constant`` is given, else a straight line with a ``rate``.
+
     Raises:
         InputError: no such cause, or none that a plan can look for.
     """
@@ -246,6 +248,9 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
         )
     names = {name for cell in found.cells for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
+    exponential = found.drift is not None and not one.numbers.keys().isdisjoint(("amplitude", "time_constant"))
+    if found.drift is not None and not exponential:
+        linear = {"rate", "amplitude", "size"}
     strange = [name for name in one.numbers if name not in names | linear]
     if strange:
         raise InputError(
@@ -256,13 +261,12 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
         )
 
     def off(cell: Cell) -> float:
-        if any(name in names and name not in cell.fixed for name in one.numbers):
-            return np.inf
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
-    plainest = min(len(cell.columns) for cell in found.cells)
-    return found, min(found.cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
+    cells = [cell for cell in found.cells if found.drift is None or bool(cell.fixed) == exponential]
+    plainest = min(len(cell.columns) for cell in cells)
+    return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
 
 
 def _readings(
@@ -361,6 +365,7 @@ def _separation(
         own = covariance[start : start + count, start : start + count] * np.outer(scale, scale)
         # Of several numbers the one known worst.
         worst = float(np.sqrt(LAMBDA * np.linalg.eigvalsh(own)[-1]))
-        sizes.append((worst, candidate.names[0][1]))
+        straight = candidate.drift is not None and not cell.fixed
+        sizes.append((worst, "um/h" if straight else candidate.names[0][1]))
     meant = tuple(_meant(one, cell) for one, cell in zip(causes, cells, strict=True))
     return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (meant[0], meant[1]))
