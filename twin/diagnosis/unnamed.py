@@ -153,12 +153,17 @@ class _Scores:
         pattern, level, directions = trace
         rows = self._along(pattern)[0]
         chosen = pattern.order <= level
-        fields = self._fields(pattern, rows)[:, :, list(directions)]
-        made = pattern.at(rows)[:, chosen]
-        whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(rows), -1)
-        lost = whole.T @ self._beside[rows].reshape(3 * len(rows), -1)
-        slope = whole.T @ self._left[rows].reshape(-1)
-        gram = whole.T @ whole - lost @ lost.T
+        count = len(directions) * int(chosen.sum())
+        lost, slope, gram = np.zeros((count, self._beside.shape[2])), np.zeros(count), np.zeros((count, count))
+        for some in pieces(len(rows)):
+            here = rows[some]
+            fields = self._fields(pattern, here)[:, :, list(directions)]
+            made = pattern.at(here)[:, chosen]
+            whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
+            lost += whole.T @ self._beside[here].reshape(3 * len(here), -1)
+            slope += whole.T @ self._left[here].reshape(-1)
+            gram += whole.T @ whole
+        gram -= lost @ lost.T
         size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
         deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), int(chosen.sum()))
         values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
