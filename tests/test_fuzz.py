@@ -20,8 +20,8 @@ from twin import cli
 from twin.cli.commands import app
 from twin.errors import InputError
 
-EXAMPLES = 120
-"""Of a kind of file whose reading costs little; all in all some 2,000."""
+EXAMPLES = 60
+"""Of a kind of file whose reading costs little; all in all some 1,000."""
 LONGEST_S = 10.0
 """Process time of one input; the dearest takes a tenth of it."""
 COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -86,7 +86,7 @@ def test_a_hostile_file_is_read_or_refused(kind: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_hostile_files_are_read_or_refused(kind: str, tmp_path: Path) -> None:
-    read_or_refused(kind, tmp_path, 20 * EXAMPLES)
+    read_or_refused(kind, tmp_path, 40 * EXAMPLES)
 
 
 def done_or_refused(capsys: pytest.CaptureFixture[str], words: list[str]) -> int:

@@ -331,7 +331,7 @@ def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Dia
     [
         pytest.param(("B_deg", "C_deg"), "work", marks=pytest.mark.slow),
         (("X_mm", "Z_mm"), "tool"),
-        (("Y_mm", "time_s"), "tool"),
+        pytest.param(("Y_mm", "time_s"), "tool", marks=pytest.mark.slow),
     ],
 )
 def test_an_effect_outside_the_catalogue_is_unexplained(

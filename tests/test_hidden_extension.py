@@ -223,6 +223,7 @@ def test_the_option_needs_a_file_to_write(table: Path, capsys: pytest.CaptureFix
     assert stopped.value.code == 2 and "--extended" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_reversal_that_depends_on_the_position(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """Programs do not say where Y comes from; it follows from where it went."""
     _, own = measured(tmp_path / "m.csv", lost_motion)

@@ -106,6 +106,7 @@ def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -
         assert place * 1e3 == pytest.approx(PLACES[name][1], abs=1e-6), name
 
 
+@pytest.mark.slow
 def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> None:
     """Identified from 600 poses (4800 lengths) and four stations with noise, compensated: at most 0.5 µm RMS at the tool.
 

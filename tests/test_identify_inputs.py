@@ -147,7 +147,7 @@ def test_a_lone_column_is_taken_for_lengths_aloud(
     dmu50: Machine, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """The notice stands before the results, in text and JSON; an instrument that is named needs none."""
-    lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 60), dmu50, TrackingInterferometer())
+    lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 30), dmu50, TrackingInterferometer())
     reader, data, _ = prepared(dmu50, lengths, None)
     assert isinstance(reader, TrackingInterferometer)
     assert data.notices[0].startswith(f"{ASSUMED}x_mm alone is given") and "name the instrument" in data.notices[0]

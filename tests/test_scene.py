@@ -385,6 +385,7 @@ def test_a_browser_shows_machine_and_path(chromium: str, real: Kinematics, tmp_p
     assert close_to(machine, VIRIDIS[0.5], 20) > 5  # the path on the machine, too
 
 
+@pytest.mark.slow
 def test_what_counts_the_pixels_can_tell_an_empty_stage(chromium: str, real: Kinematics, tmp_path: Path) -> None:
     """Without deviation the path has one colour, and a script that fails is seen on the console."""
     text = scene_html(real, ring(real.machine, 0.0), title="ring")

@@ -104,17 +104,18 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     assert trace.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
 
 
-def test_without_anything_left_patterns_are_seldom_found(searched: Searcher) -> None:
-    """One in a hundred of data sets, as promised; by the union bound less. Of 60 draws three or more: 1 in 43 at the promise."""
+@pytest.mark.parametrize(("draws", "allowed"), [(24, 1), pytest.param(200, 5, marks=pytest.mark.slow)])
+def test_without_anything_left_patterns_are_seldom_found(searched: Searcher, draws: int, allowed: int) -> None:
+    """One in a hundred of data sets, as promised; by the union bound less. More than allowed: 1 in 42 and 1 in 62 at the promise."""
     problem, rng = searched.problem, np.random.default_rng(5)
     before, found = problem.residual, 0
     try:
-        for _ in range(60):
+        for _ in range(draws):
             problem.judge(rng.standard_normal(len(before)))
             found += scan(problem, searched.patterns, (), np.inf)[0].found
     finally:
         problem.judge(before)
-    assert found <= 2
+    assert found <= allowed
 
 
 def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likelihood:
