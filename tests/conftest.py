@@ -24,10 +24,14 @@ from twin.samples import thesis_plan
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpool_limits(limits=1, user_api="blas")
 
-# No deadline: two shared cores make time no measure of right or wrong. By default the same examples every time; a run of the slow tests
-# draws new ones from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
-settings.register_profile("twin", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("new examples", settings.get_profile("twin"), derandomize=False, database=None)
+# No deadline: two shared cores make time no measure of right or wrong. By default the same few examples every time; a slow run
+# draws new ones, and more, from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
+settings.register_profile(
+    "twin", deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile(
+    "new examples", settings.get_profile("twin"), derandomize=False, max_examples=200, database=None
+)
 settings.load_profile("twin")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
