@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from tests.hidden import Hidden, Plan
 from tests.real import plates
 from twin.calibration import Calibration
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.drift_fit import over_forms
+from twin.diagnosis.readings import readings
 from twin.diagnosis.velocity import velocities
 from twin.machine import Machine
 from twin.measurement import load
@@ -131,6 +134,34 @@ def test_an_instrument_is_affine(dmu50: Machine, tmp_path: Path, where: str) -> 
     assert result.extended is result.calibration
     found = {q.name: q for q in cause.parameters}
     assert max(abs(found[name].value - value) / found[name].u for name, value in AFFINE.items()) < 3.0
+
+
+def test_the_size_of_an_affine_error_allows_for_its_centre(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path
+) -> None:
+    """Weak errors about the middle of what was read: the likelier of the two forms is often the wrong one, and u must say so."""
+    rng = np.random.default_rng(53)
+    of = hidden.rounded(hidden.plan(rng, poses=POSES))
+    data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
+    problem, known, _ = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
+    cells = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).cells
+    forms = [[replace(column, scale=1.0) for column in cell.columns] for cell in cells]
+    columns = [problem.signature(own) for own in forms]
+    covariances = [np.linalg.inv(problem.inner(own)) for own in columns]
+    pulls, alone = [], []
+    for _ in range(60):
+        value = rng.standard_normal(6)
+        value *= np.sqrt(30.0 / (value @ np.linalg.inv(covariances[1]) @ value))
+        residual = problem.project(columns[1] @ value + rng.standard_normal(len(problem.residual)))
+        problem.judge(residual)
+        slopes = [problem.along(own, residual) for own in columns]
+        best = int(np.argmax([slope @ own @ slope for slope, own in zip(slopes, covariances, strict=True)]))
+        off = covariances[best] @ slopes[best] - value
+        spread = over_forms(problem, [forms[best], forms[1 - best]], [])
+        pulls.append(off / np.sqrt(np.diag(spread)))
+        alone.append(off / np.sqrt(np.diag(covariances[best])))
+    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3 and np.mean(np.abs(pulls) < 1.96) > 0.93
+    assert np.abs(alone).max() > 8.0 > 5.0 > np.abs(pulls).max()  # what the likelier form alone would promise
 
 
 def plate(folder: Path, rng: np.random.Generator, strain: np.ndarray, *, station: str = "B", turn: float = 0.3) -> Path:

@@ -1,4 +1,4 @@
-"""How large a drift is and how long its time constant, beside other causes."""
+"""How large a cause is that has several forms, beside other causes: a drift by its time constant, an affine error by its centre."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
         others: columns of the other causes.
     """
     tried = np.geomspace(drift.constants[0], drift.constants[-1], FINE)
-    gain, values, spread = _profile(problem, drift, [*tried.tolist(), STRAIGHT], others)
+    gain, values, spread = _profile(problem, [drift.columns(tau) for tau in (*tried.tolist(), STRAIGHT)], others)
     best = int(np.argmax(gain[:-1]))
     ahead = gain[best] - gain[-1]
     if not np.isfinite(gain).all() or ahead < (DECISIVE if drift.straight else -DECISIVE):
@@ -70,7 +70,7 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
         reach = max(AROUND * relative, 2.0 * step)
         for _ in range(3):
             tried = tried[best] * np.exp(np.linspace(-reach, reach, FINE))
-            gain, values, spread = _profile(problem, drift, tried.tolist(), others)
+            gain, values, spread = _profile(problem, [drift.columns(tau) for tau in tried.tolist()], others)
             best = int(np.argmax(gain))
             share = np.exp((gain - gain[best]) / 2.0)
             share /= share.sum()
@@ -86,18 +86,33 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
     return FittedDrift(float(tried[best]), values[best], moments)
 
 
+def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]) -> np.ndarray:
+    """(w, w) second moments of the parameters about those of the first form, the forms weighted by their likelihood.
+
+    Args:
+        problem: the data.
+        forms: columns of each form that the cause may have, the one that was chosen first.
+        others: columns of the other causes.
+    """
+    gain, values, spread = _profile(problem, forms, others)
+    share = np.exp((gain - gain.max()) / 2.0)
+    share /= share.sum()
+    off = values - values[0]
+    return np.asarray((off * share[:, None]).T @ off + np.einsum("k,kij->ij", share, spread))
+
+
 def _profile(
-    problem: Problem, drift: Drift, tried: Sequence[float], others: Sequence[Column]
+    problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At each time constant: what the drift explains beside the others (m,), its parameters (m, w), their covariance (m, w, w)."""
-    columns = [[replace(column, scale=1.0) for column in drift.columns(constant)] for constant in tried]
+    """Of each form: what it explains beside the others (m,), its parameters (m, w), their covariance (m, w, w)."""
+    columns = [[replace(column, scale=1.0) for column in own] for own in forms]
     width = len(columns[0])
-    count = width * len(tried)
+    count = width * len(forms)
     found = problem.products([*(column for own in columns for column in own), *others])
     beside = slice(count, None)
     inverse = pseudo(found.gram[beside, beside])[0] if others else np.zeros((0, 0))
-    gain, values, spread = np.zeros(len(tried)), np.zeros((len(tried), width)), np.zeros((len(tried), width, width))
-    for k in range(len(tried)):
+    gain, values, spread = np.zeros(len(forms)), np.zeros((len(forms), width)), np.zeros((len(forms), width, width))
+    for k in range(len(forms)):
         own = slice(k * width, (k + 1) * width)
         cross = found.gram[beside, own]
         whole = np.diag(found.gram[own, own])

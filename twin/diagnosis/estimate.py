@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from twin.arrays import locked
 from twin.covariance import Covariance
 from twin.diagnosis.drift import STRAIGHT
-from twin.diagnosis.drift_fit import fit_drift
+from twin.diagnosis.drift_fit import fit_drift, over_forms
 from twin.diagnosis.misfit import larger, more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
@@ -89,6 +89,7 @@ def estimate(
     curved = [bool(found) and isinstance(found[0], PitchError) for found in effects]
     fixed = [dict(form.cell.fixed) for form in forms]
     loose: dict[int, np.ndarray] = {}
+    undecided: dict[int, np.ndarray] = {}
     for k, form in enumerate(forms):
         if form.candidate.drift is not None:
             others = [column for form in forms if form is not forms[k] for column in form.cell.columns]
@@ -102,6 +103,9 @@ def estimate(
             if drift.moments is not None:
                 loose[k] = drift.moments
             curved[k] = drift.moments is None and not straight
+        elif len(same := _same(form)) > 1:
+            others = [column for one in forms if one is not form for column in one.cell.columns]
+            undecided[k] = over_forms(problem, same, others)
     longest = [_longest(form) for form in forms]
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
@@ -162,7 +166,9 @@ def estimate(
         matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
         own = loose.get(k, matrix @ block @ matrix.T)
         direct = form.candidate.space is not None or curved[k] or k in loose
-        quantities.append(_quantities(form, fixed[k], effects[k], values[k], own if direct else block))
+        shown = own if direct else block
+        shown = larger(shown, undecided[k]) if k in undecided else shown
+        quantities.append(_quantities(form, fixed[k], effects[k], values[k], shown))
         if effects[k]:
             placed = np.zeros((len(own), len(inverse)))
             if k not in loose:
@@ -231,6 +237,12 @@ def _made(problem: Problem, machine: object, state: object, effects: Sequence[Ef
         for i, values in effect.components(state).items():  # type: ignore[arg-type]
             found += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
     return found.reshape(-1)
+
+
+def _same(form: Form) -> list[Sequence[Column]]:
+    """Columns of the forms of a cause that have the same numbers, its own first: they differ in nothing that is reported."""
+    own = [cell for cell in form.candidate.cells if cell is not form.cell and cell.fixed == form.cell.fixed]
+    return [form.cell.columns, *(cell.columns for cell in own if len(cell.columns) == len(form.cell.columns))]
 
 
 def _longest(form: Form) -> float:
