@@ -89,7 +89,6 @@ def estimate(
     curved = [bool(found) and isinstance(found[0], PitchError) for found in effects]
     fixed = [dict(form.cell.fixed) for form in forms]
     loose: dict[int, np.ndarray] = {}
-    undecided: dict[int, np.ndarray] = {}
     for k, form in enumerate(forms):
         if form.candidate.drift is not None:
             others = [column for form in forms if form is not forms[k] for column in form.cell.columns]
@@ -103,9 +102,6 @@ def estimate(
             if drift.moments is not None:
                 loose[k] = drift.moments
             curved[k] = drift.moments is None and not straight
-        elif len(same := _same(form)) > 1:
-            others = [column for one in forms if one is not form for column in one.cell.columns]
-            undecided[k] = over_forms(problem, same, others)
     longest = [_longest(form) for form in forms]
     for _ in range(STEPS if any(curved) else 1):
         blocks, current, sizes = [], [], []
@@ -166,8 +162,7 @@ def estimate(
         matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
         own = loose.get(k, matrix @ block @ matrix.T)
         direct = form.candidate.space is not None or curved[k] or k in loose
-        shown = own if direct else block
-        shown = larger(shown, undecided[k]) if k in undecided else shown
+        shown = _of_either_form(problem, forms, form, own if direct else block)
         quantities.append(_quantities(form, fixed[k], effects[k], values[k], shown))
         if effects[k]:
             placed = np.zeros((len(own), len(inverse)))
@@ -239,10 +234,18 @@ def _made(problem: Problem, machine: object, state: object, effects: Sequence[Ef
     return found.reshape(-1)
 
 
-def _same(form: Form) -> list[Sequence[Column]]:
-    """Columns of the forms of a cause that have the same numbers, its own first: they differ in nothing that is reported."""
-    own = [cell for cell in form.candidate.cells if cell is not form.cell and cell.fixed == form.cell.fixed]
-    return [form.cell.columns, *(cell.columns for cell in own if len(cell.columns) == len(form.cell.columns))]
+def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
+    """Covariance of a cause's numbers, whichever of its forms with the same numbers is the true one."""
+    own = form.cell
+    same = [
+        cell.columns
+        for cell in form.candidate.cells
+        if cell is not own and cell.fixed == own.fixed and len(cell.columns) == len(own.columns)
+    ]
+    if not same:
+        return covariance
+    others = [column for one in forms if one is not form for column in one.cell.columns]
+    return larger(covariance, over_forms(problem, [own.columns, *same], others))
 
 
 def _longest(form: Form) -> float:

@@ -261,6 +261,8 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
         )
 
     def off(cell: Cell) -> float:
+        if any(name in names and name not in cell.fixed for name in one.numbers):
+            return np.inf
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
