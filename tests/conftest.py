@@ -15,8 +15,8 @@ import scipy.linalg  # noqa: F401  # its own library, to be limited with NumPy's
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
-from twin.calibration import Calibration
-from twin.machine import Machine
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 from twin.planning import Kit, Plan, duration, plan
 from twin.samples import thesis_plan
 

@@ -10,26 +10,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.calibration import Calibration
-    from twin.changes import Changes, compare
-    from twin.channels import Conditions
+    from twin._common.errors import InputError
+    from twin.comparison import Changes, compare
     from twin.compensation import Compensation, Compensator, Options, compensate, compensate_file
+    from twin.compensation.fewer_blocks import Refit, refit
+    from twin.compensation.many import compensate_files
+    from twin.compensation.toolpath import Setup
+    from twin.compute.parallel import Workers
     from twin.diagnosis import Diagnosis, diagnose
-    from twin.errors import InputError
     from twin.identification import Identification, identify
-    from twin.inverse import Inverse, Solution, Status
-    from twin.iso16907 import Scope
-    from twin.kinematics import Kinematics, Poses
-    from twin.machine import Axis, Machine
-    from twin.measurement import Measurements
-    from twin.motion_curve import Curve
+    from twin.kinematics.forward import Kinematics, Poses
+    from twin.kinematics.inverse import Inverse, Solution, Status
+    from twin.machine.calibration import Calibration
+    from twin.machine.conditions import Conditions
+    from twin.machine.iso16907 import Scope
+    from twin.machine.machine import Axis, Machine
+    from twin.machine.motion_curve import Curve
+    from twin.measurement.table import Measurements
     from twin.nc import read_program
-    from twin.parallel import Workers
-    from twin.paths import Refit, refit
-    from twin.population import Population, draw_machines
-    from twin.programs import compensate_files
-    from twin.toolpath import Setup
-    from twin.uncertainty import ToolUncertainty
+    from twin.uncertainty.at_tool import ToolUncertainty
+    from twin.uncertainty.population import Population, draw_machines
 
 __all__ = [
     "Axis",
@@ -68,39 +68,39 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Axis": "twin.machine",
-    "Calibration": "twin.calibration",
-    "Changes": "twin.changes",
+    "Axis": "twin.machine.machine",
+    "Calibration": "twin.machine.calibration",
+    "Changes": "twin.comparison",
     "Compensation": "twin.compensation",
     "Compensator": "twin.compensation",
-    "Conditions": "twin.channels",
-    "Curve": "twin.motion_curve",
+    "Conditions": "twin.machine.conditions",
+    "Curve": "twin.machine.motion_curve",
     "Diagnosis": "twin.diagnosis",
     "Identification": "twin.identification",
-    "InputError": "twin.errors",
-    "Inverse": "twin.inverse",
-    "Kinematics": "twin.kinematics",
-    "Machine": "twin.machine",
-    "Measurements": "twin.measurement",
+    "InputError": "twin._common.errors",
+    "Inverse": "twin.kinematics.inverse",
+    "Kinematics": "twin.kinematics.forward",
+    "Machine": "twin.machine.machine",
+    "Measurements": "twin.measurement.table",
     "Options": "twin.compensation",
-    "Population": "twin.population",
-    "Poses": "twin.kinematics",
-    "Refit": "twin.paths",
-    "Scope": "twin.iso16907",
-    "Setup": "twin.toolpath",
-    "Solution": "twin.inverse",
-    "Status": "twin.inverse",
-    "ToolUncertainty": "twin.uncertainty",
-    "Workers": "twin.parallel",
-    "compare": "twin.changes",
+    "Population": "twin.uncertainty.population",
+    "Poses": "twin.kinematics.forward",
+    "Refit": "twin.compensation.fewer_blocks",
+    "Scope": "twin.machine.iso16907",
+    "Setup": "twin.compensation.toolpath",
+    "Solution": "twin.kinematics.inverse",
+    "Status": "twin.kinematics.inverse",
+    "ToolUncertainty": "twin.uncertainty.at_tool",
+    "Workers": "twin.compute.parallel",
+    "compare": "twin.comparison",
     "compensate": "twin.compensation",
     "compensate_file": "twin.compensation",
-    "compensate_files": "twin.programs",
+    "compensate_files": "twin.compensation.many",
     "diagnose": "twin.diagnosis",
-    "draw_machines": "twin.population",
+    "draw_machines": "twin.uncertainty.population",
     "identify": "twin.identification",
     "read_program": "twin.nc",
-    "refit": "twin.paths",
+    "refit": "twin.compensation.fewer_blocks",
 }
 
 

@@ -26,8 +26,8 @@ from tests.benchmark.methods import BUILT_IN, Command, Method, asked
 from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
 from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
-from twin.errors import InputError
-from twin.parallel import Workers, finished
+from twin._common.errors import InputError
+from twin.compute.parallel import Workers, finished
 
 
 @dataclass(frozen=True)

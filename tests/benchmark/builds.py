@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests import few_axes
-from tests.benchmark.chain import Chain, Link
-from tests.benchmark.machines import Dmu50, TruthMachine
 from tests.benchmark.plan import TruthAxis
-from tests.reference import about, translation
+from tests.truth import few_axes
+from tests.truth.any_chain import Chain, Link
+from tests.truth.any_machine import Dmu50, TruthMachine
+from tests.truth.reference import about, translation
 
 HERE = np.eye(4)
 
@@ -59,7 +59,7 @@ def trunnion() -> Chain:
 
 
 def robot() -> Chain:
-    """The arm of `tests.few_axes`: joints about z and y in turn, each 50 mm to the front of and 300 mm above the one before.
+    """The arm of `tests.truth.few_axes`: joints about z and y in turn, each 50 mm to the front of and 300 mm above the one before.
 
     The error frame of a joint about y has its z along y.
     """

@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from tests.benchmark.chain import rotations
-from tests.benchmark.machines import TruthMachine, absorbed
 from tests.benchmark.plan import Plan, TruthAxis
-from tests.hidden import STATIONS, Hidden
+from tests.truth.any_chain import rotations
+from tests.truth.any_machine import TruthMachine, absorbed
+from tests.truth.hidden import STATIONS, Hidden
 
 Key = tuple[str, str]
 DEGREES = 8

@@ -17,10 +17,10 @@ import numpy as np
 from tests.benchmark.builds import machines
 from tests.benchmark.carried import largest
 from tests.benchmark.known import PLACED, drawn, families, origin, two
-from tests.benchmark.machines import TruthMachine
 from tests.benchmark.outside import PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
-from tests.hidden import Hidden
+from tests.truth.any_machine import TruthMachine
+from tests.truth.hidden import Hidden
 
 OUTSIDE = 300.0
 """λ of a pattern outside the catalogue."""

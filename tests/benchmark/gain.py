@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.benchmark.cases import Case, truth_machines, truth_of
-from tests.benchmark.chain import rotations
 from tests.benchmark.known import origin
-from tests.hidden import STATIONS
-from twin.calibration import Calibration
-from twin.errors import InputError
-from twin.machine import Machine
-from twin.measurement import load
-from twin.observation import Observation
+from tests.truth.any_chain import rotations
+from tests.truth.hidden import STATIONS
+from twin._common.errors import InputError
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.observation import Observation
+from twin.measurement.table import load
 
 
 def removed(case: Case, table: Path, machine: str, calibration: Path) -> float | None:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from tests.benchmark.carried import shares
-from tests.benchmark.machines import TruthMachine
 from tests.benchmark.plan import Plan
-from tests.hidden import Hidden
+from tests.truth.any_machine import TruthMachine
+from tests.truth.hidden import Hidden
 
 SHAPE = ("order", "period", "phase", "time_constant", "exponent")
 """Parameters that say what an effect looks like, not how large it is."""

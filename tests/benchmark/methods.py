@@ -16,18 +16,18 @@ from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from tests import rivals
-from tests.battery import UNHIDDEN, Key
-from twin.calibration import Calibration
+from tests.diagnosis import rivals
+from tests.diagnosis.battery import UNHIDDEN, Key
+from twin._common.errors import InputError
+from twin._common.files import write_json
 from twin.diagnosis import diagnose
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
 from twin.diagnosis.result import SCHEMA
-from twin.errors import InputError
-from twin.files import write_json
-from twin.machine import Machine
-from twin.measurement import load
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.table import load
 
 LIMIT_S: Final = 900.0
 BROKEN: Final = (ArithmeticError, LookupError, TypeError, ValueError)
@@ -74,7 +74,7 @@ class Twin(Method):
 
 @dataclass(frozen=True)
 class Rival(Method):
-    """A plain method of `tests.rivals`: it gets the whitened residual and the candidates of `twin`, and gives names only.
+    """A plain method of `tests.diagnosis.rivals`: it gets the whitened residual and the candidates of `twin`, and gives names only.
 
     Attributes:
         name: in the table.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.benchmark.machines import TruthMachine
 from tests.benchmark.plan import Plan, TruthAxis
+from tests.truth.any_machine import TruthMachine
 
 Numbers = dict[str, float]
 HALF_WAVES = (3.0, 8.0)

@@ -16,9 +16,9 @@ import numpy as np
 
 from tests.conftest import SHARED
 from tests.real.__main__ import SetUpFit, Table, given, of_plate, of_stage, rms_um
-from twin.calibration import Calibration
-from twin.errors import InputError
-from twin.machine import Machine
+from twin._common.errors import InputError
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 
 REAL: Final = SHARED / "data" / "real"
 Said = Mapping[str, Any]

@@ -14,32 +14,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests import hidden
 from tests.benchmark import __main__ as benchmark
 from tests.benchmark import known
 from tests.benchmark.builds import machines
 from tests.benchmark.carried import shares
 from tests.benchmark.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of, truth_machines, write_case
-from tests.benchmark.chain import Chain
 from tests.benchmark.gain import removed
-from tests.benchmark.machines import Dmu50, TruthMachine, lagged
 from tests.benchmark.methods import Command, Method, asked
 from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
 from tests.benchmark.real import REAL_SETS, Answer
 from tests.benchmark.scores import in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
-from tests.hidden import Hidden
-from twin.calibration import Calibration
-from twin.covariance import Covariance
-from twin.curves import POWER
+from tests.truth import hidden
+from tests.truth.any_chain import Chain
+from tests.truth.any_machine import Dmu50, TruthMachine, lagged
+from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
-from twin.effects import AxisLocation, Effect, ErrorMotion, Squareness
-from twin.extension import effect_named
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.measurement import load
-from twin.observation import Observation
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness
+from twin.machine.effects.registry import effect_named
+from twin.machine.machine import Machine
+from twin.measurement.observation import Observation
+from twin.measurement.table import load
+from twin.numerics.covariance import Covariance
+from twin.numerics.curves import POWER
 
 NAMES = list(machines())
 

@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
-from twin.curves import FGBernstein
+from twin.numerics.curves import FGBernstein
 
 LENGTH_MM = 500.0
 NOISE_UM = 1.0

@@ -1,9 +1,9 @@
 """`twin diagnose` beside an ordinary regression: run ``python -m tests.benchmarks.diagnosis [--draws N]`` (some minutes).
 
 The rival is stepwise selection by BIC with `statsmodels`, on the same candidates and the same readings, the set-up projected out for it
-(`tests.rivals`). For time, both begin with readings in memory and end with names; `twin` also gives sizes with intervals, what could
-be mistaken for what, the gain on rounds left out and what to measure next, and its time is told with and without that. For names, both
-look at the same draws of hidden effects (`tests.battery`).
+(`tests.diagnosis.rivals`). For time, both begin with readings in memory and end with names; `twin` also gives sizes with intervals,
+what could be mistaken for what, the gain on rounds left out and what to measure next, and its time is told with and without that.
+For names, both look at the same draws of hidden effects (`tests.diagnosis.battery`).
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tests import hidden, rivals
 from tests.benchmarks.timing import machine_name, ratio, timed
-from tests.hidden import Hidden
-from tests.rivals import UNHIDDEN, Design
-from twin.calibration import Calibration
+from tests.diagnosis import rivals
+from tests.diagnosis.rivals import UNHIDDEN, Design
+from tests.truth import hidden
+from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
 from twin.diagnosis.diagnose import search
 from twin.diagnosis.readings import readings
-from twin.machine import Machine
-from twin.measurement import Measurements, load
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements, load
 
 POINTS = (1_000, 3_000)
 REPEATS = 3

@@ -13,25 +13,25 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tests.errors import random_calibration
-from tests.plans import volumetric
-from tests.reference import sorby_forward, sorby_inverse
-from tests.test_kinematics import random_commands, reference_pose
-from tests.test_thesis import PROGRAM
-from tests.test_thesis_findings import gains
-from twin.batch import BatchFunction
-from twin.calibration import Calibration
+from tests.compensation.test_thesis import PROGRAM
+from tests.identification.plans import volumetric
+from tests.identification.test_thesis_findings import gains
+from tests.kinematics.test_kinematics import random_commands, reference_pose
+from tests.machine.errors import random_calibration
+from tests.truth.reference import sorby_forward, sorby_inverse
 from twin.compensation import Compensator, Options
+from twin.compute.batch import BatchFunction
 from twin.identification import identify
-from twin.instruments import LaserTracker
-from twin.inverse import Inverse, Status
-from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.kinematics.forward import Kinematics
+from twin.kinematics.inverse import Inverse, Status
+from twin.machine.calibration import Calibration
+from twin.machine.chain import chain_function
+from twin.machine.machine import Machine
+from twin.measurement.instruments import LaserTracker
+from twin.measurement.simulate import simulate
 from twin.nc import dialect_for, find_program, read_program
 from twin.nc.blocks import Dialect, Program
 from twin.samples.dmu50_calibration import as_drawn
-from twin.simulate import simulate
-from twin.symbolic import chain_function
 
 
 def agreement(machine: Machine) -> None:

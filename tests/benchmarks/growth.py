@@ -21,13 +21,13 @@ import numpy as np
 from tests.benchmarks import programs, solve
 from tests.benchmarks.diagnosis import measured
 from tests.benchmarks.timing import machine_name, peak_mb
-from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
 from twin.diagnosis import diagnose
 from twin.identification import identify
-from twin.inverse import Inverse
-from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.kinematics.forward import Kinematics
+from twin.kinematics.inverse import Inverse
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 
 SIZES = (1_000, 3_162, 10_000, 31_623, 100_000, 316_228, 1_000_000)
 MEASURED = 100_000

@@ -2,7 +2,7 @@
 
 Five-axis programs from file to file, all in: read, solve, check, split, write, read back, account for. Beside each the time it takes
 to read and write the same bytes and nothing else, so that the ratio says something on another machine. Every length in a process of
-its own for its peak of memory, after a program of 60,000 blocks that has compiled what is worth compiling (`twin.native`).
+its own for its peak of memory, after a program of 60,000 blocks that has compiled what is worth compiling (`twin.compute.native`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.benchmarks.timing import machine_name, peak_mb
-from twin.calibration import Calibration
 from twin.compensation import Compensator, Options
-from twin.machine import Machine
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 
 LENGTHS = (1_000, 10_000, 100_000, 1_000_000)
 WARM = 60_000
@@ -40,7 +40,7 @@ def program(path: Path, blocks: int) -> None:
 
 
 def copied(source: Path, target: Path) -> float:
-    """Seconds to read and write the same bytes and to wait until they are on the disk, as `twin.files.whole_file` does."""
+    """Seconds to read and write the same bytes and to wait until they are on the disk, as `twin._common.files.whole_file` does."""
     start = time.perf_counter()
     with source.open("rb") as data, target.open("wb") as out:
         while block := data.read(1 << 20):

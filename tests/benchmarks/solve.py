@@ -18,12 +18,12 @@ import pinocchio as pin
 from scipy.optimize import root
 
 from tests.benchmarks.timing import Timing, machine_name, ratio, timed
-from tests.test_kinematics import random_commands
-from twin.calibration import Calibration
-from twin.inverse import Inverse, Status
-from twin.kinematics import Kinematics, Poses
-from twin.machine import Machine
-from twin.native import in_use, loading
+from tests.kinematics.test_kinematics import random_commands
+from twin.compute.native import in_use, loading
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.inverse import Inverse, Status
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 
 POSES = 1_000_000
 LENGTH_MM = 100.0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.conftest import beside
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import Rewrite
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program, read_moves
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import dialect_for
 
 ISO = dialect_for(Path("a.nc"))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.conftest import beside
 from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.plain import iso_plain, plain_language

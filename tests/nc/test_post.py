@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.nc.nc_support import AXES, iso_positions, plain_positions, read_moves
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import dialect_for, find_program, read_program
 from twin.nc.blocks import Kind, Rewrite
 from twin.nc.post import post

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.nc.nc_support import AXES, read_moves
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import Rewrite
 

@@ -26,9 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import beside
 from tests.real import plates, stage, ur10
-from twin.calibration import Calibration
-from twin.kinematics import Kinematics
-from twin.machine import Machine
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 
 SEED = 16
 KEPT = 0.97

@@ -11,9 +11,7 @@ from scipy import stats
 
 from tests.conftest import beside
 from tests.real import plates, ur10
-from twin.calibration import Calibration
-from twin.curves import BASES
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.result import COVERAGE
@@ -21,10 +19,12 @@ from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds
 from twin.identification.start import first_setup
 from twin.identification.unknowns import CurveSpace, Unknowns
-from twin.instruments import LaserTracker
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.measurement import Measurements, load
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import LaserTracker
+from twin.measurement.table import Measurements, load
+from twin.numerics.curves import BASES
 
 SEED = 20200714
 """Of the halves: the day the series was begun."""

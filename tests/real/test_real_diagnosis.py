@@ -13,12 +13,12 @@ import pytest
 
 from tests.real import plates, stage, ur10
 from tests.real.test_real_data import SEED, folder
-from twin.calibration import Calibration
 from twin.diagnosis import Cause, Diagnosis, diagnose
 from twin.diagnosis.result import Quantity
 from twin.identification import identify
-from twin.machine import Machine
-from twin.measurement import Measurements, load
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements, load
 
 COVERAGE = 3.0
 """Standard uncertainties an answer may be off by: 1 in 370."""

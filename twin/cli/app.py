@@ -13,15 +13,15 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from twin.calibration import Calibration
-from twin.channels import Conditions
+from twin._common.errors import InputError
 from twin.cli import complete
 from twin.cli.installation import BAD_INPUT as BAD_INPUT
 from twin.cli.installation import NOT_ALL_MET as NOT_ALL_MET
 from twin.cli.terminal import echo
-from twin.errors import InputError
-from twin.iso16907 import NAMES
-from twin.machine import Machine
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.iso16907 import NAMES
+from twin.machine.machine import Machine
 
 INTERRUPTED = 130
 

@@ -10,17 +10,25 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run, to_dict, to_text
+from twin._common.errors import InputError, nearest
+from twin._common.files import write_json
+from twin._common.provenance import SIMULATED, merged, to_json
 from twin.cli import complete
 from twin.cli.app import NOT_ALL_MET, CalibrationOption, MachineOption, calibration_of
+from twin.cli.options import three_numbers
 from twin.cli.outputs import CALIBRATION, TABLE, JsonOption, command
 from twin.cli.terminal import echo
-from twin.errors import InputError, nearest
-from twin.files import write_json
-from twin.machine import DEFAULT, Machine
+from twin.identification.axis_run import (
+    AxisLayout,
+    axis_curves,
+    error_motions,
+    load_readings,
+    simulate_run,
+    to_dict,
+    to_text,
+)
+from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
-from twin.options import three_numbers
-from twin.provenance import SIMULATED, merged, to_json
 
 MOST_ROWS = 30_000
 """Of a simulated run: what `twin axis-run` can work out."""

@@ -7,13 +7,13 @@ import sys
 # In this order in the help.
 from twin.cli import info, compare, volume, compensate, path, scene, simulate  # isort: skip
 from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
+from twin._common.errors import InputError, OutputError
 from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
 from twin.cli.complete import told_word_by_word
+from twin.cli.options import gathered
 from twin.cli.signals import as_interrupt
 from twin.cli.terminal import BROKEN_PIPE, accept_any_text, discard_output, echo, flush, line_of_failure, tell_error
 from twin.cli.usage import UsageError, help_of, line_of_usage
-from twin.errors import InputError, OutputError
-from twin.options import gathered
 
 __all__ = [
     "app",

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin.calibration import Calibration
-from twin.changes import compare as compared
+from twin._common.files import write_json
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -18,11 +17,12 @@ from twin.cli.app import (
     ToolOption,
     progress,
 )
+from twin.cli.options import conditions, positive
 from twin.cli.outputs import JsonOption, command
 from twin.cli.terminal import echo
-from twin.files import write_json
-from twin.machine import DEFAULT, Machine
-from twin.options import conditions, positive
+from twin.comparison import compare as compared
+from twin.machine.calibration import Calibration
+from twin.machine.machine import DEFAULT, Machine
 
 
 @command(

@@ -11,7 +11,8 @@ from typing import Annotated
 
 import typer
 
-from twin.calibration import Calibration
+from twin._common.errors import InputError
+from twin._common.files import write_json, write_whole
 from twin.cli import complete
 from twin.cli.app import (
     BAD_INPUT,
@@ -37,19 +38,18 @@ from twin.cli.app import (
     calibration_of,
     progress,
 )
+from twin.cli.options import conditions, positive, setup
+from twin.cli.options import workers as workers_of
 from twin.cli.outputs import ANY, JsonOption, Output, command
 from twin.cli.terminal import echo, tell_error
 from twin.compensation import Compensator, Options
-from twin.errors import InputError
-from twin.files import write_json, write_whole
-from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.iso16907 import Scope
-from twin.machine import DEFAULT, Machine
+from twin.compensation.many import JSON, TEXT, Outcome, compensate_files
+from twin.compute.parallel import Workers
+from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.machine.calibration import Calibration
+from twin.machine.iso16907 import Scope
+from twin.machine.machine import DEFAULT, Machine
 from twin.nc import dialect_for, dialect_of, find_program
-from twin.options import conditions, positive, setup
-from twin.options import workers as workers_of
-from twin.parallel import Workers
-from twin.programs import JSON, TEXT, Outcome, compensate_files
 
 SCHEMA = "twin.compensations/1"
 

@@ -9,12 +9,12 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-from twin.extension import PARAMETERS
-from twin.instruments import INSTRUMENTS
-from twin.iso16907 import NAMES
-from twin.machine import DEFAULT, Machine, bundled_folder
+from twin.cli.options import MANY_WORDS, gathered
+from twin.machine.effects.registry import PARAMETERS
+from twin.machine.iso16907 import NAMES
+from twin.machine.machine import DEFAULT, Machine, bundled_folder
+from twin.measurement.instruments import INSTRUMENTS
 from twin.nc import DIALECTS, find_program
-from twin.options import MANY_WORDS, gathered
 from twin.samples import PLANS
 
 VARIABLE: Final = "_TWIN_COMPLETE"

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from twin.budget import known_at
+from twin._common.errors import InputError
+from twin._common.files import check_folder, check_writable, write_json
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
@@ -21,15 +22,14 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
+from twin.cli.options import conditions, number, positive
 from twin.cli.outputs import JsonOption, Output, command
 from twin.cli.terminal import echo
-from twin.control import FORMATS
-from twin.control_tables import Request, compared, deliver, make, outputs_of, written_by
-from twin.errors import InputError
-from twin.files import check_folder, check_writable, write_json
-from twin.iso16907 import BASIC, Scope
-from twin.machine import DEFAULT, Machine
-from twin.options import conditions, number, positive
+from twin.control import Request, compared, deliver, make, outputs_of, written_by
+from twin.machine.control import FORMATS
+from twin.machine.iso16907 import BASIC, Scope
+from twin.machine.machine import DEFAULT, Machine
+from twin.uncertainty.budget import known_at
 
 Kind = StrEnum("Kind", {name: name for name in FORMATS})  # type: ignore[misc]
 GRID_TOLERANCE_MM = 0.005

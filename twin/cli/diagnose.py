@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from twin._common.errors import InputError
+from twin._common.files import write_json, write_whole
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -16,15 +18,13 @@ from twin.cli.app import (
     need_pictures,
     progress,
 )
+from twin.cli.options import instrument_named
 from twin.cli.outputs import CALIBRATION, HTML, JsonOption, command
 from twin.cli.terminal import echo
 from twin.diagnosis import diagnose as run_diagnosis
-from twin.errors import InputError
-from twin.files import write_json, write_whole
-from twin.machine import DEFAULT, Machine
-from twin.measurement import joined
-from twin.measurement import load as load_measurements
-from twin.options import instrument_named
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.table import joined
+from twin.measurement.table import load as load_measurements
 
 
 @command(

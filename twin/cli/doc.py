@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
+from twin._common.errors import InputError, nearest
+from twin._common.files import write_json
 from twin.cli.outputs import JsonOption, command
-from twin.errors import InputError, nearest
-from twin.files import write_json
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -20,15 +20,15 @@ PAGES: Final = {
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
     "report": "twin.report",
-    "compare": "twin.changes",
-    "control": "twin.control",
-    "interferometer": "twin.axis_run",
-    "paths": "twin.paths",
-    "many": "twin.parallel",
-    "files": "twin.files",
-    "datum": "twin.datum",
-    "curves": "twin.curves",
-    "speed": "twin.native",
+    "compare": "twin.comparison",
+    "control": "twin.machine.control",
+    "interferometer": "twin.identification.axis_run",
+    "paths": "twin.compensation.fewer_blocks",
+    "many": "twin.compute.parallel",
+    "files": "twin._common.files",
+    "datum": "twin.machine.datum",
+    "curves": "twin.numerics.curves",
+    "speed": "twin.compute.native",
 }
 """Longer than a README: what a room says of itself, by the name it is asked for."""
 

@@ -12,19 +12,19 @@ import numpy as np
 import pinocchio as pin
 import typer
 
-from twin.calibration import Calibration
+from twin._common.errors import InputError, OutputError
+from twin._common.files import write_json
 from twin.cli.app import NOT_ALL_MET, progress
 from twin.cli.installation import Finding, browser, extras, packages, python, show, size
 from twin.cli.outputs import JsonOption, command
 from twin.cli.terminal import echo
 from twin.compensation import Compensator, Options
-from twin.errors import InputError, OutputError
-from twin.files import write_json
-from twin.inverse import Inverse, Status
-from twin.kinematics import Kinematics
-from twin.machine import DEFAULT, Machine
-from twin.native import compiler, in_use, store
-from twin.native.loading import SWITCH, enabled
+from twin.compute.native import compiler, in_use, store
+from twin.compute.native.loading import SWITCH, enabled
+from twin.kinematics.forward import Kinematics
+from twin.kinematics.inverse import Inverse, Status
+from twin.machine.calibration import Calibration
+from twin.machine.machine import DEFAULT, Machine
 from twin.nc import dialect_for
 
 SCHEMA: Final = "twin.doctor/1"

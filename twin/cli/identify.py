@@ -10,23 +10,23 @@ from typing import Annotated
 
 import typer
 
-from twin.calibration import Calibration
+from twin._common.errors import InputError, nearest
+from twin._common.files import scratch_folder, write_json
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
     MachineOption,
     progress,
 )
+from twin.cli.options import instrument_named, tables_on
 from twin.cli.outputs import CALIBRATION, JsonOption, command
 from twin.cli.terminal import echo
-from twin.errors import InputError, nearest
-from twin.files import scratch_folder, write_json
 from twin.identification import identify as run_identification
-from twin.instruments import INSTRUMENTS
-from twin.machine import DEFAULT, Machine
-from twin.measurement import joined
-from twin.measurement import load as load_measurements
-from twin.options import instrument_named, tables_on
+from twin.machine.calibration import Calibration
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.table import joined
+from twin.measurement.table import load as load_measurements
 
 
 class Scatter(StrEnum):

@@ -12,9 +12,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from twin.budget import BudgetRow, error_budget, known_at
-from twin.calibration import Calibration
-from twin.channels import options_of
+from twin._common.errors import InputError, printable
+from twin._common.files import write_json
+from twin._common.provenance import texts, to_json
 from twin.cli.app import (
     CalibrationOption,
     MachineOption,
@@ -25,16 +25,16 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
+from twin.cli.options import conditions
 from twin.cli.outputs import CALIBRATION, JsonOption, command
-from twin.datum import MEANING
-from twin.errors import InputError, printable
-from twin.files import write_json
-from twin.kinematics import Kinematics
-from twin.machine import DEFAULT, Machine
-from twin.native import in_use
-from twin.options import conditions
-from twin.provenance import texts, to_json
-from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
+from twin.compute.native import in_use
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import options_of
+from twin.machine.datum import MEANING
+from twin.machine.machine import DEFAULT, Machine
+from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
+from twin.uncertainty.budget import BudgetRow, error_budget, known_at
 
 SCHEMA = "twin.info/1"
 

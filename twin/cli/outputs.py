@@ -3,7 +3,7 @@
 Every number it is given has a size that arithmetic can bear, so that no command can overflow.
 
 `command` replaces Typer's own decorator, so that no command can forget the check. Files that a command reads indirectly (the URDF a
-machine file names, a default calibration) are noted by `twin.files` when they are read.
+machine file names, a default calibration) are noted by `twin._common.files` when they are read.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import Annotated, Any, Final, TypeVar, final, get_args, get_type_hin
 
 import typer
 
+from twin._common.errors import InputError
+from twin._common.files import check_writable, command_files
 from twin.cli.app import app
-from twin.errors import InputError
-from twin.files import check_writable, command_files
-from twin.options import usable_number
+from twin.cli.options import usable_number
 
 Function = TypeVar("Function", bound=Callable[..., None])
 

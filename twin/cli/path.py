@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from twin._common.files import write_json, write_whole
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -25,18 +26,17 @@ from twin.cli.app import (
     calibration_of,
     progress,
 )
+from twin.cli.options import conditions, positive, setup
 from twin.cli.outputs import ANY, JsonOption, command
 from twin.cli.terminal import echo
 from twin.compensation import Options
-from twin.files import write_json, write_whole
-from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.iso16907 import Scope
-from twin.machine import DEFAULT, Machine
+from twin.compensation.fewer_blocks import refit
+from twin.compensation.fewer_blocks.points import is_points
+from twin.compensation.fewer_blocks.refit import DEFAULT_TOLERANCE_MM
+from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.machine.iso16907 import Scope
+from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
-from twin.options import conditions, positive, setup
-from twin.paths import refit
-from twin.paths.points import is_points
-from twin.paths.refit import DEFAULT_TOLERANCE_MM
 
 
 @command(

@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from twin._common.errors import InputError
+from twin._common.files import write_json
+from twin._common.provenance import texts, to_json
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -16,19 +19,16 @@ from twin.cli.app import (
     calibration_of,
     progress,
 )
+from twin.cli.options import instrument_named, plan_file, positive
 from twin.cli.outputs import TABLE, JsonOption, command
 from twin.cli.terminal import echo
-from twin.errors import InputError
-from twin.files import write_json
-from twin.instruments import INSTRUMENTS
-from twin.machine import DEFAULT, Machine
-from twin.measurement import load as load_measurements
-from twin.measurement_checks import grouped_notes
-from twin.options import instrument_named, plan_file, positive
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.checks import grouped_notes
+from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.table import load as load_measurements
 from twin.planning import Kit, duration, judge, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
-from twin.provenance import texts, to_json
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from twin._common.files import write_json, write_whole
+from twin._common.provenance import texts
 from twin.cli.app import (
     NOT_ALL_MET,
     CalibrationOption,
@@ -20,13 +22,11 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
+from twin.cli.options import conditions
 from twin.cli.outputs import HTML, JsonOption, command
 from twin.cli.terminal import echo
-from twin.files import write_json, write_whole
-from twin.machine import DEFAULT, Machine
-from twin.measurement import load as load_measurements
-from twin.options import conditions
-from twin.provenance import texts
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.table import load as load_measurements
 from twin.report import MachineReport, machine_report
 
 

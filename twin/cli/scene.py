@@ -8,6 +8,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from twin._common.files import write_json
+from twin._common.provenance import texts, to_json
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -24,13 +26,11 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
+from twin.cli.options import conditions, positive, setup
 from twin.cli.outputs import HTML, JsonOption, command
 from twin.cli.terminal import echo
-from twin.files import write_json
-from twin.machine import DEFAULT, Machine
+from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
-from twin.options import conditions, positive, setup
-from twin.provenance import texts, to_json
 
 
 @command(
@@ -54,7 +54,7 @@ def scene(
     json_file: JsonOption = None,
 ) -> None:
     """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network."""
-    from twin.scene import draw_program  # meshcat takes its time, and only this command needs it
+    from twin.report.scene import draw_program  # meshcat takes its time, and only this command needs it
 
     loaded = Machine.load(machine)
     source = find_program(program)

@@ -9,6 +9,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from twin._common.errors import InputError
+from twin._common.files import write_json
+from twin._common.provenance import SIMULATED, merged, to_json
 from twin.cli import complete
 from twin.cli.app import (
     NOT_ALL_MET,
@@ -17,17 +20,14 @@ from twin.cli.app import (
     calibration_of,
     progress,
 )
+from twin.cli.options import instrument_named, plan_file, surroundings
 from twin.cli.outputs import TABLE, JsonOption, command
 from twin.cli.terminal import echo
-from twin.errors import InputError
-from twin.files import write_json
-from twin.instruments import INSTRUMENTS
-from twin.machine import DEFAULT, Machine
-from twin.measurement import load as load_measurements
-from twin.measurement_checks import grouped_notes
-from twin.options import instrument_named, plan_file, surroundings
-from twin.provenance import SIMULATED, merged, to_json
-from twin.simulate import simulate as run_simulation
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.checks import grouped_notes
+from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.simulate import simulate as run_simulation
+from twin.measurement.table import load as load_measurements
 
 
 @command(

@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from typing import Final
 
-from twin.errors import printable
+from twin._common.errors import printable
 
 BROKEN_PIPE: Final = 141
 """Exit status where nothing reads the standard output any more: 128 + SIGPIPE, as of other Unix tools."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from twin.errors import is_it
+from twin._common.errors import is_it
 
 # The parser's own classes have no public name in every version of typer; their common base has this place.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from twin._common.files import write_json
+from twin._common.provenance import texts
 from twin.cli.app import (
     CalibrationOption,
     MachineOption,
@@ -22,15 +24,13 @@ from twin.cli.app import (
     progress,
     tell_unused,
 )
+from twin.cli.options import conditions
+from twin.cli.options import workers as workers_of
 from twin.cli.outputs import JsonOption, command
 from twin.cli.terminal import echo
-from twin.files import write_json
-from twin.kinematics import Kinematics
-from twin.machine import DEFAULT, Machine
-from twin.options import conditions
-from twin.options import workers as workers_of
-from twin.population import POSES, TRIALS, Population, Spread, draw_machines
-from twin.provenance import texts
+from twin.kinematics.forward import Kinematics
+from twin.machine.machine import DEFAULT, Machine
+from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_machines
 
 
 @command(

@@ -7,8 +7,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.arrays import every
-from twin.channels import TIME, Listening
+from twin._common.arrays import every
 from twin.compensation.bench import Aim, Bench
 from twin.compensation.comparison import Commands
 from twin.compensation.correction import Corrections, CorrectionTally
@@ -17,9 +16,10 @@ from twin.compensation.pieces import Pieces
 from twin.compensation.report import ClassShare, ControlNote, DeviationTally, LineNote, Report, ReversalNote
 from twin.compensation.rows import Rows, Ways
 from twin.compensation.uncorrected import Uncorrected
-from twin.kinematics import angle_between_rad
+from twin.kinematics.forward import angle_between_rad
+from twin.machine.conditions import TIME, Listening
 from twin.nc.blocks import Notice
-from twin.uncertainty import ToolUncertainty
+from twin.uncertainty.at_tool import ToolUncertainty
 
 WARM_UP_S: Final = 600.0
 """Over which it is said how far a warm-up goes on."""

@@ -9,20 +9,20 @@ from typing import Literal, final
 
 import numpy as np
 
-from twin.approach import LostMotion
-from twin.calibration import Calibration
-from twin.channels import Conditions
+from twin._common.errors import InputError
+from twin.compensation.backlash import LostMotion
 from twin.compensation.comparison import Comparison
 from twin.compensation.thesis import ThesisMethod
-from twin.effects import ControlCorrection
-from twin.errors import InputError
-from twin.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
-from twin.iso16907 import BASIC, Scope, acts_as, iso_class
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.show import Html, card, pairs
-from twin.toolpath import Setup, WordSpace, outside_range
-from twin.uncertainty import ToolUncertainty
+from twin.compensation.toolpath import Setup, WordSpace, outside_range
+from twin.display import Html, card, pairs
+from twin.kinematics.forward import Kinematics
+from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.effects import ControlCorrection
+from twin.machine.iso16907 import BASIC, Scope, acts_as, iso_class
+from twin.machine.machine import Machine
+from twin.uncertainty.at_tool import ToolUncertainty
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the fraction done."""

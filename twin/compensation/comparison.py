@@ -10,13 +10,13 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin.batch import BatchFunction
-from twin.kinematics import Kinematics
-from twin.native import Taken
-from twin.units import MM
+from twin._common.units import MM
+from twin.compute.batch import BatchFunction
+from twin.compute.native import Taken
+from twin.kinematics.forward import Kinematics
 
 SLACK: Final = 1e-9
-"""mm and degrees beyond a curve's domain that are rounding, as of `twin.calibration.Calibration.outside`."""
+"""mm and degrees beyond a curve's domain that are rounding, as of `twin.machine.calibration.Calibration.outside`."""
 
 
 @final
@@ -59,7 +59,7 @@ class Compared:
     Attributes:
         distance_mm: (n,) between the functional points.
         angle_rad: (n,) between the tool axes.
-        leaning: (n, 3) tool axis in the tool frame as meant: what `twin.spatial.tilt` takes.
+        leaning: (n, 3) tool axis in the tool frame as meant: what `twin.numerics.spatial.tilt` takes.
         known: (n,) whether commands are finite, and within the domains of all curves of the machine.
     """
 

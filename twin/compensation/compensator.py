@@ -13,24 +13,24 @@ from typing import final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.channels import Conditions
+from twin._common.arrays import locked
+from twin._common.errors import InputError, OutputError
+from twin._common.files import command_files, whole_file
+from twin._common.provenance import program_comments
 from twin.compensation.account import Account
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.pieces import Pieces
 from twin.compensation.report import Report
 from twin.compensation.rows import Rows
 from twin.compensation.stream import PRINTED_MM, Streamed, unreadable
-from twin.errors import InputError, OutputError
-from twin.files import command_files, whole_file
-from twin.machine import Machine
+from twin.compensation.toolpath import Path as ToolPath
+from twin.compensation.toolpath import check_domains, follow
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
 from twin.nc.blocks import Dialect, Program, Reading, Rewrite
 from twin.nc.post import post
-from twin.provenance import program_comments
-from twin.toolpath import Path as ToolPath
-from twin.toolpath import check_domains, follow
 
 
 @final

@@ -13,8 +13,8 @@ from typing import Any, final, overload
 
 import numpy as np
 
-from twin.show import finite, rounded
-from twin.uncertainty import DEFINITION, ToolUncertainty
+from twin.display import finite, rounded
+from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 
 NAMED = 8
 """Names without uncertainty that the text shows before it counts the rest; JSON has them all."""

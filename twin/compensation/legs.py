@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.bench import Bench
-from twin.toolpath import Motion, along
+from twin.compensation.toolpath import Motion, along
 
 STEP_DEG: Final = 2.0
 """How finely an arc or a turn of the tool is searched for turning points, degrees."""

@@ -17,17 +17,17 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import every
+from twin._common.arrays import every
 from twin.compensation.bench import Aim, Bench, Progress
 from twin.compensation.comparison import Commands
 from twin.compensation.legs import Legs, turning_points
 from twin.compensation.ranges import ARC_POINTS, refuse_arc
 from twin.compensation.rows import SAME, Rows, Samples, Ways, counted, distinct, even_cuts, not_back, replaced, spacings
-from twin.effects.empirical import check_ranges
-from twin.inverse import SLACK
-from twin.kinematics import Poses, angle_between_rad
+from twin.compensation.toolpath import Path, along, chords
+from twin.kinematics.forward import Poses, angle_between_rad
+from twin.kinematics.inverse import SLACK
+from twin.machine.effects.empirical import check_ranges
 from twin.nc.blocks import Dialect
-from twin.toolpath import Path, along, chords
 
 SAMPLES_A_PIECE: Final = 5
 """Interior points at which every piece is re-simulated; more where it is long."""

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from twin.errors import InputError
-from twin.inverse import SLACK
-from twin.machine import Machine
+from twin._common.errors import InputError
+from twin.kinematics.inverse import SLACK
+from twin.machine.machine import Machine
 
 ARC_POINTS: Final = 64
 """Points of an arc at which it is compared with the ranges, for the message."""

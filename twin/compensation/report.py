@@ -9,15 +9,15 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.channels import TIME
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
+from twin._common.units import URAD
 from twin.compensation.comparison import Compared
 from twin.compensation.correction import Corrections
 from twin.compensation.shortfalls import SHOWN, Shortfall, line_numbers
-from twin.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin.show import bar, card, note, pairs, several, table
-from twin.spatial import tilt
-from twin.uncertainty import DEFINITION
-from twin.units import URAD
+from twin.display import bar, card, note, pairs, several, table
+from twin.machine.conditions import TIME
+from twin.numerics.spatial import tilt
+from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA = "twin.compensation/1"
 NO_ERRORS = "NOTHING CORRECTED: the calibration has no error motion in scope, so no position is changed"
@@ -32,7 +32,7 @@ class Deviation:
         rms_um, max_um: distance at the functional point.
         rms_urad, max_urad: angle of the tool axis.
         tilt_rms_urad, tilt_max_urad: how it leans about x and about y of the tool frame, largest by amount
-            (`twin.kinematics.Poses.tilt_urad`).
+            (`twin.kinematics.forward.Poses.tilt_urad`).
         worst_line: program line of the largest distance.
         points: how many poses.
     """

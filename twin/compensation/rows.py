@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.kinematics import Poses
+from twin.kinematics.forward import Poses
 
 SAMPLE_SPACING: Final = (10.0, 3.0)
 """No two samples further apart than this: mm of linear and degrees of rotary motion."""

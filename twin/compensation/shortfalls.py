@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
-from twin.show import several
+from twin.display import several
 
 SHOWN: Final = 8
 """Line numbers that a text shows before it counts the rest; JSON has them all."""

@@ -18,12 +18,15 @@ from typing import BinaryIO, Final, NamedTuple, final
 
 import numpy as np
 
+from twin._common.errors import InputError, OutputError
+from twin._common.provenance import program_comments
 from twin.compensation.account import Account
 from twin.compensation.bench import Aim, Bench, Progress
 from twin.compensation.pieces import SAMPLES_A_PIECE, Pieces
 from twin.compensation.report import Report
 from twin.compensation.rows import Rows, even_cuts, spacings
-from twin.errors import InputError, OutputError
+from twin.compensation.toolpath import Follower, MotionColumns, check_domains, chords
+from twin.compensation.toolpath import Path as ToolPath
 from twin.nc.blocks import Notice
 from twin.nc.bulk import NewPositions
 from twin.nc.columns import MoveColumns
@@ -31,17 +34,14 @@ from twin.nc.header import HEAD_LINES
 from twin.nc.iso import Iso
 from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
-from twin.provenance import program_comments
-from twin.toolpath import Follower, MotionColumns, check_domains, chords
-from twin.toolpath import Path as ToolPath
 
 PRINTED_MM: Final = 2e-4
 """What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""
 STRETCH_BYTES: Final = 1 << 18
 """Read, written and read back at once: little enough that what is made of it stays in cache."""
 PART_LINES: Final = 60_000
-"""Lines solved at once: the parts of a long program are alike, and none has fewer, so that solving is compiled (`twin.native`); nor
-many more, since they take memory."""
+"""Lines solved at once: the parts of a long program are alike, and none has fewer, so that solving is compiled
+(`twin.compute.native`); nor many more, since they take memory."""
 POSES: Final = 12 * PART_LINES
 """Solved and checked at once before any block is split: six of each of the short blocks in the longest part. Of longer blocks fewer
 are."""

@@ -18,11 +18,11 @@ from typing import final
 
 import numpy as np
 
-from twin.calibration import Calibration
-from twin.errors import InputError
-from twin.kinematics import Kinematics
-from twin.motion_curve import Curve
-from twin.units import URAD
+from twin._common.errors import InputError
+from twin._common.units import URAD
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.motion_curve import Curve
 
 CLASSES = ("L-POS", "L-STR", "L-SQU", "R-ANG")
 """What the thesis says it corrects (2.9.1, 3.5)."""

@@ -12,7 +12,7 @@ from twin.compensation.bench import Aim, Bench
 from twin.compensation.pieces import Pieces
 from twin.compensation.rows import Rows
 from twin.compensation.shortfalls import Shortfall, ShortfallTally
-from twin.inverse import SLACK
+from twin.kinematics.inverse import SLACK
 
 UNSOLVED_UM: Final = 0.01
 """More left by the solver than this is no solution; it usually leaves a thousandth of it."""

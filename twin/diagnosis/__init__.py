@@ -83,8 +83,8 @@ makes at the tool, what to do and what not; then expected, seen, tried, why this
 changes, what to measure next. `notebooks/02_diagnose.ipynb` follows one case from parts that are off to the measurement that
 tells two causes apart; `twin.diagnosis.plots` (extra `plots`) has the pictures.
 
-How often it is right, on 200 draws a row (`python -m tests.battery ROW --poses 100 --seed 11`; effects drawn from the whole catalogue
-and scaled to a noncentrality λ after projection; scatter alike in all directions, or that of a tracker):
+How often it is right, on 200 draws a row (`python -m tests.diagnosis.battery ROW --poses 100 --seed 11`; effects drawn from the
+whole catalogue and scaled to a noncentrality λ after projection; scatter alike in all directions, or that of a tracker):
 
 | | right or in the group it states | right where nothing equals it | nothing found | one too many | 95 % intervals cover |
 |---|---|---|---|---|---|

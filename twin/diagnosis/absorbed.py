@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from twin.determinability import Unknown, determinability
 from twin.diagnosis.pool import SEEN, Form
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import LARGEST
 from twin.identification.solve import named_setup
+from twin.numerics.observability import Unknown, determinability
 
 ITSELF: Final = "itself"
 

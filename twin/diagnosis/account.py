@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.covariance import Covariance
+from twin._common.arrays import locked
+from twin._common.distributions import chi2_sf, f_log_sf, f_sf
+from twin._common.units import UM
 from twin.diagnosis.absorbed import looks_like
 from twin.diagnosis.catalogue import Catalogue
 from twin.diagnosis.estimate import Estimate, estimate
@@ -31,9 +31,9 @@ from twin.diagnosis.search import GRIDDED, excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
-from twin.distributions import chi2_sf, f_log_sf, f_sf
-from twin.effects import Effect
-from twin.units import UM
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Effect
+from twin.numerics.covariance import Covariance
 
 SEEN_AT: Final = 0.05
 """Chance below which a column is said to go with the misfit."""

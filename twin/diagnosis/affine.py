@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.diagnosis.functions import given
 from twin.diagnosis.signatures import STRAINS, Column, Part, strained
-from twin.measurement import Measurements
+from twin.measurement.table import Measurements
 
 NAMES: Final = (
     ("scale_x", "ppm"),

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.machine import Machine
+from twin.machine.machine import Machine
 
 LONGEST_PERIOD: Final = 0.5
 """Share of the travel measured beyond which a wave is no pitch error: fewer than two periods are a curve, whatever its cause."""

@@ -8,8 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.calibration import Calibration
-from twin.curves import POWER
+from twin._common.units import UM
 from twin.diagnosis.affine import affine_errors
 from twin.diagnosis.bounds import LONGEST_PERIOD, largest
 from twin.diagnosis.drift import STRAIGHT, Drift, of_machine, of_station
@@ -30,7 +29,9 @@ from twin.diagnosis.signatures import (
 )
 from twin.diagnosis.velocity import time_skews
 from twin.diagnosis.waves import highest_frequency, highest_order, waves
-from twin.effects import (
+from twin.identification.unknowns import CurveSpace
+from twin.machine.calibration import Calibration
+from twin.machine.effects import (
     AxisLocation,
     CrossAxis,
     Effect,
@@ -49,11 +50,10 @@ from twin.effects import (
     split_name,
     unit_of,
 )
-from twin.extension import PAYLOAD, at_rest, base_vector, gravity_compliance, loads_of, tool_base_frame
-from twin.identification.unknowns import CurveSpace
-from twin.machine import DIRECTIONS, Axis, Machine
-from twin.measurement import Measurements, state_of
-from twin.units import UM
+from twin.machine.effects.registry import PAYLOAD, at_rest, base_vector, gravity_compliance, loads_of, tool_base_frame
+from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.measurement.table import Measurements, state_of
+from twin.numerics.curves import POWER
 
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""

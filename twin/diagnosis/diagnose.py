@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.calibration import Calibration
 from twin.diagnosis.account import account
 from twin.diagnosis.catalogue import Catalogue, Cell
 from twin.diagnosis.estimate import estimate
@@ -26,11 +25,12 @@ from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
 from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, Structure, named, settled
-from twin.effects import PitchError
 from twin.identification.outliers import outliers
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements, state_of
+from twin.machine.calibration import Calibration
+from twin.machine.effects import PitchError
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements, state_of
 
 WITNESSES: Final = 3
 """Rows set aside below which no cause can be read off them."""

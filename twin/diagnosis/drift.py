@@ -12,11 +12,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.units import UM
 from twin.diagnosis.functions import Functions, Rows
 from twin.diagnosis.signatures import LARGEST, Column, Part, of_units
-from twin.effects import SteadyDrift, ThermalDrift
-from twin.machine import Machine
-from twin.units import UM
+from twin.machine.effects import SteadyDrift, ThermalDrift
+from twin.machine.machine import Machine
 
 TIME_CONSTANTS: Final = 36
 SHORTEST: Final = 1.0 / 40.0

@@ -9,8 +9,7 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin.arrays import locked
-from twin.covariance import Covariance
+from twin._common.arrays import locked
 from twin.diagnosis.drift import STRAIGHT
 from twin.diagnosis.drift_fit import fit_drift, over_forms
 from twin.diagnosis.misfit import larger, more_left, widened
@@ -18,8 +17,9 @@ from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.diagnosis.signatures import Column, of_effect
-from twin.effects import Effect, ErrorMotion, PitchError, ReversalCurve, SteadyDrift, ThermalDrift
-from twin.measurement import state_of
+from twin.machine.effects import Effect, ErrorMotion, PitchError, ReversalCurve, SteadyDrift, ThermalDrift
+from twin.measurement.table import state_of
+from twin.numerics.covariance import Covariance
 
 STEPS: Final = 12
 STILL: Final = 1e-6

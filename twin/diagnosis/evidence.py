@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from twin.calibration import Calibration
 from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.gain import foretells
@@ -15,7 +14,8 @@ from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
 from twin.diagnosis.waves import SHORTEST_PERIOD, sampling
 from twin.diagnosis.words import listed
-from twin.effects import ReversalCurve
+from twin.machine.calibration import Calibration
+from twin.machine.effects import ReversalCurve
 
 ALIKE: Final = 9.0
 """Chi² (three standard deviations) by which a period must fit worse to be another than the best."""

@@ -12,9 +12,8 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.covariance import Covariance
+from twin._common.arrays import locked
+from twin._common.errors import InputError
 from twin.diagnosis.estimate import Estimate
 from twin.diagnosis.gain import ENOUGH, held_out_patterns, rms, unwhitened
 from twin.diagnosis.likelihood import Likelihood
@@ -23,10 +22,11 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace
-from twin.effects import Empirical
-from twin.empirical_entry import acting_frame, usable, where_of
-from twin.errors import InputError
-from twin.machine import Machine
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Empirical
+from twin.machine.empirical_entry import acting_frame, usable, where_of
+from twin.machine.machine import Machine
+from twin.numerics.covariance import Covariance
 
 DIRECTIONS: Final = 3
 

@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from twin.distributions import chi2_sf
+from twin._common.distributions import chi2_sf
 from twin.identification.unknowns import CurveSpace
-from twin.motion_curve import Curve
+from twin.machine.motion_curve import Curve
 
 CONTRADICTED: Final = 1e-3
 """Chance below which what a mistake leaves of the correction is not scatter."""

@@ -13,8 +13,8 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin.diagnosis.catalogue import Candidate
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 
 FOLDS: Final = 8
 """Parts at most."""

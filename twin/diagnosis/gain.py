@@ -7,9 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.budget import volume
-from twin.calibration import Calibration
-from twin.covariance import Covariance
+from twin._common.distributions import student_isf
 from twin.diagnosis import payload
 from twin.diagnosis.folds import Parts, at_positions, in_time, parts
 from twin.diagnosis.functions import Rows
@@ -19,15 +17,17 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
 from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.structure import Findings, again
-from twin.distributions import student_isf
-from twin.effects import Effect, split_name
-from twin.effects.empirical import Empirical, state_name
-from twin.effects.waves import APPROACH
 from twin.identification.network import Network
 from twin.identification.solve import solve
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Effect, split_name
+from twin.machine.effects.empirical import Empirical, state_name
+from twin.machine.effects.waves import APPROACH
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
+from twin.numerics.covariance import Covariance
+from twin.uncertainty.budget import volume
 
 TOOL_MM: Final = 100.0
 CURVES: Final = (

@@ -10,9 +10,9 @@ import numpy as np
 from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
 from twin.diagnosis.functions import given
 from twin.diagnosis.signatures import Column, along_command, of_components
-from twin.effects import Payload
-from twin.effects.load import PAYLOAD_NUMBERS, SIDES, Side, loads
-from twin.machine import Axis, Machine
+from twin.machine.effects import Payload
+from twin.machine.effects.load import PAYLOAD_NUMBERS, SIDES, Side, loads
+from twin.machine.machine import Axis, Machine
 
 MASS: Final = PAYLOAD_NUMBERS[0]
 UNLOADED: Final = 1e-6
@@ -32,7 +32,7 @@ def yielding(
     Args:
         machine: the machine.
         axis: of the joint.
-        load: (n, 9) loads along it (`twin.symbolic.gravity_load`).
+        load: (n, 9) loads along it (`twin.machine.chain.gravity_load`).
         known: payloads of the calibration.
     """
     first = 1 + 4 * SIDES.index(side_of(axis))

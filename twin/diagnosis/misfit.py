@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.problem import Problem
-from twin.distributions import chi2_sf, f_sf
 from twin.identification.spread import repeats
 
 LARGE: Final = 0.01

@@ -12,14 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.calibration import Calibration
+from twin._common.units import UM
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.functions import Functions, given
 from twin.diagnosis.signatures import Column, Part, first_component, of_components, of_values, scaled_to
-from twin.effects import Effect, ErrorMotion, split_name
-from twin.machine import DIRECTIONS, Axis, Machine
-from twin.measurement import Measurements, state_of
-from twin.units import UM
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Effect, ErrorMotion, split_name
+from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.measurement.table import Measurements, state_of
 
 EFFECT: Final = "misplaced"
 BASE: Final = "the base"

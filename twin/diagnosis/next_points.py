@@ -12,15 +12,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.budget import volume
+from twin._common.arrays import locked
+from twin._common.units import MM
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.pool import Form
 from twin.diagnosis.problem import Problem
-from twin.effects import Effect, assemble
 from twin.identification.network import Network
-from twin.measurement import state_of
-from twin.units import MM
+from twin.machine.effects import Effect, assemble
+from twin.measurement.table import state_of
+from twin.uncertainty.budget import volume
 
 POSES: Final = 400
 SEED: Final = 1975

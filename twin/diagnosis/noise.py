@@ -11,15 +11,15 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
+from twin._common.arrays import locked
 from twin.diagnosis.catalogue import Candidate
 from twin.diagnosis.signatures import Column
 from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
-from twin.instruments.base import along_and_across
-from twin.measurement import Measurements
+from twin.measurement.instruments.base import along_and_across
+from twin.measurement.table import Measurements
 
 ENOUGH: Final = 20
 """Degrees of freedom of repeats below which the instrument's own figures are taken."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from twin.diagnosis.result import Cause, Diagnosis
 from twin.diagnosis.words import column, motion, plain, side
-from twin.effects import Effect, split_name
-from twin.machine import DIRECTIONS
-from twin.measurement import state_of
+from twin.machine.effects import Effect, split_name
+from twin.machine.machine import DIRECTIONS
+from twin.measurement.table import state_of
 
 STOPS: Final = 24
 """Distinct positions up to which each is a group of its own."""

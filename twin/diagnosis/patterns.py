@@ -1,9 +1,9 @@
 """Patterns that have no name: functions of each column of the table and of each pair of columns, on each side of the machine.
 
 A pattern shifts the targets of one side along the axes of the base frame, or of the frame that carries them. Its functions are
-those of `twin.effects.waves`: half waves over the range of a column, whole turns of a rotary axis that turned round, the direction an
-axis was approached from; of a pair, their products. They see what low polynomials do not: short waves, steps, and a reversal that
-depends on the position.
+those of `twin.machine.effects.waves`: half waves over the range of a column, whole turns of a rotary axis that turned round, the
+direction an axis was approached from; of a pair, their products. They see what low polynomials do not: short waves, steps, and a
+reversal that depends on the position.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.units import UM
 from twin.diagnosis.functions import Functions, Rows
 from twin.diagnosis.signatures import Column, Part
-from twin.effects.waves import APPROACH, Waves, terms
-from twin.machine import Axis, Machine
-from twin.measurement import CARRIERS, Measurements, state_of
-from twin.units import UM
+from twin.machine.effects.waves import APPROACH, Waves, terms
+from twin.machine.machine import Axis, Machine
+from twin.measurement.table import CARRIERS, Measurements, state_of
 
 ALONE: Final = 16
 """Highest order of a column by itself."""

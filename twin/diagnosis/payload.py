@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.arrays import locked
+from twin._common.arrays import locked
 from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
 from twin.diagnosis.catalogue import Cell
 from twin.diagnosis.loads import MASS, payload_of, payloads_of, side_of
@@ -24,11 +24,11 @@ from twin.diagnosis.pool import Form, Pool, log_chance, pseudo, together
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import Selection, possible, select
 from twin.diagnosis.signatures import of_effect
-from twin.effects import Payload
-from twin.effects.load import SIDES, Side
-from twin.extension import PAYLOAD, gravity_compliance
-from twin.machine import Axis
-from twin.measurement import state_of
+from twin.machine.effects import Payload
+from twin.machine.effects.load import SIDES, Side
+from twin.machine.effects.registry import PAYLOAD, gravity_compliance
+from twin.machine.machine import Axis
+from twin.measurement.table import state_of
 
 EFFECT: Final = "gravity_compliance"
 ROUNDS: Final = 4

@@ -1,8 +1,8 @@
 """Pictures of a diagnosis: the misfit as it was seen, a cause as it was found, the causes as they ranked. Needs the extra ``plots``.
 
 Dots are means over readings that belong together, with the 95 % interval of the mean from their own scatter; a line is what a cause
-says. Every function returns a `Figure` of its own, as those of `twin.evaluation.plots`, whose colours they share; shapes tell apart
-what colours do.
+says. Every function returns a `Figure` of its own, as those of `twin.measurement.evaluation.plots`, whose colours they share; shapes
+tell apart what colours do.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from twin._common.errors import InputError
 from twin.diagnosis.panels import (
     FEWEST,
     Panel,
@@ -28,8 +29,7 @@ from twin.diagnosis.panels import (
 )
 from twin.diagnosis.result import Diagnosis
 from twin.diagnosis.words import plain
-from twin.errors import InputError
-from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
+from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
 
 WIDE: Final = 3
 """Panels side by side."""

@@ -17,11 +17,11 @@ from typing import Final, final
 import numpy as np
 from scipy import special
 
+from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 from twin.diagnosis.catalogue import Candidate, Cell
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.products import Products
 from twin.diagnosis.signatures import Column
-from twin.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 
 ALARMS: Final = 0.03
 """Share of data sets with nothing in them in which a cause is found, all forms together; patterns have their own share."""

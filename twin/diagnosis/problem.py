@@ -16,14 +16,14 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin.calibration import Calibration
+from twin._common.threads import side_by_side
 from twin.diagnosis.functions import Rows, pieces
 from twin.diagnosis.signatures import Column, of_effect
 from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
-from twin.measurement import state_of
-from twin.shares import side_by_side
+from twin.machine.calibration import Calibration
+from twin.measurement.table import state_of
 
 TOLD_APART: Final = 1e-9
 """Relative size of a set-up direction below which it is no direction of its own."""

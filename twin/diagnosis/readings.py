@@ -8,13 +8,13 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
+from twin._common.arrays import locked
+from twin._common.distributions import chi2_isf
+from twin._common.units import MM
 from twin.diagnosis.catalogue import Catalogue, catalogue
 from twin.diagnosis.misplaced import misplaced
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
-from twin.distributions import chi2_isf
 from twin.identification.inputs import prepared
 from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import explained, outliers
@@ -22,10 +22,10 @@ from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.spread import repeats
 from twin.identification.unknowns import Unknowns
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements, RowNote
-from twin.units import MM
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements, RowNote
 
 ROBUST: Final = 4
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from twin._common.provenance import texts
 from twin.diagnosis.panels import Panel, cause_panels, residual_panels
 from twin.diagnosis.plots import alone, plot_left
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
@@ -36,13 +37,12 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
-from twin.measurement_checks import assumptions, grouped_notes
-from twin.page import bullets as _list
-from twin.page import document
-from twin.page import embedded as _embedded
-from twin.page import escaped as _e
-from twin.page import facts as _facts
-from twin.provenance import texts
+from twin.display.page import bullets as _list
+from twin.display.page import document
+from twin.display.page import embedded as _embedded
+from twin.display.page import escaped as _e
+from twin.display.page import facts as _facts
+from twin.measurement.checks import assumptions, grouped_notes
 
 LIKELY: Final = 0.5
 """Chance above which a cause is not worth a line."""

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
+from twin._common.arrays import locked
+from twin._common.distributions import normal_sf
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import Cause, Quantity
-from twin.distributions import normal_sf
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 
 EFFECT: Final = "following_error"
 READ_BACK: Final = "read_back"

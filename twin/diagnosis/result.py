@@ -8,10 +8,10 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin.calibration import Calibration
-from twin.effects import Effect
-from twin.measurement import Measurements
-from twin.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Effect
+from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.diagnosis/1"
 Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]

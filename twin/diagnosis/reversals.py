@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.curves import POWER
 from twin.diagnosis.functions import Functions, Rows
 from twin.diagnosis.signatures import Column, along_command, of_components
 from twin.identification.unknowns import CurveSpace
-from twin.machine import Axis, Machine
+from twin.machine.machine import Axis, Machine
+from twin.numerics.curves import POWER
 
 VARYING: Final = "reversal_curve"
 DEGREES: Final = 4

@@ -12,13 +12,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.units import UM
 from twin.diagnosis.functions import Functions, Rows, given, of_state, pieces
-from twin.effects import Effect, Frame
-from twin.effects.along import along
 from twin.identification.network import View
-from twin.machine import Axis, Machine
-from twin.spatial import cross_matrix
-from twin.units import UM
+from twin.machine.effects import Effect, Frame
+from twin.machine.effects.along import along
+from twin.machine.machine import Axis, Machine
+from twin.numerics.spatial import cross_matrix
 
 LARGEST: Final = 1000.0
 """µm or µrad: how much an effect may do at most anywhere; a column is scaled to it."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from textwrap import wrap
 from typing import Final
 
+from twin._common.provenance import texts
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
 from twin.diagnosis.verdict import facts, headline, sentence
 from twin.diagnosis.words import (
@@ -26,8 +27,7 @@ from twin.diagnosis.words import (
     symbol,
     tied,
 )
-from twin.measurement_checks import assumptions, grouped_notes
-from twin.provenance import texts
+from twin.measurement.checks import assumptions, grouped_notes
 
 WIDTH: Final = 100
 ABSORBED: Final = 0.9

@@ -14,12 +14,12 @@ from typing import Final, final
 import numpy as np
 from scipy import special
 
+from twin._common.units import UM
 from twin.diagnosis.functions import Rows, pieces
 from twin.diagnosis.patterns import Pattern
 from twin.diagnosis.pool import Form, log_chance
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signatures import Fields
-from twin.units import UM
 
 ALARMS: Final = 0.01
 """Share of data sets with nothing in them in which a pattern is found."""

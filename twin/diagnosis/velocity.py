@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.units import UM
 from twin.diagnosis.signatures import Column, along_command, of_values
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.units import UM
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 
 ON_THE_FLY: Final = 1.0
 """s: rows that follow one another faster, while an axis moves, were read on the way."""

@@ -13,8 +13,8 @@ from math import ceil, exp, floor, isfinite, log10
 from types import MappingProxyType
 from typing import Any, Final, Literal, final
 
-from twin.effects import split_name
-from twin.machine import DIRECTIONS
+from twin.machine.effects import split_name
+from twin.machine.machine import DIRECTIONS
 
 Kind = Literal["machine", "calibration", "instrument"]
 MANY: Final = 8

@@ -9,14 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.errors import InputError
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.identification.start import FITS, first_setup, nominal
-from twin.machine import Machine
-from twin.measurement import POINT_COLUMNS, Measurements
-from twin.measurement_checks import RowNote, outside
-from twin.units import MM
+from twin.machine.machine import Machine
+from twin.measurement.checks import RowNote, outside
+from twin.measurement.table import POINT_COLUMNS, Measurements
 
 SWAPPED: Final = 0.2
 """Share of rows that miss by centimetres beyond which it is not rows but columns."""

@@ -9,11 +9,9 @@ from typing import Final, Literal, final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.arrays import locked
-from twin.curves import FOURIER, POWER, Basis
-from twin.determinability import UNSEEN, Determinability
-from twin.effects import split_name
-from twin.errors import InputError
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import MM
 from twin.identification.inputs import prepared
 from twin.identification.network import Network
 from twin.identification.orders import Choice, Folds, choose
@@ -24,10 +22,12 @@ from twin.identification.setup import SetUp
 from twin.identification.solve import Solution, solve
 from twin.identification.spread import between_poses, between_rounds, covariance_from_repeats, misfit
 from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, offset_unseen, spaces_for
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.units import MM
+from twin.machine.effects import split_name
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements
+from twin.numerics.curves import FOURIER, POWER, Basis
+from twin.numerics.observability import UNSEEN, Determinability
 
 MOST: Final = 13
 """Functions of a curve at most: degree 12, six harmonics."""

@@ -7,15 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from twin.errors import InputError
+from twin._common.errors import InputError
+from twin._common.units import MM
 from twin.identification.fitting import SWAPPED, fitting, miss_limit, other_unit
 from twin.identification.setup import SetUp
 from twin.identification.start import first_setup, nominal
-from twin.instruments import Instrument, LaserTracker, TrackingInterferometer
-from twin.machine import Machine
-from twin.measurement import POINT_COLUMNS, Measurements
-from twin.measurement_checks import ASSUMED
-from twin.units import MM
+from twin.machine.machine import Machine
+from twin.measurement.checks import ASSUMED
+from twin.measurement.instruments import Instrument, LaserTracker, TrackingInterferometer
+from twin.measurement.table import POINT_COLUMNS, Measurements
 
 FEWEST_ROWS: Final = 3
 """Equal readings that are no coincidence."""

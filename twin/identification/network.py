@@ -14,17 +14,17 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg.lapack import dtpqrt
 
-from twin.arrays import locked
-from twin.calibration import Calibration
+from twin._common.arrays import locked
+from twin._common.threads import side_by_side
+from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.observation import Observation
-from twin.shares import side_by_side
-from twin.spatial import cross_matrix
-from twin.units import MM
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.observation import Observation
+from twin.measurement.table import Measurements
+from twin.numerics.spatial import cross_matrix
 
 PIECE: Final = 1024
 """Points worked on at a time."""

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpstrf
 
-from twin.arrays import locked
+from twin._common.arrays import locked
+from twin._common.threads import side_by_side
 from twin.identification.network import Network, pieces_of
 from twin.identification.solve import Solution, free_directions
 from twin.identification.unknowns import CurveSpace
-from twin.measurement import Measurements
-from twin.shares import side_by_side
+from twin.measurement.table import Measurements
 
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8

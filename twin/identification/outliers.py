@@ -15,12 +15,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.distributions import chi2_isf
+from twin._common.arrays import locked
+from twin._common.distributions import chi2_isf
+from twin._common.units import MM
 from twin.identification.network import Network
 from twin.identification.spread import repeats
-from twin.measurement_checks import RowNote
-from twin.units import MM
+from twin.measurement.checks import RowNote
 
 FALSE_ALARM: Final = 0.01
 """Chance that a data set without any outlier has a point called one."""

@@ -1,7 +1,7 @@
 """Pictures of an identification. Needs the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own, as those of `twin.evaluation.plots`, whose colours and `save` they share. Colours tell
-apart for colour-blind readers; line styles and markers do so without colour.
+Every function returns a `Figure` of its own, as those of `twin.measurement.evaluation.plots`, whose colours and `save` they share.
+Colours tell apart for colour-blind readers; line styles and markers do so without colour.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-from twin.datum.conditions import turning_patterns
-from twin.distributions import chi2_isf
-from twin.effects import split_name
-from twin.errors import InputError
-from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, SIGNS, THIRD
+from twin._common.distributions import chi2_isf
+from twin._common.errors import InputError
+from twin._common.units import DEG, TURN
 from twin.identification.result import COVERAGE, THESIS_FUNCTIONS, Identification
-from twin.machine import Axis
-from twin.motion_curve import Curve
-from twin.thesis_identification import ThesisIdentification
-from twin.uncertainty import DEFINITION, UncertaintyMap
-from twin.units import DEG, TURN
+from twin.identification.thesis.identify import ThesisIdentification
+from twin.machine.datum.conditions import turning_patterns
+from twin.machine.effects import split_name
+from twin.machine.machine import Axis
+from twin.machine.motion_curve import Curve
+from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, SIGNS, THIRD
+from twin.uncertainty.at_tool import DEFINITION, UncertaintyMap
 
 FINE: Final = 361
 """Points a curve is drawn with."""

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
+from twin._common.arrays import locked
 from twin.identification.solve import Solution, free_directions
 from twin.identification.unknowns import Unknowns
 

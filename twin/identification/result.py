@@ -9,11 +9,11 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.datum import MEANING
-from twin.distributions import normal_isf
-from twin.effects import unit_of
+from twin._common.arrays import locked
+from twin._common.distributions import normal_isf
+from twin._common.provenance import texts, to_json
+from twin._common.units import MM
+from twin.display import card, note, pairs, table
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
@@ -21,12 +21,12 @@ from twin.identification.solve import Solution
 from twin.identification.spread import Misfit, misfit
 from twin.identification.table import TableTilt
 from twin.identification.unknowns import Unknowns
-from twin.measurement import Measurements, RowNote
-from twin.measurement_checks import ASSUMED, assumptions, grouped_notes
-from twin.provenance import texts, to_json
-from twin.show import card, note, pairs, table
-from twin.strips import errors_html, standard_uncertainty
-from twin.units import MM
+from twin.machine.calibration import Calibration
+from twin.machine.datum import MEANING
+from twin.machine.display import errors_html, standard_uncertainty
+from twin.machine.effects import unit_of
+from twin.measurement.checks import ASSUMED, assumptions, grouped_notes
+from twin.measurement.table import Measurements, RowNote
 
 SCHEMA = "twin.identification/1"
 COVERAGE = float(normal_isf(0.025))

@@ -7,9 +7,9 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.measurement import Measurements
-from twin.spatial import rotation_exp
-from twin.units import DEG, MM
+from twin._common.units import DEG, MM
+from twin.measurement.table import Measurements
+from twin.numerics.spatial import rotation_exp
 
 PLACE_PLAUSIBLE: Final = 0.2
 """m: how far from the origin of its carrier a target may sit when nobody says where."""

@@ -22,14 +22,14 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.determinability import WEAKEST, Determinability, Spectrum, Unknown, decompose
-from twin.effects import unit_of
+from twin._common.arrays import locked
+from twin._common.units import MM, URAD
 from twin.identification.network import Network
 from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Column, Unknowns
-from twin.units import MM, URAD
+from twin.machine.effects import unit_of
+from twin.numerics.observability import WEAKEST, Determinability, Spectrum, Unknown, decompose
 
 FIRM: Final = 1e9
 """Weight of a condition of the datum where it stands as one more reading."""

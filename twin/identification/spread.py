@@ -7,15 +7,15 @@ from typing import final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.distributions import chi2_sf, f_sf
-from twin.errors import InputError
+from twin._common.arrays import locked
+from twin._common.distributions import chi2_sf, f_sf
+from twin._common.errors import InputError
+from twin._common.units import MM
 from twin.identification.network import Network
 from twin.identification.solve import Solution
-from twin.instruments import Instrument
-from twin.instruments.base import along_and_across
-from twin.measurement import Measurements
-from twin.units import MM
+from twin.measurement.instruments import Instrument
+from twin.measurement.instruments.base import along_and_across
+from twin.measurement.table import Measurements
 
 
 @final

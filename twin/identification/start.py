@@ -13,14 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.errors import InputError
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import MM
 from twin.identification.setup import SetUp
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.observation import Carried, Observation
-from twin.spatial import cross_matrix, rotation_exp
-from twin.units import MM
+from twin.machine.machine import Machine
+from twin.measurement.observation import Carried, Observation
+from twin.measurement.table import Measurements
+from twin.numerics.spatial import cross_matrix, rotation_exp
 
 FLOOR: Final = 1e-4
 """m: misfits below it weigh alike; the machine's own errors are that large."""

@@ -8,12 +8,12 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.effects import split_name
-from twin.spatial import fused_angles
-from twin.symbolic import error_vector, frame_pose
-from twin.units import URAD
+from twin._common.arrays import locked
+from twin._common.units import URAD
+from twin.machine.calibration import Calibration
+from twin.machine.chain import error_vector, frame_pose
+from twin.machine.effects import split_name
+from twin.numerics.spatial import fused_angles
 
 
 @final
@@ -24,7 +24,7 @@ class TableTilt:
     Attributes:
         at: rotary axes that carry the table, and where they stand (degrees): at zero, or as near as they come.
         fused_urad: (3,) fused-like angles about x, y, z of the base frame: how the surface leans about x and about y, and how the
-            table is turned in it (`twin.spatial.fused_angles`); µrad.
+            table is turned in it (`twin.numerics.spatial.fused_angles`); µrad.
         u_urad: (3,) their standard uncertainties, µrad; NaN where an average line has none.
         covariance: (3, 3) µrad².
         missing: average lines that have no value and count as drawn.

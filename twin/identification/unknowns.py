@@ -19,18 +19,18 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.covariance import Covariance
-from twin.curves import Basis, of_legendre
-from twin.datum.conditions import along, turning_patterns
-from twin.determinability import UNSEEN
-from twin.effects import AxisLocation, Squareness, split_name, unit_of
-from twin.effects.base import Effect
-from twin.machine import Axis, Machine
-from twin.measurement import CARRIERS, Measurements
-from twin.motion_curve import Curve
-from twin.units import UM
+from twin._common.arrays import locked
+from twin._common.units import UM
+from twin.machine.calibration import Calibration
+from twin.machine.datum.conditions import along, turning_patterns
+from twin.machine.effects import AxisLocation, Squareness, split_name, unit_of
+from twin.machine.effects.base import Effect
+from twin.machine.machine import Axis, Machine
+from twin.machine.motion_curve import Curve
+from twin.measurement.table import CARRIERS, Measurements
+from twin.numerics.covariance import Covariance
+from twin.numerics.curves import Basis, of_legendre
+from twin.numerics.observability import UNSEEN
 
 NODES: Final = 400
 """Points of the Gauss-Legendre rule that defines "orthonormal": exact far beyond any order used."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from twin.errors import InputError, nearest
-from twin.files import note_input, read_bytes
+from twin._common.errors import InputError, nearest
+from twin._common.files import note_input, read_bytes
 from twin.nc.apt import Apt
 from twin.nc.blocks import Dialect, Program
 from twin.nc.heidenhain import Heidenhain

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, final
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Move, Notice, Program, Reading, Rewrite
 from twin.nc.dialect import TextDialect
 from twin.nc.emit import Vector, pieces_of, vector_texts

@@ -6,7 +6,7 @@ import math
 import re
 from typing import final
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import heidenhain_words as vocabulary
 from twin.nc.arcs import Misfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, AxisWords, Kind, Move

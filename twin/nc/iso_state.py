@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc import iso_words as vocabulary
 from twin.nc.arcs import PLANES, Misfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, AxisWords, Kind, Move

@@ -7,7 +7,7 @@ import re
 from collections.abc import Container
 from typing import final
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.emit import Said, vector_texts
 from twin.nc.iso_block import AxisWord, Block, Span

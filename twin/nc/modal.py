@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Left, Notice
 from twin.nc.iso_block import AxisWord
 from twin.nc.text import number, unit_vector

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
-from twin.errors import InputError
+from twin._common.errors import InputError
 from twin.nc.blocks import Program
 
 MM_PER_INCH = 25.4

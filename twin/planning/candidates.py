@@ -7,17 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.budget import latin_hypercube
-from twin.calibration import Calibration
-from twin.errors import InputError
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.simulate import Setting
+from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
 from twin.planning.information import MOST
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
-from twin.simulate import Setting
+from twin.uncertainty.budget import latin_hypercube
 
 POSES: Final = 240
 TRIES: Final = 8

@@ -13,10 +13,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from twin.machine import Machine
+from twin._common.units import MM
+from twin.machine.machine import Machine
 from twin.planning.kit import Kit, whole_ranges
 from twin.planning.sight import machine_shapes
-from twin.units import MM
 
 MARGIN_MM: Final = 25.0
 """Kept between anything of the tool side and anything of the work side."""

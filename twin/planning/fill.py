@@ -9,10 +9,10 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.errors import InputError
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.errors import InputError
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements
 from twin.planning.design import Aim, Say, choose, covariance_of
 from twin.planning.kit import Kit
 from twin.planning.route import Route, Session, route

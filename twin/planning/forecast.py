@@ -9,21 +9,21 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.budget import volume
-from twin.calibration import Calibration
-from twin.determinability import UNSEEN, Determinability, Observability, determinability, observability
-from twin.effects import split_name, unit_of
+from twin.display import UNKNOWN, Html, card, chips, note, pairs, readable, table
 from twin.identification.solve import named
 from twin.identification.unknowns import offset_unseen
-from twin.instruments import Instrument
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.effects import split_name, unit_of
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.simulate import Setting
+from twin.measurement.table import Measurements
+from twin.numerics.observability import UNSEEN, Determinability, Observability, determinability, observability
 from twin.planning.design import covariance_of
 from twin.planning.information import Model
-from twin.show import UNKNOWN, Html, card, chips, note, pairs, readable, table
-from twin.simulate import Setting
-from twin.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap
+from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
+from twin.uncertainty.budget import volume
 
 NAMED: Final = 5
 """Unknowns that a reason names."""

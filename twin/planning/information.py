@@ -15,22 +15,22 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.curves import FOURIER, POWER, Basis
-from twin.effects import split_name
+from twin._common.arrays import locked
+from twin._common.units import MM
 from twin.identification.network import PIECE, Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import free_directions
 from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, spaces_for
-from twin.instruments import Instrument
-from twin.kinematics import Kinematics
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.motion_curve import Curve
-from twin.simulate import Setting, simulate
-from twin.spatial import rotation_exp
-from twin.units import MM
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.effects import split_name
+from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve
+from twin.measurement.instruments import Instrument
+from twin.measurement.simulate import Setting, simulate
+from twin.measurement.table import Measurements
+from twin.numerics.curves import FOURIER, POWER, Basis
+from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
 """Ratio of variances from one orthonormal function of a curve to the next: gentler than a smooth curve's."""

@@ -13,13 +13,13 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from twin.budget import volume
-from twin.errors import InputError, nearest
-from twin.instruments import INSTRUMENTS, Instrument
-from twin.machine import Machine, find_bundled
-from twin.simulate import Station
-from twin.units import DEG
-from twin.yaml_files import Place, load_yaml
+from twin._common.errors import InputError, nearest
+from twin._common.units import DEG
+from twin._common.yaml_files import Place, load_yaml
+from twin.machine.machine import Machine, find_bundled
+from twin.measurement.instruments import INSTRUMENTS, Instrument
+from twin.measurement.simulate import Station
+from twin.uncertainty.budget import volume
 
 SCHEMA: Final = "twin.kit/1"
 ACCEPTANCE_DEG: Final = 30.0

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.arrays import locked
-from twin.budget import volume
-from twin.calibration import Calibration
-from twin.errors import InputError, nearest
-from twin.instruments import Instrument, LaserTracker
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.arrays import locked
+from twin._common.errors import InputError, nearest
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.simulate import Setting
+from twin.measurement.table import Measurements
 from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
 from twin.planning.design import Aim, AtTool, Everything, Say, Weakest
 from twin.planning.fill import Filler, Readings
@@ -25,7 +25,7 @@ from twin.planning.information import Model
 from twin.planning.kit import Kit
 from twin.planning.result import Plan, alternatives
 from twin.planning.route import ALWAYS
-from twin.simulate import Setting
+from twin.uncertainty.budget import volume
 
 AIMS: Final = ("tool", "everything", "weakest")
 OPEN: Final = 0.1

@@ -1,7 +1,7 @@
 """Pictures of a plan: from where it measures what, and how well every error will be known. Needs the extra ``plots``.
 
-Every function returns a `Figure` of its own, as those of `twin.evaluation.plots`, whose colours they share; markers tell apart what
-colours do.
+Every function returns a `Figure` of its own, as those of `twin.measurement.evaluation.plots`, whose colours they share; markers tell
+apart what colours do.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from twin.calibration import Calibration
-from twin.effects import split_name
-from twin.errors import InputError
-from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
+from twin._common.errors import InputError
 from twin.identification.result import Identification
-from twin.machine import Machine
-from twin.measurement import Measurements
-from twin.observation import Observation
+from twin.machine.calibration import Calibration
+from twin.machine.effects import split_name
+from twin.machine.machine import Machine
+from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
+from twin.measurement.observation import Observation
+from twin.measurement.table import Measurements
 from twin.planning.forecast import Forecast
 
 STYLES: Final = ((BACKWARD, "s"), (FORWARD, "o"), (THIRD, "^"))

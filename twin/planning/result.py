@@ -8,17 +8,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, final
 
-from twin.instruments import Instrument
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.provenance import SourceWarning, texts, to_json
+from twin.display import bar, card, note, pairs, several, table
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
 from twin.planning.fill import Stand
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
-from twin.provenance import SourceWarning, texts, to_json
-from twin.show import bar, card, note, pairs, several, table
-from twin.uncertainty import DEFINITION
+from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA: Final = "twin.plan/1"
 ODDS: Final = 100

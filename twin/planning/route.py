@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.arrays import locked
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight

@@ -18,17 +18,18 @@ from typing import Final, final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin.arrays import locked
-from twin.calibration import Calibration
+from twin._common.arrays import locked
+from twin._common.errors import InputError, nearest
 from twin.diagnosis.catalogue import Candidate, Cell, catalogue
 from twin.diagnosis.problem import TOLD_APART, Problem
-from twin.errors import InputError, nearest
 from twin.identification.fitting import fitting
 from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns
-from twin.instruments import Instrument, LaserTracker
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.simulate import simulate
+from twin.measurement.table import Measurements
 from twin.planning.candidates import candidates, safe_poses, setting_of
 from twin.planning.design import AtTool, Say, covariance_of
 from twin.planning.fill import Filler, Readings
@@ -36,7 +37,6 @@ from twin.planning.information import as_told, setup_of
 from twin.planning.kit import Kit
 from twin.planning.result import ODDS, Plan, Separation, alternatives
 from twin.planning.route import ALWAYS, Session
-from twin.simulate import simulate
 
 POWER: Final = 1.645
 """Quantile of 95 %: the chance that the odds come out that good."""

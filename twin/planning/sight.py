@@ -14,10 +14,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from twin.errors import InputError
-from twin.machine import Machine
+from twin._common.errors import InputError
+from twin._common.units import MM
+from twin.machine.machine import Machine
 from twin.planning.kit import Kit, Target
-from twin.units import MM
 
 NEST: Final = 0.03
 """m of the beam next to the reflector that are its own nest's."""

@@ -8,9 +8,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
-from twin.calibration import Calibration
-from twin.channels import options_of
 from twin.diagnosis.words import listed, lower
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import options_of
 from twin.report.after import After
 from twin.report.contributions import Budget, Contribution
 from twin.report.identified import Identified

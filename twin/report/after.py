@@ -7,14 +7,14 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.inverse import Inverse, Status
-from twin.kinematics import Kinematics, rms_and_max
-from twin.parallel import Workers
-from twin.population import Spread, draw_machines
+from twin._common.arrays import locked
+from twin.compute.parallel import Workers
+from twin.display import finite
+from twin.kinematics.forward import Kinematics, rms_and_max
+from twin.kinematics.inverse import Inverse, Status
 from twin.report.contributions import Budget
-from twin.show import finite
-from twin.uncertainty import ToolUncertainty
+from twin.uncertainty.at_tool import ToolUncertainty
+from twin.uncertainty.population import Spread, draw_machines
 
 DRAWS_A_POSE: Final = 8
 """Of what is not known: 16,000 at 2,000 poses put the 99th percentile within 2 %."""

@@ -8,13 +8,13 @@ from typing import Any, final
 
 import numpy as np
 
-from twin.budget import BudgetRow, drawn_sides, error_budget, known_volume
-from twin.effects import split_name
-from twin.iso16907 import acts_as, iso_class
-from twin.kinematics import Kinematics, Poses
+from twin.display import finite
+from twin.kinematics.forward import Kinematics, Poses
+from twin.machine.effects import split_name
+from twin.machine.iso16907 import acts_as, iso_class
 from twin.report.words import named
-from twin.show import finite
-from twin.uncertainty import NORMAL_95, ToolUncertainty, radius_95
+from twin.uncertainty.at_tool import NORMAL_95, ToolUncertainty, radius_95
+from twin.uncertainty.budget import BudgetRow, drawn_sides, error_budget, known_volume
 
 
 @final
@@ -131,7 +131,7 @@ def budget(kinematics: Kinematics) -> Budget:
     """What each error makes at the tool over the volume, and U of it.
 
     U of one error takes the numbers of that error as uncertain and all others as known; the covariance of numbers of one class with
-    one another is in U of that class. First order (JCGM 100, 5.2.2), as `twin.uncertainty`.
+    one another is in U of that class. First order (JCGM 100, 5.2.2), as `twin.uncertainty.at_tool`.
 
     Args:
         kinematics: machine, errors, tool, conditions.

@@ -8,12 +8,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.budget import volume
-from twin.kinematics import Kinematics
+from twin._common.arrays import locked
+from twin.display import finite
+from twin.kinematics.forward import Kinematics
 from twin.report.contributions import as_drawn
-from twin.show import finite
-from twin.uncertainty import ToolUncertainty
+from twin.uncertainty.at_tool import ToolUncertainty
+from twin.uncertainty.budget import volume
 
 COUNTS: Final = {1: 101, 2: 25, 3: 13}
 """Positions an axis, by the number of linear axes: odd, so that the middle is among them."""

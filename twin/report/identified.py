@@ -10,9 +10,9 @@ from typing import Any, Final, Literal, final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from twin.calibration import Calibration
-from twin.errors import InputError
-from twin.files import read_json
+from twin._common.errors import InputError
+from twin._common.files import read_json
+from twin.machine.calibration import Calibration
 
 SCHEMA: Final = "twin.identification/1"
 POINTS: Final = 201

@@ -8,15 +8,15 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.channels import APPROACH
-from twin.covariance import Covariance
-from twin.effects import Effect, PitchError, unit_of
-from twin.kinematics import Kinematics
-from twin.machine import DIRECTIONS
+from twin._common.arrays import locked
+from twin.display import finite
+from twin.kinematics.forward import Kinematics
+from twin.machine.conditions import APPROACH
+from twin.machine.effects import Effect, PitchError, unit_of
+from twin.machine.machine import DIRECTIONS
+from twin.numerics.covariance import Covariance
 from twin.report.words import named
-from twin.show import finite
-from twin.uncertainty import NORMAL_95
+from twin.uncertainty.at_tool import NORMAL_95
 
 FINE: Final = 361
 A_PERIOD: Final = 16

@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from twin._common.provenance import SourceWarning
 from twin.diagnosis.words import tied
-from twin.page import bullets, document, escaped
-from twin.provenance import SourceWarning
+from twin.display.page import bullets, document, escaped
 from twin.report.advice import Step
 from twin.report.numbers import UNKNOWN, expanded, figure, place
 from twin.report.result import MachineReport

@@ -1,7 +1,7 @@
 """Pictures of a machine report. Needs the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own, narrow enough to be read on a phone. Colours are those of `twin.evaluation.plots`, which
-tell apart for colour-blind readers; markers and line styles do so without colour.
+Every function returns a `Figure` of its own, narrow enough to be read on a phone. Colours are those of
+`twin.measurement.evaluation.plots`, which tell apart for colour-blind readers; markers and line styles do so without colour.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-from twin.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
+from twin._common.units import DEG, TURN
+from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
 from twin.report.after import After
 from twin.report.contributions import Contribution
 from twin.report.field import Field, Slice
@@ -26,9 +27,8 @@ from twin.report.motions import Motion
 from twin.report.numbers import SIGNS, figure, with_half
 from twin.report.readings import Checked, Stops
 from twin.report.result import Constant
-from twin.scene.field import chosen_factor
-from twin.scene.path import scale_top_um, viridis
-from twin.units import DEG, TURN
+from twin.report.scene.field import chosen_factor
+from twin.report.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4
 """Inches: at the width of a phone, letters keep their size."""

@@ -15,20 +15,20 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.calibration import Calibration
-from twin.channels import APPROACH, asked
+from twin._common.arrays import locked
+from twin._common.units import UM
 from twin.diagnosis.panels import groups_of, means
 from twin.diagnosis.readings import readings
 from twin.diagnosis.signatures import first_component
-from twin.effects import split_name, unit_of
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.unknowns import Unknowns
-from twin.machine import Machine
-from twin.measurement import Measurements, state_of
-from twin.units import UM
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import APPROACH, asked
+from twin.machine.effects import split_name, unit_of
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements, state_of
 
 LEGIBLE: Final = 5.0
 """Times the largest value of a curve beyond which an interval says nothing of it."""

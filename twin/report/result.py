@@ -10,17 +10,17 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.budget import known_at
-from twin.calibration import Calibration
-from twin.channels import Conditions
-from twin.control import ControlSection
-from twin.datum import MEAN_LINES, MEANING
-from twin.effects import split_name, unit_of
-from twin.errors import InputError
-from twin.kinematics import Kinematics
-from twin.machine import Axis, Machine
-from twin.measurement import Measurements
-from twin.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin._common.errors import InputError
+from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin.display import finite
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.control import ControlSection
+from twin.machine.datum import MEAN_LINES, MEANING
+from twin.machine.effects import split_name, unit_of
+from twin.machine.machine import Axis, Machine
+from twin.measurement.table import Measurements
 from twin.report.advice import Advice, advise
 from twin.report.after import After, after
 from twin.report.contributions import Budget, budget
@@ -31,8 +31,8 @@ from twin.report.readings import Checked, checked
 from twin.report.sources import Sources, sources
 from twin.report.tables import TablesLeft, tables_left
 from twin.report.words import named
-from twin.show import finite
-from twin.uncertainty import DEFINITION, NORMAL_95
+from twin.uncertainty.at_tool import DEFINITION, NORMAL_95
+from twin.uncertainty.budget import known_at
 
 SCHEMA: Final = "twin.report/1"
 SEED: Final = 0

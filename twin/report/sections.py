@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from twin.control_tables import Left
+from twin.control import Left
 from twin.diagnosis.words import capital, listed, probability
-from twin.page import bullets, embedded, escaped, facts, table
+from twin.display.page import bullets, embedded, escaped, facts, table
 from twin.report.after import Level
 from twin.report.contributions import Contribution
 from twin.report.field import Slice
@@ -29,10 +29,10 @@ from twin.report.plots import (
 )
 from twin.report.readings import Stops
 from twin.report.result import MachineReport
+from twin.report.scene.field import field_html
+from twin.report.scene.path import scale_top_um
 from twin.report.words import CLASSES
-from twin.scene.field import field_html
-from twin.scene.path import scale_top_um
-from twin.uncertainty import DEFINITION, NORMAL_95
+from twin.uncertainty.at_tool import DEFINITION, NORMAL_95
 
 ROWS: Final = 40
 """Rows set aside that are listed."""

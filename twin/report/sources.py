@@ -10,10 +10,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final, final
 
-from twin.budget import SEED
-from twin.calibration import Calibration
-from twin.control.section import digest
-from twin.parallel.versions import versions
+from twin.compute.parallel.versions import versions
+from twin.machine.calibration import Calibration
+from twin.machine.control.section import digest
+from twin.uncertainty.budget import SEED
 
 MORE: Final = ("matplotlib", "meshcat")
 MISSING: Final = "not installed"

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from twin.calibration import Calibration
-from twin.control_tables import Carried, Remains, Request, account_of, make
-from twin.errors import InputError
-from twin.kinematics import Kinematics
+from twin._common.errors import InputError
+from twin.control import Carried, Remains, Request, account_of, make
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
 
 KINDS: Final = ("siemens", "heidenhain", "linuxcnc")
 """Formats with tables of single axes; the volumetric ones, ``isg`` and ``grid``, are left to ``twin control``."""

@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Final
 
 from twin.diagnosis.words import capital, motion, plain
-from twin.effects import split_name
-from twin.machine import Machine
+from twin.machine.effects import split_name
+from twin.machine.machine import Machine
 
 CLASSES: Final[Mapping[str, str]] = MappingProxyType(
     {

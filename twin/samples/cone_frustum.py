@@ -13,12 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from twin.files import write_whole
-from twin.inverse import Inverse
-from twin.kinematics import Poses
-from twin.machine import Machine
-from twin.toolpath import Setup, WordSpace
-from twin.units import DEG
+from twin._common.files import write_whole
+from twin._common.units import DEG
+from twin.compensation.toolpath import Setup, WordSpace
+from twin.kinematics.forward import Poses
+from twin.kinematics.inverse import Inverse
+from twin.machine.machine import Machine
 
 HALF_APEX_DEG: Final = 15.0
 INCLINED_DEG: Final = 10.0

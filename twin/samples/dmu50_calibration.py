@@ -4,8 +4,8 @@ Three curves are published numbers: the translational error motions of X, recove
 3.11 of Ellingsdalen (2021) prints. Everything else of that machine was published as pictures and words only; the other 27
 curves and the squareness errors are drawn here, by a seeded generator, to the magnitudes those words state.
 
-The file is in the datum `mean lines` (`twin.datum`): the same machine at the tool, with the constants and lines of the drawn curves in
-squareness and locations.
+The file is in the datum `mean lines` (`twin.machine.datum`): the same machine at the tool, with the constants and lines of the drawn
+curves in squareness and locations.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from twin.calibration import Calibration
-from twin.datum import MEAN_LINES
-from twin.machine import Machine
-from twin.motion_curve import Curve
+from twin.machine.calibration import Calibration
+from twin.machine.datum import MEAN_LINES
+from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve
 
 FIGURE_3_11: Final = np.array(
     [

@@ -16,13 +16,13 @@ from typing import Final
 
 import numpy as np
 
-from twin.arrays import locked
-from twin.files import write_whole
-from twin.machine import Machine
-from twin.measurement import Measurements
+from twin._common.arrays import locked
+from twin._common.files import write_whole
+from twin._common.units import DEG
+from twin.machine.machine import Machine
+from twin.measurement.simulate import Station
+from twin.measurement.table import Measurements
 from twin.samples import PLANS
-from twin.simulate import Station
-from twin.units import DEG
 
 ROUNDS: Final = 4
 POSITIONS: Final = MappingProxyType(

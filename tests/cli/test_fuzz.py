@@ -1,0 +1,214 @@
+"""Hostile files and words: success, or one `InputError` in bounded time; never another exception, never an output in part."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import time
+import unicodedata
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import pytest
+import typer
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.cli.hostile import KINDS, NUMBERS, TEXTS, beside, edited, layout, machine, sample
+from twin import cli
+from twin._common.errors import InputError
+from twin.cli.commands import app
+
+EXAMPLES = 60
+"""Of a kind of file whose reading costs little; all in all some 1,000."""
+LONGEST_S = 10.0
+"""Process time of one input; the dearest takes a tenth of it."""
+COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+SIMULATE = (
+    "simulate-run",
+    "--layout",
+    "nine_beams_x.yaml",
+    "--positions",
+    "0,500,5",
+    "-o",
+    "run.csv",
+    "--json",
+    "run.json",
+)
+WORDS = [
+    *NUMBERS,
+    "=",
+    "X=1",
+    "X=nan",
+    "X=1e308",
+    "1,2,3",
+    "0,500,5",
+    "0,500,1e8",
+    "0,nan,3",
+    "--",
+    "-",
+    "..",
+    "/",
+    "tcp://x",
+    "E_*",
+    "*",
+]
+
+
+def read_or_refused(kind: str, folder: Path, examples: int) -> None:
+    """Try hostile texts of a kind; fails on the first that is neither read nor refused."""
+    path = folder / KINDS[kind].file
+    beside(kind, folder)
+    path.write_text(sample(kind))
+    KINDS[kind].use(path)  # the text that all others are made of is right
+
+    @settings(max_examples=examples // KINDS[kind].cost)
+    @given(data=edited(kind))
+    def attempt(data: bytes) -> None:
+        path.write_bytes(data)
+        begin = time.process_time()
+        try:
+            KINDS[kind].use(path)
+        except InputError as error:
+            assert error.expected and "\n" not in str(error)
+            assert not any(unicodedata.category(one)[0] == "C" for one in str(error))
+        assert time.process_time() - begin < LONGEST_S
+
+    attempt()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hostile_file_is_read_or_refused(kind: str, tmp_path: Path) -> None:
+    read_or_refused(kind, tmp_path, EXAMPLES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_hostile_files_are_read_or_refused(kind: str, tmp_path: Path) -> None:
+    read_or_refused(kind, tmp_path, 40 * EXAMPLES)
+
+
+def done_or_refused(capsys: pytest.CaptureFixture[str], words: list[str]) -> int:
+    """Run a command in the current folder; 0 or 3 with whole outputs, or 2 with one line and no output."""
+    before = set(Path().iterdir())
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(words)
+    status = int(stopped.value.code or 0)
+    made = set(Path().iterdir()) - before
+    errors = capsys.readouterr().err
+    assert status in (0, 2, 3), (words, status)
+    if status == 2:
+        assert errors.startswith("twin: ") and errors.count("\n") == 1 and not made, (words, errors, made)
+    for path in made:
+        assert not path.name.startswith("."), (words, path)
+        if path.suffix == ".json":
+            json.loads(path.read_text(), parse_constant=_no_constant)
+        path.unlink()
+    return status
+
+
+def _no_constant(name: str) -> float:
+    raise AssertionError(f"{name} is not JSON")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_hostile_table_at_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    @settings(max_examples=20)
+    @given(data=edited("readings"))
+    def attempt(data: bytes) -> None:
+        Path("readings.csv").write_bytes(data)
+        words = ["axis-run", "readings.csv", "--layout", "nine_beams_x.yaml", "-o", "x.yaml", "--json", "x.json"]
+        done_or_refused(capsys, words)
+
+    attempt()
+
+
+def test_hostile_words_at_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = sorted(name for one in COMMANDS["simulate-run"].params for name in one.opts if name.startswith("--"))
+    words = st.sampled_from([*WORDS, *TEXTS[:-4]])
+
+    @settings(max_examples=40)
+    @given(option=st.sampled_from(options), value=words)
+    def attempt(option: str, value: str) -> None:
+        if option not in ("--help", "--json", "--output"):  # a file of any name may be written
+            done_or_refused(capsys, [*SIMULATE, f"{option}={value}"])
+
+    attempt()
+
+
+NUMERIC = [
+    (name, option.opts[0])
+    for name, one in COMMANDS.items()
+    for option in one.params
+    if float in (hint := get_type_hints(inspect.unwrap(one.callback)).get(option.name), *get_args(hint))
+]
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-1e308", "1e308", "1e-300", "x", ""])
+@pytest.mark.parametrize(("name", "option"), NUMERIC)
+def test_no_number_overflows(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, option: str, value: str
+) -> None:
+    Path("a.csv").write_text(sample("table"))
+    Path("a.nc").write_text(sample("iso"))
+    Path("c.yaml").write_text(sample("calibration"))
+    given: dict[str, list[str]] = {
+        "compensate": ["a.nc", "-o", "b.nc"],
+        "path": ["a.nc", "-o", "b.nc"],
+        "scene": ["a.nc", "-o", "b.html"],
+        "simulate": ["a.csv", "-o", "b.csv"],
+        "identify": ["a.csv", "-o", "b.yaml"],
+        "compare": ["c.yaml", "c.yaml"],
+        "plan": ["-o", "b.csv"],
+        "report": ["-o", "b.html"],
+        "control": ["--to", "grid", "-o", "tables"],
+    }
+    assert done_or_refused(capsys, [name, *given.get(name, []), f"{option}={value}"]) == 2
+
+
+def test_the_numbers_are_tried_of_every_command_that_has_one() -> None:
+    assert {"--tolerance", "--tool-length", "--minutes", "--time"} <= {option for _, option in NUMERIC}
+    assert len(NUMERIC) > 15
+
+
+TOO_MUCH: dict[str, tuple[str, Callable[[], str]]] = {
+    "columns": ("table", lambda: ",".join(f"c{i}" for i in range(200_000)) + "\n"),
+    "unknown columns": ("table", lambda: sample("table").replace("u_z_mm", ",".join(f"u_z_m{i}" for i in range(900)), 1)),
+    "cells": ("table", lambda: sample("table") + "," * 10_000_000 + "\n"),
+    "quotes": ("table", lambda: sample("table") + '"' * 1_000_000),
+    "aliases": (
+        "calibration",
+        lambda: "a: &a [x, x]\n"
+        + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n" for a, b in zip("abcdefghij", "bcdefghijk", strict=True)),
+    ),
+    "levels": ("calibration", lambda: sample("calibration") + "effects: " + "[" * 5000),
+    "blocks in one another": ("calibration", lambda: "".join(" " * i + "a:\n" for i in range(5000))),
+    "entries": ("calibration", lambda: "a: [" + "1, " * 2_000_000 + "]\n"),
+    "bytes": ("calibration", lambda: "source: " + "a" * 20_000_000),
+    "digits": ("calibration", lambda: sample("calibration").replace("22.0", "9" * 1_000_000)),
+    "minutes": ("calibration", lambda: sample("calibration").replace("22.0", "1" + ":59" * 100_000)),
+    "JSON levels": ("identified", lambda: "[" * 1_000_000),
+    "JSON digits": ("identified", lambda: '{"schema": ' + "9" * 100_000 + "}"),
+    "positions": (
+        "readings",
+        lambda: sample("readings").partition("\n0")[0] + "\n" + "".join(f"{i / 10},{','.join('1' * 9)},1,1\n" for i in range(5000)),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOO_MUCH)
+def test_too_much_is_refused_in_time(name: str, tmp_path: Path) -> None:
+    kind, text = TOO_MUCH[name]
+    machine(), layout(), sample(kind)
+    path = tmp_path / KINDS[kind].file
+    path.write_text(text())
+    begin = time.process_time()
+    with pytest.raises(InputError):
+        KINDS[kind].use(path)
+    assert time.process_time() - begin < LONGEST_S

@@ -1,0 +1,66 @@
+"""The house's own rules, checked with the tools that know them: lint, types, layers, and what may be where."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return "" if done.returncode == 0 else done.stdout + done.stderr
+
+
+def tool(name: str) -> str:
+    beside = Path(sys.executable).parent / name
+    found = str(beside) if beside.exists() else shutil.which(name)
+    if found is None:
+        pytest.fail(f"{name} is not installed: the extra `test` brings it")
+    return found
+
+
+def test_lint() -> None:
+    assert run(tool("ruff"), "check", ".") == ""
+
+
+def test_format() -> None:
+    assert run(tool("ruff"), "format", "--check", ".") == ""
+
+
+def test_types() -> None:
+    assert run(tool("mypy")) == ""
+
+
+def test_layers() -> None:
+    assert run(tool("lint-imports")) == ""
+
+
+def package_files() -> list[Path]:
+    return sorted((ROOT / "twin").rglob("*.py"))
+
+
+def test_no_module_beyond_600_lines() -> None:
+    assert [path.name for path in package_files() if len(path.read_text().splitlines()) > 600] == []
+
+
+def test_only_the_command_line_prints() -> None:
+    printing = {p.parent.name for p in package_files() if re.search(r"^\s*print\(", p.read_text(), re.M)}
+    assert printing == {"cli"}
+
+
+def test_no_assert_and_no_catch_all_in_the_package() -> None:
+    pattern = re.compile(r"^\s*(assert |except( \(?(Base)?Exception\)?)?:)", re.M)
+    assert [path.name for path in package_files() if pattern.search(path.read_text())] == []
+
+
+def test_the_product_stands_alone() -> None:
+    """Nothing in it reaches for the workplace it was made in."""
+    files = [*package_files(), *(ROOT / "urdf").iterdir(), *(ROOT / "notebooks").glob("*"), ROOT / "README.md"]
+    assert [path.name for path in files if path.is_file() and "../shared" in path.read_text(errors="replace")] == []

@@ -1,0 +1,148 @@
+"""What is stated about installing holds, and a broken package is named in one line."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import twin
+from tests.cli.commands import TWIN
+from twin.cli import installation
+
+ROOT = Path(__file__).parents[2]
+REASON = "libbroken.so.4: cannot open shared object file"
+
+
+def run_with(folder: Path, broken: str, text: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command where a package of that name is found first whose import runs ``text``."""
+    package = folder / "site" / broken
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(text)
+    path = os.pathsep.join([str(ROOT), str(package.parent)])
+    return subprocess.run(
+        [*TWIN, *words], env={**os.environ, "PYTHONPATH": path}, cwd=folder, capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.mark.parametrize(
+    ("module", "package"),
+    [
+        ("pinocchio", "pin"),
+        pytest.param("scipy", "scipy", marks=pytest.mark.slow),
+        pytest.param("casadi", "casadi", marks=pytest.mark.slow),
+        pytest.param("yaml", "pyyaml", marks=pytest.mark.slow),
+    ],
+)
+def test_doctor_survives_a_package_that_does_not_import(tmp_path: Path, module: str, package: str) -> None:
+    ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor")
+    assert ended.returncode == 3 and ended.stderr == ""
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith(f"FAILED  {package} ")]
+    assert line.endswith(f"does not import: ImportError: {REASON}")
+    assert re.search(rf"FAILED: {package}\b", ended.stdout)
+
+
+@pytest.mark.parametrize("module", ["meshcat", pytest.param("matplotlib", marks=pytest.mark.slow)])
+def test_doctor_checks_the_machine_where_only_pictures_are_broken(tmp_path: Path, module: str) -> None:
+    ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor", "--json", "doctor.json")
+    assert ended.returncode == 3 and ended.stderr == ""
+    assert f"FAILED: {module}" in ended.stdout and "least squares" in ended.stdout
+    assert REASON in (tmp_path / "doctor.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the process ended with status -11"),
+        pytest.param("raise RuntimeError('built for another\\nprocessor')", "processor", marks=pytest.mark.slow),
+    ],
+)
+def test_doctor_survives_an_import_that_ends_the_process(tmp_path: Path, text: str, reason: str) -> None:
+    ended = run_with(tmp_path, "casadi", text, "doctor")
+    assert ended.returncode == 3 and f"does not import: {reason}\n" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "package", "words"),
+    [
+        ("pinocchio", "pin", ["info"]),
+        pytest.param("scipy", "scipy", ["compensate", "cone_frustum.nc", "-o", "out.nc"], marks=pytest.mark.slow),
+        ("meshcat", "meshcat", ["scene", "cone_frustum.nc", "-o", "out.html", "--tool-length", "120"]),
+    ],
+)
+def test_another_command_names_the_package_in_one_line(
+    tmp_path: Path, module: str, package: str, words: list[str]
+) -> None:
+    ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", *words)
+    assert ended.returncode == 2 and ended.stdout == ""
+    assert ended.stderr == (
+        f"twin: {package} does not import (ImportError: {REASON}); expected packages that import: run twin doctor\n"
+    )
+
+
+def test_an_import_error_of_twin_itself_is_not_hidden() -> None:
+    defect = ImportError("of twin itself")
+    with pytest.raises(ImportError) as caught:
+        installation.end(defect)
+    assert caught.value is defect
+
+
+@pytest.mark.parametrize("name", twin.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(twin, name).__name__ == name
+    assert name in dir(twin)
+    with pytest.raises(ModuleNotFoundError):  # a module of that name would take its place
+        import_module(f"twin.{name}")
+
+
+def test_a_name_that_is_not_there() -> None:
+    with pytest.raises(AttributeError, match="'twin' has no attribute 'machine_of'"):
+        _ = twin.machine_of
+
+
+def test_importing_twin_imports_no_package() -> None:
+    code = "import sys, twin.cli; print(sorted({'numpy', 'pinocchio', 'casadi', 'scipy', 'typer', 'yaml'} & set(sys.modules)))"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
+    assert ended.stdout == "[]\n"
+
+
+# ---- lower bounds
+
+
+def lower_bounds() -> dict[str, str]:
+    """Lower bound of every package that an installation of twin takes, by name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    found = {}
+    for entry in (*project["dependencies"], *extras["plots"], *extras["cluster"]):
+        name, bound = re.fullmatch(r"([a-z0-9-]+)>=([0-9.]+)", entry).groups()  # type: ignore[union-attr]
+        found[name] = bound
+    return found
+
+
+def test_the_oldest_packages_are_those_of_the_lower_bounds() -> None:
+    """`.ci/run` installs these: a bound that nobody tried is a promise."""
+    lines = [line for line in (ROOT / ".ci" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
+    pins = dict(line.split("==") for line in lines)
+    assert len(pins) == len(lines)
+    assert pins == lower_bounds()
+
+
+def test_the_bounds_of_the_test_environment_agree() -> None:
+    extras: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    bounds = dict(entry.split(">=") for entry in extras["test"] if ">=" in entry)
+    known = lower_bounds()
+    assert {name: bound for name, bound in bounds.items() if name in known} == {
+        name: known[name] for name in ("dask", "distributed", "matplotlib")
+    }
+
+
+def test_doctor_looks_at_every_package() -> None:
+    assert {*installation.NEEDED, *installation.OPTIONAL} == set(lower_bounds())

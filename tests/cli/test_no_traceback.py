@@ -1,0 +1,383 @@
+"""Input that used to end in a traceback or never: each is read, or refused with file and line. `test_fuzz` looks for more."""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twin
+from tests.cli.commands import TWIN, refused
+from tests.cli.hostile import sample
+from twin import cli
+from twin._common.errors import InputError, printable
+from twin.compensation.toolpath import axis_words
+from twin.compute.native import compiler
+from twin.compute.parallel import Workers
+from twin.diagnosis import words
+from twin.diagnosis.evidence import evidence
+from twin.diagnosis.flaws import flaw
+from twin.identification.axis_run import AxisLayout, load_readings
+from twin.identification.spread import Misfit
+from twin.identification.unknowns import CurveSpace
+from twin.machine.control import read_tables
+from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve
+from twin.measurement.table import load
+from twin.nc.heidenhain import Heidenhain
+from twin.numerics.curves import POWER
+from twin.planning import Kit
+from twin.report.identified import Identified
+
+HEAD = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\n"
+LAUGHS = "a: &a [x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n" for a, b in zip("abcdefghij", "bcdefghijk", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("source: !!int foo\n", 3, "a whole number"),
+        ("source: !!int\n", 3, "a whole number"),
+        ("source: !!bool foo\n", 3, "true or false"),
+        ("source: !!timestamp foo\n", 3, "a tag that is not read"),
+        ("source: !foo bar\n", 3, "a tag that is not read: '!foo bar'"),
+        ("source: !foo {a: 1}\n", 3, "a tag that is not read: '!foo'"),
+        ("source: !!python/object/apply:os.system [ls]\n", 3, "a tag that is not read"),
+        ("source: x\n? [a, b]\n: 3\n", 4, "a name that is a list"),
+        ("source: x\n{a: 1}: 3\n", 4, "a name that is a list"),
+        (f"source: x\nsquareness: {{E_C0Y: {'9' * 5000}}}\n", 4, "a number of 5000 characters"),
+        (f"source: x\nsquareness: {{E_C0Y: 0x{'9' * 350}}}\n", 4, "too large a number"),
+        (f"source: x\nsquareness: {{E_C0Y: 1{':59' * 5000}}}\n", 4, "a number of 15001 characters"),
+        ("source: x\nlocation: {E_X0C: 1e308}\n", 4, "too large a number"),
+        ("source: x\nlocation: {E_X0C: -1.0e+16}\n", 4, "too large a number"),
+        ("source: x\nlocation: {E_X0C: 1e400}\n", 4, "a finite number"),
+        (
+            "source: x\nsquareness: {E_C0Y: 1}\ncovariance: {parameters: [E_C0Y], lower: '1e300'}\n",
+            5,
+            "too large a number",
+        ),
+        ("source: &a [*a]\n", 3, "an alias inside its own anchor"),
+        ("source: &a {b: [*a]}\n", 3, "an alias inside its own anchor"),
+        (f"source: {'[' * 5000}\n", 3, "more than 32 levels"),
+        (f"source:\n{''.join(' ' * i + 'a:' + chr(10) for i in range(1, 200))}", 34, "more than 32 levels"),
+        (f"source: x\n{LAUGHS}", None, "entries with its aliases"),
+        (f"source: [{'1, ' * 60_000}]\n", 3, "more than 50000 entries"),
+        (f"source: {'a' * 9_000_000}\n", None, "at most 8 MB"),
+        ('source: "\\e]0;x\\a"\n', 3, "a control character"),
+        ('source: "\\ud800"\n', 3, "a control character"),
+        ('source: "a\\0b"\n', 3, "a control character"),
+        ("source: a\0b\n", 3, "without NUL"),
+        ("source: a\x07b\n", 3, "a control character"),
+        ("source: x\n<<: {a: 1}\n", 4, "`<<` does not fit"),
+        ("source: x\n~: 1\n", 4, "a name that is no text"),
+        ("source: x\nsquareness: {1: 2}\n", 4, "a name that is no text"),
+    ],
+)
+def test_yaml_that_is_refused(dmu50: twin.Machine, tmp_path: Path, text: str, line: int | None, said: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(HEAD + text)
+    begin = time.process_time()
+    with pytest.raises(InputError) as caught:
+        twin.Calibration.load(path, dmu50)
+    assert time.process_time() - begin < 5.0  # a second at most, on a machine that is not busy
+    assert said in str(caught.value) and caught.value.file == str(path)
+    assert line is None or caught.value.line == line
+
+
+@pytest.mark.parametrize("date", ["2001-13-45", "2001-12-14", "2001-12-14 25:61:00"])
+def test_a_date_is_text(dmu50: twin.Machine, tmp_path: Path, date: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"{HEAD}source: {date}\n")
+    assert twin.Calibration.load(path, dmu50).source == date
+
+
+def test_an_alias_is_read_as_what_it_stands_for(dmu50: twin.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"{HEAD}source: x\nsquareness: {{E_C0Y: &a 3.0}}\nlocation: {{E_X0C: *a}}\n")
+    read = twin.Calibration.load(path, dmu50)
+    assert (read.squareness["E_C0Y"], read.location["E_X0C"]) == (3.0, 3.0)
+
+
+def test_every_loader_takes_the_path_as_text(dmu50: twin.Machine, tmp_path: Path) -> None:
+    for name in ("calibration", "table", "kit", "layout", "readings"):
+        (tmp_path / name).write_text(sample(name))
+    folder = str(tmp_path)
+    assert twin.Calibration.load(f"{folder}/calibration", dmu50).source == "a test"
+    assert len(load(f"{folder}/table", dmu50)) == 20
+    assert Kit.load(f"{folder}/kit", dmu50).targets
+    layout = AxisLayout.load(f"{folder}/layout", dmu50)
+    assert len(load_readings(f"{folder}/readings", layout)) == 36
+    twin.Calibration.load(f"{folder}/calibration", dmu50).save(f"{folder}/again.yaml")
+    load(f"{folder}/table", dmu50).save(f"{folder}/again.csv", dmu50)
+
+
+@pytest.mark.parametrize(
+    ("change", "line", "said"),
+    [
+        (('K,tool,50.01', '"K\n2",tool,50.01'), 4, "a line break in a cell"),
+        (("K,tool,50.01", '"K,tool,50.01'), 4, "unexpected end of data"),
+        (("K,tool,50.01", "K" * 131_100 + ",tool,50.01"), 4, "field larger than field limit"),
+        (("K,tool,50.01", '"K"2,tool,50.01'), 4, "no row of a table"),
+        (("K,tool,50.01", "K\0,tool,50.01"), 4, "NUL"),
+        (("K,tool,50.01", "K\x1b[2J,tool,50.01"), 4, "a control character"),
+        (("K,tool,50.01", "K\x85,tool,50.01"), 4, "a control character"),
+        (("K,tool,50.01", "K,tool,1e300"), 4, "x_mm is too large"),
+        (("u_z_mm", ",".join(f"c{i}" for i in range(200_000))), 1, "columns"),
+        (("X_mm", "Y_mm"), 1, "a column given twice"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_refused(
+    dmu50: twin.Machine, tmp_path: Path, change: tuple[str, str], line: int, said: str
+) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text(sample("table").replace(*change, 1))
+    begin = time.process_time()
+    with pytest.raises(InputError) as caught:
+        load(path, dmu50)
+    assert time.process_time() - begin < 5.0
+    assert said in str(caught.value) and caught.value.line == line
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_another_encoding_is_named_with_its_line(dmu50: twin.Machine, tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "m.csv"
+    path.write_bytes(sample("table").replace("# a comment", "# µ").encode(encoding))
+    with pytest.raises(InputError, match="UTF-8") as caught:
+        load(path, dmu50)
+    assert caught.value.line == (1 if encoding == "utf-16" else 2)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_are_counted_as_an_editor_does(dmu50: twin.Machine, tmp_path: Path, end: str) -> None:
+    path = tmp_path / "m.csv"
+    path.write_bytes(sample("table").replace("K,tool,50.01", "K,tool,x").replace("\n", end).encode())
+    with pytest.raises(InputError) as caught:
+        load(path, dmu50)
+    assert caught.value.line == 4
+
+
+def test_rows_that_no_instrument_reads_are_set_aside(dmu50: twin.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    text = sample("table").replace("K,tool,50.01", "K,tool,1e9").replace("0.01,0.01,0.02", "1e-200,0.01,0.02", 1)
+    path.write_text(text)
+    assert [(note.line, note.text) for note in load(path, dmu50).set_aside] == [
+        (3, "a standard uncertainty below 1e-09 mm"),
+        (4, "a measured coordinate beyond 1e+06 mm"),
+        (14, "a measured coordinate beyond 1e+06 mm"),
+    ]
+
+
+def test_a_curve_with_more_terms_than_its_readings_have_stops() -> None:
+    """Nothing can be said of how the curve was made: nine coefficients, and readings at four positions."""
+    curve = Curve("E_XX", "um", (0.0, 500.0), "power", tuple(range(1, 10)))
+    space = CurveSpace("E_XX", POWER, (0.0, 500.0), 0, 4)
+    assert flaw(space, curve, np.arange(1.0, 5.0), np.eye(4)) == ""
+
+
+def test_an_effect_without_a_sentence_of_its_own_is_still_named() -> None:
+    quantity = SimpleNamespace(name="size", value=3.0, u=0.5, unit="um")
+    form: Any = SimpleNamespace(candidate=SimpleNamespace(effect="new_effect", where="X"))
+    found: Any = SimpleNamespace(quantities=((quantity,),), effects=((),))
+    assert evidence(form, found, 0) == "X: an error of the kind new effect (6 standard uncertainties)"
+
+
+def test_a_number_that_is_not_finite_is_unknown_in_words() -> None:
+    nan, inf = float("nan"), float("inf")
+    assert words.measured(3.0, inf, "µm") == words.measured(3.0, nan, "µm") == "3 µm, uncertainty unknown"
+    assert words.measured(nan, 0.1, "µm") == words.measured(inf, 0.1, "µm") == "not determined"
+
+
+def test_a_fit_without_degrees_of_freedom_is_written_and_read(dmu50: twin.Machine, tmp_path: Path) -> None:
+    from twin.identification.result import _fit_text
+
+    assert "nan" not in _fit_text(Misfit(0.0, 0.0, float("nan"), 0.0, 0, float("nan")))
+    path = tmp_path / "i.json"
+    path.write_text(sample("identified").replace('"reduced_chi2": 1.0', '"reduced_chi2": null').replace("0.4", "null"))
+    read = Identified.load(path, twin.Calibration.zero(dmu50))
+    assert np.isnan(read.reduced_chi2) and np.isnan(read.p_value)
+
+
+def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "m.csv").write_text(sample("table"))
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # an import of it then raises ImportError
+    monkeypatch.setattr("twin.cli.diagnose.run_diagnosis", lambda *_, **__: pytest.fail("the work was done first"))
+    said = refused(capsys, "diagnose", tmp_path / "m.csv", "--html", tmp_path / "d.html")
+    assert "matplotlib is not installed" in said and "twin[plots]" in said
+
+
+def test_a_scheduler_without_dask_is_refused_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twin.compute.parallel.run.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="Dask is not installed"):
+        Workers(scheduler="tcp://here:8786")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("simulate-run", "-l", "nine_beams_x.yaml", "-o", "r.csv", "--positions", "0,500,100000000"),
+        ("simulate-run", "-l", "nine_beams_x.yaml", "-o", "r.csv", "--positions", "0,500,1e300"),
+        ("simulate-run", "-l", "nine_beams_x.yaml", "-o", "r.csv", "--positions", "0,500,nan"),
+        ("simulate-run", "-l", "nine_beams_x.yaml", "-o", "r.csv", "--positions", "0,500,inf"),
+        ("simulate-run", "-l", "nine_beams_x.yaml", "-o", "r.csv", "--positions", "0,500,9", "--rounds", "999999999"),
+        ("plan", "-o", "p.csv", "--minutes", "1e308"),
+        ("plan", "-o", "p.csv", "--minutes", "1e6"),
+        ("volume", "--trials", "1" + "0" * 21),
+        ("compensate", "cone_frustum.nc", "-o", "c.nc", "--tolerance", "1e-300"),
+        ("scene", "cone_frustum.nc", "-o", "s.html", "--tool-length", "1e308"),
+        ("compare", "a.yaml", "b.yaml", "--tool-length", "1e308"),
+        ("info", "--machine", "a\0b"),
+        ("info", "--calibration", "a\0b.yaml"),
+    ],
+)
+def test_sizes_that_no_machine_has_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: Sequence[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.yaml").write_text(sample("calibration"))
+    Path("b.yaml").write_text(sample("calibration"))
+    assert "expected" in refused(capsys, *arguments)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.yaml", "b.yaml"}
+
+
+@pytest.mark.parametrize("named", ['g++ "', "'", "g++ \\"])
+def test_a_compiler_whose_name_cannot_be_split_is_none(monkeypatch: pytest.MonkeyPatch, named: str) -> None:
+    monkeypatch.setenv("CXX", named)
+    assert compiler.found() is None
+
+
+def test_text_of_a_file_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"{HEAD}source: 'measured [/1], [red]see[/] :smile: [2]'\n")
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["info", "--calibration", str(path)])
+    assert stopped.value.code == 0
+    assert "measured [/1], [red]see[/] :smile: [2]" in capsys.readouterr().out
+
+
+def test_control_characters_are_shown_not_sent() -> None:
+    error = InputError("bad \x1b[2J", expected="a\nb", file="\x1b]0;x\x07.csv", value="\x1b")
+    assert str(error) == "\\x1b]0;x\\x07.csv: bad \\x1b[2J: '\\x1b'; expected a\\nb"
+    assert printable("a\tb\nµ → \u202e\udcff") == "a\tb\nµ → \\u202e\\udcff"
+
+
+def run(*arguments: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run([*TWIN, *map(str, arguments)], timeout=120, check=False, **more)
+
+
+@pytest.mark.parametrize("name", ["\x1b]0;x\x07.csv", "\udcff.csv"])
+def test_names_that_would_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    escaped = name.encode("unicode_escape").decode()
+    assert f"{escaped}: " in refused(capsys, "identify", tmp_path / name, "-o", tmp_path / "x.yaml")
+    (tmp_path / name).write_text(sample("plan"))
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["simulate", str(tmp_path / name), "-o", str(tmp_path / f"m{name}")])
+    assert stopped.value.code == 0 and f"m{escaped}" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_an_output_that_is_full() -> None:
+    with open("/dev/full", "wb") as full:
+        done = run("doc", "programs", stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"No space left" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [("doc", "programs"), ("--help",)])
+def test_an_output_that_nothing_reads(arguments: tuple[str, ...]) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with open(write_end, "wb") as closed:
+        done = run(*arguments, stdout=closed, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"), [("utf-8", "−→µ.csv"), ("cp1252", "-->µ.csv"), ("ascii", "-->u.csv"), ("utf-16", "−→µ.csv")]
+)
+def test_a_terminal_of_another_encoding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str, shown: str
+) -> None:
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2))
+    monkeypatch.setattr("sys.stdout", out)
+    monkeypatch.setattr("sys.stderr", err)
+    for line in (["doc", "speed"], ["identify", str(tmp_path / "−→µ.csv"), "-o", str(tmp_path / "x.yaml")]):
+        with pytest.raises(SystemExit):
+            cli.main(line)
+    out.flush()
+    assert len(out.buffer.getvalue().decode(encoding)) > 500  # type: ignore[attr-defined]
+    assert shown in err.buffer.getvalue().decode(encoding)  # type: ignore[attr-defined]
+
+
+def test_a_disk_that_is_full_leaves_nothing(tmp_path: Path) -> None:
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+    done = run("simulate", "thesis_plan.csv", "-o", tmp_path / "m.csv", capture_output=True, preexec_fn=limited)
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"cannot be written" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_for_temporary_files_that_cannot_be_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/proc")  # where nothing can be made, by root either
+    assert "/proc" in refused(capsys, "control", "--to", "linuxcnc", "-o", tmp_path / "tables", "--tolerance", "0.05")
+    assert not (tmp_path / "tables").exists() or list((tmp_path / "tables").iterdir()) == []
+
+
+def test_a_defect_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("twin.cli.commands.app", broken)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["info"])
+
+
+LONG_NUMBER = "9" * 5000
+"""More digits than Python converts to an integer."""
+
+
+@pytest.mark.parametrize("block", ["L X+10 M{}", "M{}", "CYCL DEF {}", "CYCL DEF 7.{}", "FN {}: Q1=5"])
+def test_a_code_with_thousands_of_digits_in_plain_language(dmu50: Machine, block: str) -> None:
+    text = f"0 BEGIN PGM A MM\n1 {block.format(LONG_NUMBER)}\n2 END PGM A MM\n"
+    with pytest.raises(InputError) as refused:
+        Heidenhain().moves(Heidenhain().read(text.encode(), "p.h"), axis_words(dmu50), tcp=False)
+    assert (refused.value.file, refused.value.line) == ("p.h", 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (f"$AN_CEC[{LONG_NUMBER},0]=0\n", 1),
+        (f"$AN_CEC[0,{LONG_NUMBER}]=0\n", 1),
+    ],
+)
+def test_an_index_with_thousands_of_digits_in_a_table(dmu50: Machine, tmp_path: Path, text: str, line: int) -> None:
+    (tmp_path / "cec.mpf").write_text(text)
+    with pytest.raises(InputError, match="no line of a compensation table") as refused:
+        read_tables("siemens", [tmp_path / "cec.mpf"], dmu50)
+    assert refused.value.line == line
+
+
+def test_a_table_without_a_name_in_an_ini_file(dmu50: Machine, tmp_path: Path) -> None:
+    ini = tmp_path / "joints.ini"
+    ini.write_text(
+        "[TRAJ]\nCOORDINATES = X Y Z B C\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\n[JOINT_0]\nCOMP_FILE =\n"
+    )
+    with pytest.raises(InputError, match="COMP_FILE names no file") as refused:
+        read_tables("linuxcnc", [ini], dmu50)
+    assert refused.value.line == 6 and refused.value.expected

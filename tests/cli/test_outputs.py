@@ -1,0 +1,309 @@
+"""No command overwrites what it reads, replaces what is no regular file, or leaves anything behind when it is ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shlex
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pytest
+
+from tests.cli.commands import TWIN, refused
+from twin import cli
+from twin._common.errors import InputError
+from twin._common.files import TEMPORARY, command_files, read_bytes, whole_file, write_whole
+from twin.cli.commands import app
+from twin.cli.outputs import path_parameters
+from twin.machine.machine import bundled_folder
+
+PART = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X110 F500\nX100\n"
+BUNDLED = bundled_folder()
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one input of every kind; tests work on copies of it."""
+    folder = tmp_path_factory.mktemp("shop")
+    for name in ("dmu50.yaml", "dmu50.urdf", "dmu50.calibration.yaml"):
+        shutil.copy(BUNDLED / name, folder / name)
+    (folder / "p.nc").write_text(PART)
+    (folder / "q.nc").write_text(PART)
+    shutil.copy(folder / "dmu50.calibration.yaml", folder / "c.yaml")
+    plan = Path(cli.__file__).parents[1] / "samples" / "thesis_plan.csv"
+    (folder / "plan.csv").write_text("".join(plan.read_text().splitlines(keepends=True)[:40]))
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["control", "--to", "siemens", "-o", str(folder / "tables"), "--json", str(folder / "report.json")])
+    assert ended.value.code == 0
+    return folder
+
+
+COMMANDS = {
+    "compensate, json over the calibration": ("compensate p.nc -o o.nc -c c.yaml --json c.yaml", "c.yaml"),
+    "compensate, report over the calibration": ("compensate p.nc -o o.nc -c c.yaml --report c.yaml", "c.yaml"),
+    "compensate, json over the machine": ("compensate p.nc -o o.nc -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "compensate, json over the URDF": ("compensate p.nc -o o.nc -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
+    "compensate, json over the machine's calibration": (
+        "compensate p.nc -o o.nc -m dmu50.yaml --json dmu50.calibration.yaml",
+        "dmu50.calibration.yaml",
+    ),
+    "compensate several, json over one": ("compensate p.nc q.nc -o out --json p.nc", "p.nc"),
+    "compensate several, json over the calibration": ("compensate p.nc q.nc -o out -c c.yaml --json c.yaml", "c.yaml"),
+    "compensate over a symbolic link": ("compensate p.nc -o link.nc", "p.nc"),
+    "compensate over a hard link": ("compensate p.nc -o hard.nc", "p.nc"),
+    "path, json over the calibration": ("path p.nc -o o.nc -c c.yaml --json c.yaml", "c.yaml"),
+    "path over the machine": ("path p.nc -o dmu50.yaml -m dmu50.yaml", "dmu50.yaml"),
+    "identify over the machine": ("identify plan.csv -m dmu50.yaml -o dmu50.yaml", "dmu50.yaml"),
+    "identify, json over the URDF": ("identify plan.csv -m dmu50.yaml -o o.yaml --json dmu50.urdf", "dmu50.urdf"),
+    "identify, json over a control's table": (
+        "identify plan.csv -o o.yaml --control siemens=tables/cec.mpf --json tables/cec.mpf",
+        "tables/cec.mpf",
+    ),
+    "diagnose, json over the machine": ("diagnose plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
+    "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),
+    "compare, json over the machine": ("compare c.yaml c.yaml -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "control, json over the calibration": ("control --to siemens -o new -c c.yaml --json c.yaml", "c.yaml"),
+    "control, json over a table it reads": (
+        "control --read tables/cec.mpf --format siemens --json tables/cec.mpf",
+        "tables/cec.mpf",
+    ),
+    "scene, json over the machine": ("scene p.nc -o o.html -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "report, json over the URDF": ("report -o o.html -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
+    "simulate over the plan": ("simulate plan.csv -o plan.csv", "plan.csv"),
+    "simulate, json over the machine": ("simulate plan.csv -o o.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "plan, json over the machine": ("plan -o o.csv -m dmu50.yaml --json dmu50.yaml --minutes 60", "dmu50.yaml"),
+    "plan over what was measured": (
+        'plan -o plan.csv --separate "reversal X" "reversal Y" --after plan.csv',
+        "plan.csv",
+    ),
+    "plan, json over the plan judged": ("plan --judge plan.csv --json plan.csv", "plan.csv"),
+    "volume, json over the machine": ("volume -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "info, json over the URDF": ("info -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
+    "axis-run, json over the machine": (
+        "axis-run plan.csv --layout nine_beams_x.yaml -o o.yaml -m dmu50.yaml --json dmu50.yaml",
+        "dmu50.yaml",
+    ),
+    "simulate-run, json over the calibration": (
+        "simulate-run --layout nine_beams_x.yaml --positions 0,500,5 -o o.csv -c c.yaml --json c.yaml",
+        "c.yaml",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_input_is_never_an_output(
+    shop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    line, file = COMMANDS[name]
+    folder = tmp_path / "shop"
+    shutil.copytree(shop, folder)
+    (folder / "link.nc").symlink_to("p.nc")
+    os.link(folder / "p.nc", folder / "hard.nc")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    monkeypatch.chdir(folder)
+    said = refused(capsys, *shlex.split(line))
+    assert "is one of the inputs" in said
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before, "and nothing is left"
+    assert Path(said.split(":")[1].strip()).samefile(file)
+
+
+def test_every_path_of_every_command_is_known() -> None:
+    """A path that a command writes is marked; every other one is an input, and is compared with what is written."""
+    written = {"json_file", "output", "report_file", "html_file", "extended"}
+    for command in app.registered_commands:
+        function: Callable[..., Any] = command.callback  # type: ignore[assignment]
+        marked = {name for name, mark in path_parameters(function).items() if mark is not None}
+        named = set(get_type_hints(function)) & written
+        assert marked == named, command.name
+        assert "json_file" in marked, "every command takes --json"
+
+
+def test_a_device_or_a_pipe_is_not_replaced(shop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe = tmp_path / "pipe.json"
+    os.mkfifo(pipe)
+    for path in (pipe, Path(os.devnull)):
+        assert "a regular file" in refused(capsys, "info", "--json", path)
+        with pytest.raises(InputError, match="a regular file"):
+            write_whole(path, "lost")
+    assert stat.S_ISFIFO(pipe.stat().st_mode) and stat.S_ISCHR(Path(os.devnull).stat().st_mode)
+
+
+def test_a_read_only_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """For the superuser too, who may write anything."""
+    out = tmp_path / "kept.json"
+    out.write_text("kept")
+    out.chmod(0o444)
+    assert "not read-only" in refused(capsys, "doc", "--json", out)
+    assert out.read_text() == "kept" and stat.S_IMODE(out.stat().st_mode) == 0o444
+
+
+def test_mode_and_link_stay(tmp_path: Path) -> None:
+    file, link = tmp_path / "file.json", tmp_path / "link.json"
+    file.write_text("old")
+    file.chmod(0o600)
+    link.symlink_to(file.name)
+    write_whole(link, "new")
+    assert link.is_symlink() and file.read_text() == "new"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "fresh", "new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o640
+
+
+def test_what_was_written_may_be_read_back_and_what_was_read_not_written(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.write_text("input")
+    with command_files():
+        write_whole(other, "output")
+        assert read_bytes(other) == b"output"
+        write_whole(other, "output again")
+        read_bytes(one)
+        with pytest.raises(InputError, match="one of the inputs"), whole_file(one) as stream:
+            stream.write(b"lost")
+    assert one.read_text() == "input"
+    write_whole(one, "outside of a command it may")
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path: Path) -> None:
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    stale = tmp_path / f"{TEMPORARY}{gone.pid}-00ff-{platform.node()}"
+    elsewhere = tmp_path / f"{TEMPORARY}{gone.pid}-00ff-another-computer"
+    running = tmp_path / f"{TEMPORARY}{os.getppid()}-00ff-{platform.node()}"
+    other = tmp_path / f"{TEMPORARY}notes"
+    for path in (stale, elsewhere, running, other):
+        path.write_text("half")
+    with pytest.raises(SystemExit):
+        cli.main(["doc", "--json", str(tmp_path / "doc.json")])
+    assert {path.name for path in tmp_path.iterdir()} == {"doc.json", elsewhere.name, running.name, other.name}
+
+
+LONG = PART + "G1 X110 F500\nX100\n" * 300_000
+
+
+def _children(pid: int) -> list[int]:
+    """All processes below one, from /proc."""
+    parents = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                parents[int(entry.name)] = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            except OSError:
+                continue
+    found, new = [], [pid]
+    while new:
+        new = [one for one, parent in parents.items() if parent in new]
+        found += new
+    return found
+
+
+def _gone(pids: list[int], seconds: float) -> bool:
+    limit = time.monotonic() + seconds
+    while time.monotonic() < limit:
+        alive = [pid for pid in pids if Path(f"/proc/{pid}/stat").exists() and _state(pid) != "Z"]
+        if not alive:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _state(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see child processes")
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGHUP, signal.SIGKILL))],
+)
+def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.Signals) -> None:
+    for name in ("a.nc", "b.nc"):
+        (tmp_path / name).write_text(LONG)
+    words = ["compensate", tmp_path / "a.nc", tmp_path / "b.nc", "-o", tmp_path / "out", "--workers", 2]
+    process = subprocess.Popen([*TWIN, *map(str, words)], stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob("out/.twin-*/*")):
+        time.sleep(0.01)
+    workers = _children(process.pid)
+    assert len(workers) >= 2, "the workers are at work"
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert _gone(workers, 20.0), "no process outlives the command"
+    if number is signal.SIGKILL:
+        assert process.returncode == -number
+        again = [*TWIN, "doc", "--json", str(tmp_path / "out" / "doc.json")]
+        assert subprocess.run(again, capture_output=True, check=False).returncode == 0
+        assert [path.name for path in (tmp_path / "out").iterdir()] == ["doc.json"]
+    else:
+        assert process.returncode == 128 + number
+        assert f"ended by {number.name}, nothing half written" in errors
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(shutil.which("sh") is None, reason="needs a shell")
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGHUP, marks=pytest.mark.slow), signal.SIGKILL])
+def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.Signals) -> None:
+    """A compiler that takes its time, with a child of its own and a temporary file, as g++ has."""
+    slow, temporary, home = tmp_path / "slow", tmp_path / "tmp", tmp_path / "home"
+    temporary.mkdir()
+    slow.write_text(
+        '#!/bin/sh\ncase "$1" in --version) echo slow 1.0; exit;; esac\n'
+        f'echo half > "$TMPDIR/cc1.s"\nsleep 600 &\necho $$ $! > "{tmp_path}/pids"\nwait\n'
+    )
+    slow.chmod(0o700)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twin.cli", "doctor"],
+        env={**os.environ, "CXX": str(slow), "TMPDIR": str(temporary), "XDG_CACHE_HOME": str(home)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    pids = tmp_path / "pids"
+    while process.poll() is None and not (pids.exists() and pids.read_text().endswith("\n")):
+        time.sleep(0.01)
+    process.send_signal(number)
+    process.wait(60)
+    assert _gone([int(pid) for pid in pids.read_text().split()], 10.0)
+    left = [path for path in (*temporary.rglob("*"), *home.rglob("*")) if path.suffix == ".s"]
+    if number is not signal.SIGKILL:
+        assert not left
+    else:  # the next run removes them, with the folder of the killed one
+        subprocess.run([*TWIN, "doctor"], env={**os.environ, "TMPDIR": str(temporary), "XDG_CACHE_HOME": str(home)},
+                       capture_output=True, check=False)  # fmt: skip
+        assert not [path for path in (*temporary.rglob("*"), *home.rglob("*")) if path.suffix == ".s"]
+
+
+def test_an_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
+    """As under nohup."""
+    part, out = tmp_path / "part.nc", tmp_path / "out.nc"
+    part.write_text(PART + "G1 X110 F500\nX100\n" * 200_000)
+    process = subprocess.Popen(
+        [*TWIN, "compensate", str(part), "-o", str(out)],
+        stdout=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )
+    while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob(".twin-*")):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(120) == 0 and out.exists()
+
+
+def test_json_has_no_number_that_is_not_finite(tmp_path: Path) -> None:
+    from twin._common.files import write_json
+
+    write_json(tmp_path / "r.json", {"a": float("nan"), "b": [1.0, float("-inf")], "c": (2,)})
+    assert json.loads((tmp_path / "r.json").read_text()) == {"a": None, "b": [1.0, None], "c": [2]}

@@ -1,0 +1,98 @@
+"""What the front door and the manual tell a newcomer to type works as written."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from twin.cli.commands import app
+from twin.cli.doc import PAGES, page_text
+from twin.cli.options import gathered
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+
+
+def said() -> Iterator[tuple[str, str]]:
+    """Every call of ``twin`` that README, the manual's pages and the notebooks write on a line of its own."""
+    for block in re.findall(r"^```(?:sh|text)\n(.*?)^```", README, re.M | re.S):
+        for line in block.splitlines():
+            for part in line.split(" && "):
+                if part.split()[0].removeprefix(".venv/bin/") == "twin":
+                    yield "README", part
+    for page, room in PAGES.items():
+        yield from ((page, line.strip()) for line in page_text(room).splitlines() if line.startswith("    twin "))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in json.loads(path.read_text())["cells"]:
+            text = "".join(cell["source"])
+            yield from (
+                (path.stem, line.strip("! `")) for line in text.splitlines() if re.match(r"(!|    |)twin \w", line)
+            )
+
+
+CALLS = list(dict.fromkeys(said()))
+
+
+def test_there_are_calls() -> None:
+    assert len(CALLS) > 20 and {place for place, _ in CALLS} >= {"README", "identify", "diagnose", "plan", "many"}
+
+
+@pytest.mark.parametrize("call", CALLS, ids=lambda call: f"{call[0]}: {call[1][:60]}")
+def test_every_call_is_one(call: tuple[str, str]) -> None:
+    """Command, options and their kinds, as the command line itself reads them; nothing is run."""
+    words = shlex.split(call[1])[1:]
+    group: Any = typer.main.get_command(app)
+    with group.make_context("twin", ["doc"]) as context:
+        command = group.get_command(context, words[0])
+        assert command is not None, words[0]
+        command.make_context(words[0], gathered(words)[1:], parent=context)
+
+
+def test_the_manual_has_a_page_for_every_name() -> None:
+    for room in PAGES.values():
+        first, *rest = page_text(room).splitlines()
+        assert first.endswith(".") and len([line for line in rest if line.strip()]) >= 5, room
+
+
+def test_readme_script_runs_as_written(tmp_path: Path) -> None:
+    """The lines under "From a script"."""
+    script = README.split("```python\n")[1].split("```")[0]
+    assert len([line for line in script.splitlines() if line.strip()]) <= 10
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "error at the tool" in done.stdout
+
+
+def test_readme_calibration_loads(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(README.split("```yaml\n")[1].split("```")[0])
+    machine = Machine.load("dmu50")
+    assert set(Calibration.load(path, machine).curves) == {"E_XX", "E_ZC"}
+
+
+def test_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
+    """All commands behind the set-up (which `.ci/run` runs), one after the other in one folder, on what the ones before them left."""
+    set_up = README.split("## Commands")[0]
+    calls = [call for place, call in CALLS if place == "README" and call not in set_up]
+    assert len(calls) >= 8
+    (tmp_path / "out").mkdir()
+    for call in calls:
+        words = [sys.executable, "-m", "twin.cli", *shlex.split(call)[1:]]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode in (0, 3), (call, done.stderr)
+        # Three is said aloud: a row set aside, an error the format cannot hold.
+        assert done.returncode == 0 or done.stdout, call
+        for word in shlex.split(call):
+            if word.startswith("out/"):
+                assert (tmp_path / word).exists(), call

@@ -1,0 +1,241 @@
+"""What the control corrects by itself is not corrected a second time in the program.
+
+The machine under its control is executed by `tests.truth.machine`, with the tables looked up by hand: no code of `twin` in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.compensation.test_compensate import ROUNDING_UM, SAMPLES, compensate
+from tests.truth import hidden
+from tests.truth.machine import TruthMachine, run_iso
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.cli.options import tables_on
+from twin.diagnosis import diagnose
+from twin.machine.calibration import Calibration
+from twin.machine.control import ControlSection, TableEntry
+from twin.machine.effects import Reversal
+from twin.machine.iso16907 import Scope
+from twin.machine.machine import Machine
+from twin.measurement.table import load
+from twin.numerics.covariance import Covariance
+from twin.samples.dmu50_calibration import as_drawn
+from twin.uncertainty.budget import error_budget
+
+LENGTH = 120.0
+SECOND_ORDER_UM = 0.05
+"""Curves are read at q, not at q + c(q): some 100 µm of correction at slopes of a few 100 µm/m."""
+NODES = {
+    axis: np.linspace(low, high, 21) for axis, (low, high) in {"X": (0, 500), "Y": (0, 450), "Z": (-400, 0)}.items()
+}
+
+
+def write(folder: Path, machine: Machine, truth: TruthMachine, axes: str = "XYZ", up: float = 0.0) -> ControlSection:
+    """LinuxCNC tables of the positioning errors (type 0: where the axis really is), by hand; coming from below ``up`` µm further."""
+    ini = ["[TRAJ]", "COORDINATES = X Y Z B C", "LINEAR_UNITS = mm", "ANGULAR_UNITS = degree"]
+    entries = []
+    for axis in axes:
+        is_at = NODES[axis] + 1e-3 * np.array([truth.curve(f"E_{axis}{axis}", q) for q in NODES[axis]])
+        rows = zip(NODES[axis], is_at + 0.5e-3 * up, is_at - 0.5e-3 * up, strict=True)
+        (folder / f"{axis}.comp").write_text("".join(f"{q:.4f} {a:.6f} {b:.6f}\n" for q, a, b in rows))
+        ini += [f"[JOINT_{'XYZBC'.index(axis)}]", f"COMP_FILE = {axis}.comp", "COMP_FILE_TYPE = 0"]
+        entries.append(TableEntry.of(folder / f"{axis}.comp", "linuxcnc", ["L-POS"]))
+    (folder / "joints.ini").write_text("\n".join(ini) + "\n")
+    entries.append(TableEntry.of(folder / "joints.ini", "linuxcnc", ["L-POS"]))
+    return ControlSection("uncorrected", tuple(entries))
+
+
+def driven(folder: Path, commands: np.ndarray) -> np.ndarray:
+    """Where the control sends its axes: the tables of both directions alike, looked up with numpy."""
+    moved = commands.copy()
+    for i, axis in enumerate("XYZ"):
+        if (folder / f"{axis}.comp").exists():
+            nominal, actual, _ = np.loadtxt(folder / f"{axis}.comp").T
+            moved[:, i] += np.interp(commands[:, i], nominal, nominal - actual)
+    return moved
+
+
+@pytest.fixture(scope="module")
+def calibration(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """The errors as they were drawn: with the constants of the positioning errors, which tables of the axes take out."""
+    path = tmp_path_factory.mktemp("drawn") / "drawn.yaml"
+    as_drawn(dmu50).save(path)
+    return Calibration.load(path, dmu50)
+
+
+@pytest.fixture
+def truth(calibration: Calibration) -> TruthMachine:
+    assert calibration.path is not None
+    return TruthMachine(calibration.path, LENGTH)
+
+
+@pytest.fixture
+def section(tmp_path: Path, dmu50: Machine, truth: TruthMachine) -> ControlSection:
+    return write(tmp_path, dmu50, truth)
+
+
+def test_a_program_is_corrected_for_what_the_control_leaves(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: TruthMachine, section: ControlSection
+) -> None:
+    text = (SAMPLES / "cone_frustum.nc").read_text()
+    meant = np.array([position for _, position in run_iso(text)])
+    known = compensate(text, dmu50, calibration.with_control(section))
+    done = np.array([position for _, position in run_iso(known.text)])
+    after, _ = truth.deviations(driven(tmp_path, done), meant)
+    assert after.max() <= ROUNDING_UM + SECOND_ORDER_UM
+    # Without being told, it would be corrected for the same once more.
+    blind = compensate(text, dmu50, calibration)
+    twice, _ = truth.deviations(driven(tmp_path, np.array([position for _, position in run_iso(blind.text)])), meant)
+    assert np.sqrt(np.mean(twice**2)) > 20.0
+    # What it says of itself is so: where the machine under its control lands before.
+    before, _ = truth.deviations(driven(tmp_path, meant), meant)
+    report = known.report
+    assert report.before.max_um == pytest.approx(before.max(), rel=0.02)  # dense points lie between the block ends
+    assert report.control is not None and report.control.axes == ("X", "Y", "Z")
+    moved = np.linalg.norm(driven(tmp_path, meant) - meant, axis=1) * 1e3
+    assert report.control.max_um == pytest.approx(moved.max(), rel=0.02)
+    assert "corrects by itself (X.comp, Y.comp, Z.comp, joints.ini; moves X Y Z)" in report.to_text()
+
+
+def test_errors_measured_with_the_tables_on_are_corrected_as_they_are(
+    dmu50: Machine, calibration: Calibration, section: ControlSection
+) -> None:
+    text = (SAMPLES / "cone_frustum.nc").read_text()
+    left = calibration.with_control(replace(section, errors_are="remaining"))
+    result = compensate(text, dmu50, left)
+    assert result.text == compensate(text, dmu50, calibration).text
+    assert (
+        "were measured with its tables on (X.comp, Y.comp, Z.comp, joints.ini): leave them on"
+        in result.report.to_text()
+    )
+
+
+def test_the_section_is_read_back(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
+) -> None:
+    """Files are named as seen from the calibration; the errors stay what they are."""
+    (tmp_path / "sub").mkdir()
+    path = tmp_path / "sub" / "c.yaml"
+    calibration.with_control(section).save(path)
+    assert "file: ../X.comp" in path.read_text()
+    again = Calibration.load(path, dmu50)
+    assert again.control is not None and again.control.errors_are == "uncorrected"
+    assert [entry.file.resolve() for entry in again.control.tables] == [entry.file for entry in section.tables]
+    assert [effect.name for effect in again.corrections] == [f"control:linuxcnc {axis}" for axis in "XYZ"]
+    names = [effect.name for effect in again.effects]
+    assert [effect.name for effect in again.with_control(None).effects] == names[:-3]
+    assert again.where(lambda name: name == "control:linuxcnc Y").effects == again.corrections[1:2]
+    rows, classes = error_budget(dmu50, again, tool_length_mm=LENGTH)
+    peak = {row.name: row.peak for row in rows}
+    assert peak["control:linuxcnc X"] == pytest.approx(peak["E_XX"], rel=0.02)
+    alone = {row.name: row.tool_rms_um for row in classes}
+    # Positioning errors and what the control makes of them are as large as each other, and of opposite sign.
+    assert alone["control"] == pytest.approx(alone["L-POS"], rel=0.02)
+    bare = {row.name: row for row in error_budget(dmu50, calibration, tool_length_mm=LENGTH)[1]}
+    assert alone["all"] != pytest.approx(bare["all"].tool_rms_um, rel=0.02)
+
+
+@pytest.mark.parametrize("change", ["table", "class", "gone"])
+def test_what_the_control_does_must_be_known(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection, change: str
+) -> None:
+    path = tmp_path / "c.yaml"
+    calibration.with_control(section).save(path)
+    if change == "table":
+        (tmp_path / "Y.comp").write_text((tmp_path / "Y.comp").read_text().replace("22.5", "22.6"))
+    elif change == "gone":
+        (tmp_path / "Y.comp").unlink()
+    else:
+        path.write_text(path.read_text().replace("L-POS", "L-POSE", 1))
+    with pytest.raises(InputError) as caught:
+        Calibration.load(path, dmu50)
+    told = str(caught.value)
+    assert {"table": "not the control table", "gone": "cannot be read", "class": "L-POSE"}[change] in told
+    assert ("c.yaml:" if change == "class" else "Y.comp") in told
+
+
+def test_classes_the_tables_take_out_together_stay_together(
+    dmu50: Machine, calibration: Calibration, section: ControlSection, truth: TruthMachine, tmp_path: Path
+) -> None:
+    text = "G90\nG1 X100 Y100 Z-100 B30 C10 F500\nX300 Y250\n"
+    known = calibration.with_control(section)
+    meant = np.array([position for _, position in run_iso(text)])
+    for scope in ("L-VOL R-VOL", "L-STR L-ANG"):
+        result = compensate(text, dmu50, known, scope=Scope.parse(scope.split()))
+        assert result.report.complete
+    # Positioning alone, with a control that takes it out: next to nothing is left to correct.
+    result = compensate(text, dmu50, known, scope=Scope.parse(["L-POS"]))
+    done = np.array([position for _, position in run_iso(result.text)])
+    off = np.abs(
+        (driven(tmp_path, done) - meant)[:, :3]
+        + 1e-3
+        * np.array([[truth.curve(f"E_{axis}{axis}", q) for axis, q in zip("XYZ", row, strict=False)] for row in meant])
+    )
+    assert off.max() <= 0.6e-3
+    mixed = replace(section, tables=tuple(replace(one, classes=("L-POS", "L-STR")) for one in section.tables))
+    with pytest.raises(InputError, match="cannot be split"):
+        compensate(text, dmu50, calibration.with_control(mixed), scope=Scope.parse(["L-POS"]))
+    with pytest.raises(InputError, match="knows nothing of the control's own tables"):
+        compensate(text, dmu50, known, method="thesis")
+
+
+def test_a_reversal_the_control_takes_up_is_not_taken_up_again(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
+    """−6 µm of play in X: extra moves at its turns, unless a table of both directions takes up as much."""
+    text = "G90\nG1 X100 Y100 Z-100 B30 C10 F500\nX300\nX200\nX400\n"
+    played = replace(calibration, extra=(Reversal(dmu50.by_name["X"], -6.0),))
+    (note,) = compensate(text, dmu50, played).report.reversals
+    assert note.taken_up > 0
+    whole = compensate(text, dmu50, played.with_control(write(tmp_path, dmu50, truth, "X", up=-6.0)))
+    assert whole.report.reversals == ()
+    (half,) = compensate(text, dmu50, played.with_control(write(tmp_path, dmu50, truth, "X", up=-4.0))).report.reversals
+    assert half.size == pytest.approx(-2.0, abs=2e-3)  # the last digit of the table
+    rows = np.loadtxt(tmp_path / "X.comp")
+    rows[10:, 1] += 3e-3
+    np.savetxt(tmp_path / "X.comp", rows, fmt="%.6f")
+    uneven = ControlSection(
+        "uncorrected",
+        tuple(TableEntry.of(tmp_path / name, "linuxcnc", ["L-POS"]) for name in ("X.comp", "joints.ini")),
+    )
+    with pytest.raises(InputError, match="changes along the axis"):
+        compensate(text, dmu50, played.with_control(uneven))
+
+
+def test_measured_under_its_control_the_machine_is_consistent(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
+) -> None:
+    """Readings of a machine whose control corrects; a model that does not know of it is told so."""
+    rng = np.random.default_rng(5)
+    of = hidden.rounded(hidden.plan(rng, poses=20, rounds=2))
+    read = hidden.noisy(hidden.points(replace(of, q=driven(tmp_path, of.q)), []), rng, "isotropic", 2e-3)
+    data = load(hidden.write(tmp_path / "measured.csv", of, read, u_mm=2e-3), dmu50)
+    names = ("E_XX[0]", "E_XX[1]")
+    known = replace(calibration, joint=Covariance(names, locked(np.eye(2) * 0.01))).with_control(section)
+    assert diagnose(data, dmu50, known).verdict == "consistent"
+    assert {cause.effect for cause in diagnose(data, dmu50, calibration).causes} >= {"positioning"}
+
+
+def test_tables_that_were_on_while_it_was_measured(
+    tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
+) -> None:
+    """``twin identify --control``: the errors are what they left; nothing is read back wrong."""
+    found = tables_on([f"linuxcnc={entry.file}" for entry in section.tables], dmu50)
+    assert found.errors_are == "remaining" and [one.sha256 for one in found.tables] == [
+        one.sha256 for one in section.tables
+    ]
+    path = tmp_path / "left.yaml"
+    calibration.with_control(found).save(path)
+    again = Calibration.load(path, dmu50)
+    assert again.corrections == () and again.control is not None
+    assert [entry.file.resolve() for entry in again.control.tables] == [entry.file for entry in section.tables]
+    with pytest.raises(InputError, match=r"linuxnc=X.comp' \(is it linuxcnc\?\)"):
+        tables_on(["linuxnc=X.comp"], dmu50)
+    with pytest.raises(InputError, match="read with the INI file"):
+        tables_on([f"linuxcnc={tmp_path / 'X.comp'}"], dmu50)

@@ -1,0 +1,107 @@
+"""A smooth function along a path of very many places: how far off it is, what it costs, and paths that are not smooth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.compensation.test_compensate import LENGTH, compensate, uncertain
+from tests.compensation.test_stream import HEAD, curve
+from twin.compensation.interpolation import ACCURACY, FEW, LONGEST, interpolated
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.uncertainty.at_tool import ToolUncertainty
+
+NEAR = np.array([1.0, 0.3])
+
+
+def grown(places: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) two groups; in each a large value and a small one, which all change by half over 100 mm and degrees."""
+    x, c = places.T
+    large = 3.0 + np.sin(x / 60.0) + np.cos(c / 60.0)
+    return np.stack([np.stack([large, 0.01 * x], axis=1), np.stack([7.0 * large, c - c], axis=1)], axis=1)
+
+
+class Counted:
+    """Values at places, and which of them were asked for."""
+
+    def __init__(self, places: np.ndarray) -> None:
+        self.places = places
+        self.asked: list[int] = []
+
+    def __call__(self, which: np.ndarray) -> np.ndarray:
+        self.asked += which.tolist()
+        return grown(self.places[which])
+
+
+def off(found: np.ndarray, places: np.ndarray) -> float:
+    """Largest difference, as a share of the largest of the group."""
+    truth = grown(places)
+    return float((np.abs(found - truth) / np.abs(truth).max(axis=2, keepdims=True)).max())
+
+
+def test_a_smooth_path() -> None:
+    """A hundredth of the places or so; none twice."""
+    t = np.linspace(0.0, 1.0, 40_000)
+    places = np.stack([250 + 150 * np.cos(9 * t), 100 * t**2], axis=1)
+    values = Counted(places)
+    assert off(interpolated(values, places, NEAR), places) <= ACCURACY
+    assert len(values.asked) == len(set(values.asked)) <= 3 * len(t) / LONGEST
+
+
+def test_steps_of_many_lengths() -> None:
+    """On one straight line, but not evenly: shares go by the way."""
+    places = np.cumsum(np.random.default_rng(3).exponential(0.02, 9000))[:, None] * np.array([1.0, 0.1])
+    values = Counted(places)
+    assert off(interpolated(values, places, NEAR), places) <= ACCURACY
+    assert len(values.asked) <= 5 * len(places) / LONGEST
+
+
+@pytest.mark.parametrize("period", [2, 3, LONGEST, LONGEST // 2])
+def test_to_and_fro_is_not_smooth(period: int) -> None:
+    """Places far apart in turns, which stretches of 2, 4, 8 … blocks could begin, halve and end on one side of."""
+    places = np.zeros((3 * FEW, 2))
+    places[::period, 0] = 200.0
+    assert off(interpolated(Counted(places), places, NEAR), places) <= ACCURACY
+
+
+def test_a_jump_and_standing_still() -> None:
+    places = np.zeros((3 * FEW, 2))
+    places[FEW + 77 :] = 150.0, 40.0
+    values = Counted(places)
+    # Nothing changes but at one place.
+    assert off(interpolated(values, places, NEAR), places) == 0.0
+    assert len(values.asked) <= 2 * len(places) / LONGEST + 3 + 2 * np.log2(LONGEST)
+
+
+def test_noise_is_evaluated_everywhere() -> None:
+    places = np.random.default_rng(4).uniform(0.0, 300.0, (FEW + 500, 2))
+    assert off(interpolated(Counted(places), places, NEAR), places) == 0.0
+
+
+@pytest.mark.parametrize("count", [1, 2, FEW])
+def test_few_places_are_evaluated(count: int) -> None:
+    places = np.linspace(0.0, 1.0, count)[:, None] * np.array([100.0, 10.0])
+    values = Counted(places)
+    assert off(interpolated(values, places, NEAR), places) == 0.0
+    assert values.asked == list(range(count))
+
+
+def test_uncertainty_of_a_long_program(dmu50: Machine, calibration: Calibration) -> None:
+    """What the report says of it beside every end evaluated. U is told in two digits; a share of it, not of each direction's."""
+    known = uncertain(calibration, 0.3)
+    result = compensate(HEAD + curve(2 * FEW), dmu50, known)
+    point, axis = result.report.uncertainty.point, result.report.uncertainty.axis
+    assert point is not None and axis is not None
+    at = ToolUncertainty(Kinematics(dmu50, known, tool_length_mm=LENGTH)).at(result.nominal)
+    assert point.expanded_rms == pytest.approx(np.sqrt(np.mean(at.expanded_um**2)), rel=ACCURACY / 4)
+    assert point.expanded_max == pytest.approx(at.expanded_um.max(), rel=ACCURACY)
+    assert axis.expanded_max == pytest.approx(at.axis_expanded_urad.max(), rel=ACCURACY)
+    assert point.standard_rms == pytest.approx(
+        np.sqrt(np.mean(at.standard_um**2, axis=0)), abs=ACCURACY * point.expanded_rms
+    )
+    nowhere = compensate(HEAD + curve(2 * FEW), dmu50, replace(known, joint=calibration.joint)).report.uncertainty.point
+    assert nowhere is not None and not nowhere.known and np.isnan(nowhere.expanded_rms)

@@ -1,0 +1,128 @@
+"""Programs other people cut parts with: read and written back unchanged, compensated on a machine file of their kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.machine.errors import random_calibration
+from tests.truth.machine import run_iso
+from twin.compensation import Compensation, Compensator, Options
+from twin.compensation.execute import execute
+from twin.compensation.toolpath import follow
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.inverse import Inverse
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.nc import read_program
+
+LENGTH = 50.0
+ROUNDING_UM = 0.9
+
+
+@pytest.fixture(scope="module")
+def trunnion() -> Machine:
+    return Machine.load("xyzbc_trunnion")
+
+
+@pytest.fixture(scope="module")
+def errors(trunnion: Machine) -> Calibration:
+    return random_calibration(trunnion, np.random.default_rng(1), size=30.0)
+
+
+def compensated(program: Path, machine: Machine, errors: Calibration) -> Compensation:
+    read, dialect = read_program(program)
+    return Compensator(machine, errors, Options(tool_length_mm=LENGTH)).compensate(read, dialect)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "linuxcnc_boat-xyzbc.ngc",
+        "spinnerU5_Bottle_opener_Flaschenoeffner.txt",
+        "spinnerU5_Keychain_Schluesselanhaenger.mpf",
+    ],
+)
+def test_read_and_written_back_unchanged(programs: Path, trunnion: Machine, name: str) -> None:
+    read, dialect = read_program(programs / name)
+    assert read.text.encode("latin-1") == (programs / name).read_bytes()
+    nothing = Compensator(trunnion, Calibration.zero(trunnion), Options(tool_length_mm=LENGTH))
+    result = nothing.compensate(read, dialect)
+    assert result.text.encode("latin-1") == (programs / name).read_bytes()
+    assert result.report.rewritten == 0
+
+
+@pytest.mark.parametrize("name", ["linuxcnc_boat-xyzbc.ngc", "spinnerU5_Keychain_Schluesselanhaenger.mpf"])
+def test_compensated_on_a_machine_of_their_kind(
+    programs: Path, trunnion: Machine, errors: Calibration, name: str
+) -> None:
+    result = compensated(programs / name, trunnion, errors)
+    report = result.report
+    assert report.before.rms_um > 8.0
+    assert report.rounding_um <= ROUNDING_UM
+    assert report.after.max_um <= ROUNDING_UM + 1.0
+    assert not [one for one in report.not_corrected if one.kind == "tolerance"]
+    # Nothing passes in silence: every move is rewritten or stands in a note.
+    noted = {note.line for note in report.notes} | {line for one in report.not_corrected for line in one.lines}
+    read, dialect = read_program(programs / name)
+    reading = dialect.moves(read, Compensator(trunnion, errors).bench.space.axes, tcp=False)
+    rewritten = {id(rewrite.move) for rewrite in result.rewrites}
+    for move in reading.moves:
+        place = read.lines[move.line].number
+        by_line = any(rewrite.move.line == move.line for rewrite in result.rewrites)
+        assert by_line or id(move) in rewritten or place in noted
+
+
+def test_the_boat_lands_where_it_was_meant(programs: Path, trunnion: Machine, errors: Calibration) -> None:
+    """The output run by the tests' own interpreter: TCP words -> nominal commands -> Pinocchio's chain with errors."""
+    name = "linuxcnc_boat-xyzbc.ngc"
+    original = (programs / name).read_text()
+    result = compensated(programs / name, trunnion, errors)
+    body = slice(2, -10)  # between the first block with every axis known and the retract at the end
+    meant = np.array([q for _, q in run_iso(original)])[body]
+    done = np.array([q for _, q in run_iso(result.text)])
+    assert result.report.added == 2
+    nominal = Kinematics(trunnion, Calibration.zero(trunnion), tool_length_mm=LENGTH)
+    real = Kinematics(trunnion, errors, tool_length_mm=LENGTH)
+
+    def commands(words: np.ndarray) -> np.ndarray:
+        start = np.concatenate([np.zeros((len(words), 3)), words[:, 3:]], axis=1)
+        return (
+            Inverse(nominal).solve(Poses(words[:, :3], nominal.forward(start).rotation), start, rotary=False).positions
+        )
+
+    reached = commands(done[2:])
+    frames = real.error_frames(reached)
+    data = trunnion.model.createData()
+    tip = pin.SE3(np.eye(3), np.array([0.0, 0.0, -LENGTH * 1e-3]))
+    points = []
+    for q, e in zip(reached, frames, strict=True):
+        pin.framesForwardKinematics(trunnion.model, data, trunnion.configuration(q * trunnion.scale, e))
+        pose = data.oMf[trunnion.work_frame].actInv(data.oMf[trunnion.tool_frame]) * tip
+        points.append(pose.translation * 1e3)
+    # Every meant point is reached in its order; the two added blocks lie between.
+    k = 0
+    for wanted in meant[:, :3]:
+        while np.linalg.norm(points[k] - wanted) * 1e3 > ROUNDING_UM:
+            k += 1
+            assert k < len(points), wanted
+    assert k <= len(meant) + 12
+
+
+def test_execution_follows_the_program(dmu50: Machine, calibration: Calibration) -> None:
+    """What the scene draws: ends at the programmed points, dense between, deviations those of the kinematics."""
+    read, dialect = read_program("cone_frustum.nc")
+    bench = Compensator(dmu50, calibration, Options(tool_length_mm=120.0)).bench
+    path = follow(read, dialect.moves(read, bench.space.axes, tcp=False), bench.space)
+    run = execute(read, path, bench.space, bench.full)
+    assert run.left_out == 0
+    ends = run.positions[run.ends]
+    assert ends == pytest.approx(np.array([q for _, q in run_iso(read.text)]), abs=1e-9)
+    assert np.abs(np.diff(run.positions, axis=0))[:, :3].max() <= 5.0 + 1e-9
+    assert run.meant_mm == pytest.approx(bench.space.nominal.forward(run.positions).point_mm)
+    deviation = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
+    assert 20.0 < deviation.max() < 200.0
+    assert np.count_nonzero(~run.cutting) < 40

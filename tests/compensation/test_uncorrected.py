@@ -1,0 +1,313 @@
+"""What a compensation cannot correct: refused where it would be cut wrongly, else named with its size, never called corrected.
+
+Sizes are compared with the truth machine, which shares no code with `twin`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.commands import refused, twin
+from tests.compensation.test_compensate import LENGTH, ROUNDING_UM, compensate
+from tests.truth.machine import TruthMachine, run_iso
+from twin import cli
+from twin._common.errors import InputError, OutputError
+from twin.compensation import Compensator, Options, compensate_file
+from twin.compensation.report import LineNote, grouped
+from twin.compensation.shortfalls import ShortfallTally
+from twin.compensation.toolpath import Setup
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.iso16907 import Scope
+from twin.machine.machine import Machine
+from twin.nc.iso import Iso
+
+ARC = "G0 X100 Y5 Z-100\nG1 F500 Y2\nG3 X96 Y-2 I-4 J0\n"
+
+
+@pytest.fixture(scope="module")
+def truth(calibration: Calibration) -> TruthMachine:
+    assert calibration.path is not None
+    return TruthMachine(calibration.path, LENGTH)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0), capsys.readouterr().out
+
+
+# --- arcs ------------------------------------------------------------------------------------------------------------
+
+
+def test_an_arc_out_of_range_is_refused_with_the_program_s_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part, out = tmp_path / "p.nc", tmp_path / "o.nc"
+    part.write_text(ARC)
+    said = refused(capsys, "compensate", part, "-o", out)
+    assert f"{part}:3: the arc ends at Y -2, below the axis's minimum 0" in said
+    assert said.rstrip().endswith("is the work offset missing? (--work-offset)")
+    assert not out.exists()
+    code, _ = run(capsys, "compensate", part, "-o", out, "--work-offset", "Y=100")
+    assert code == 0 and out.exists()
+
+
+@pytest.mark.parametrize("radius", [4.0, 0.5])
+@pytest.mark.parametrize("size_um", [100.0, 5.0])
+@pytest.mark.parametrize("method", ["exact", "thesis"])
+def test_no_arc_is_half_corrected(
+    dmu50: Machine, calibration: Calibration, radius: float, size_um: float, method: str
+) -> None:
+    """However small the correction: an arc whose start is moved and whose centre is not has another radius."""
+    largest = 116.0  # µm, of the illustrative machine
+    small = calibration if size_um > 50.0 else _scaled(calibration, size_um / largest)
+    y = radius / 2.0
+    text = f"G0 X100 Y5 Z-100\nG1 F500 Y{y}\nG3 X{100 - radius} Y{y - radius} I-{radius} J0\nG1 X90 Y10\n"
+    with pytest.raises(InputError, match=r"p.nc:3: the arc ends at Y -") as caught:
+        compensate(text, dmu50, small, method=method)
+    assert caught.value.setting == "work offset"
+
+
+def _scaled(calibration: Calibration, factor: float) -> Calibration:
+    from dataclasses import replace
+    from types import MappingProxyType
+
+    curves = {
+        name: replace(curve, coefficients=tuple(factor * c for c in curve.coefficients))
+        for name, curve in calibration.curves.items()
+    }
+    return replace(calibration, curves=MappingProxyType(curves), squareness={}, location={})
+
+
+def test_an_arc_that_bulges_out_of_range_is_refused(dmu50: Machine, calibration: Calibration) -> None:
+    """Both ends are in the range of Y, its lowest point is not."""
+    with pytest.raises(InputError, match=r"p.nc:2: the arc passes Y -3, below the axis's minimum 0"):
+        compensate("G0 X100 Y1 Z-100\nG3 X108 Y1 I4 J0 F500\n", dmu50, calibration)
+
+
+def test_an_arc_whose_correction_leaves_the_range_is_compensated_whole(
+    dmu50: Machine, calibration: Calibration
+) -> None:
+    """It ends at Y = 0, and the correction asks for less: chords that stop at the limit, and the report says by how much."""
+    result = compensate("G0 X100 Y5 Z-100\nG1 F500 Y4\nG3 X96 Y0 I-4 J0\n", dmu50, calibration)
+    assert "G3" not in result.text
+    (left,) = result.report.not_corrected
+    assert left.kind == "range" and set(left.lines) == {3} and "stopped at the limit" in left.reason
+    assert min(position[1] for _, position in run_iso(result.text, {"B": 0.0, "C": 0.0})) >= 0.0
+
+
+def test_what_cannot_be_read_back_is_a_defect_not_bad_input(
+    dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its line is the output's: nobody finds it in the program."""
+    text = "G0 X100 Y5 Z-100\nG1 F500 Y2\n"
+    wrong = lambda self, *args, **options: "G0 X100 Y5 Z-100\nG1 X1..2\n"  # noqa: E731
+    monkeypatch.setattr(Iso, "rewrite", wrong)
+    with pytest.raises(OutputError, match=r"line \d+ of what would be written"):
+        compensate(text, dmu50, calibration)
+    monkeypatch.setattr("twin.nc.iso_stream.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
+    part = tmp_path / "p.nc"
+    part.write_text(text)
+    with pytest.raises(OutputError, match=r"line \d+ of what would be written"):
+        compensate_file(part, tmp_path / "o.nc", dmu50, calibration)
+    assert not (tmp_path / "o.nc").exists()
+
+
+# --- orientation -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("z", [0.0, -0.001, -400.0])
+def test_the_orientation_is_corrected_where_only_a_linear_axis_has_no_travel(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine, z: float
+) -> None:
+    """At the end of Z with B 30, C 45: Z cannot follow, and B and C can."""
+    text = f"G90\nG0 X400 Y400 Z-100 B30 C45\nG0 Z{z}\n"
+    for length in (0.0, LENGTH):
+        machine = TruthMachine(calibration.path, length)  # type: ignore[arg-type]
+        result = compensate(text, dmu50, calibration, tool_length_mm=length)
+        meant, done = (np.array([q for _, q in run_iso(one)]) for one in (text, result.text))
+        before_urad, after_urad = machine.deviations(meant, meant)[1], machine.deviations(done, meant)[1]
+        assert before_urad.min() > 100.0 and after_urad.max() <= 15.0
+        assert {one.kind for one in result.report.not_corrected} == ({"range"} if z > -0.1 else set())
+
+
+def test_an_orientation_that_the_curves_do_not_reach_is_listed(dmu50: Machine, calibration: Calibration) -> None:
+    """B's curves end where B stands, and the correction would turn it further."""
+    from dataclasses import replace
+    from types import MappingProxyType
+
+    curves = {
+        name: replace(curve, domain=(0.0, 30.0)) if name.endswith("B") else curve
+        for name, curve in calibration.curves.items()
+    }
+    short = replace(calibration, curves=MappingProxyType(curves))
+    result = compensate("G90\nG0 X100 Y100 Z-100 B10 C45\nG1 B30 F500\n", dmu50, short)
+    (left,) = [one for one in result.report.not_corrected if one.kind == "orientation"]
+    done = [q for _, q in run_iso(result.text)][-1]
+    assert done[3] == 30.0 and left.lines == (3,) and "B stands at its limit of 30°" in left.reason
+    reached = Kinematics(dmu50, short, tool_length_mm=LENGTH).forward(done[None])
+    meant = Kinematics(dmu50, Calibration.zero(dmu50)).forward(np.array([[100.0, 100.0, -100.0, 30.0, 45.0]]))
+    angle_urad = 1e6 * np.linalg.norm(reached.axis - meant.axis)
+    assert angle_urad > 50.0 and left.worst == pytest.approx(angle_urad, abs=10.0)  # the words' rounding
+
+
+def test_an_orientation_given_up_at_a_limit_is_listed_with_its_size(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
+    """B = 0 is the end of its range: what B would have to turn beyond it stays, at the end of Z, too."""
+    text = "G90\nG0 X100 Y100 Z-100 B30 C45\nG1 B0 F500\nG1 Z0\n"
+    result = compensate(text, dmu50, calibration)
+    meant, done = (np.array([q for _, q in run_iso(one)]) for one in (text, result.text))
+    left_urad = truth.deviations(done[-1:], meant[-1:])[1][0]
+    found = [one for one in result.report.not_corrected if one.kind == "orientation"]
+    assert left_urad > 100.0 and found
+    assert {line for one in found for line in one.lines} >= {3, 4}
+    worst = max(found, key=lambda one: one.worst)
+    assert worst.unit == "urad" and worst.worst >= 0.9 * left_urad
+    assert "corrected, but for the blocks below" in result.report.to_text()
+    assert {share.left_rms_um for share in result.report.classes if share.corrected} == {None}
+    assert result.report.complete is not any(one.missed for one in result.report.not_corrected)
+    asked = compensate(text, dmu50, calibration, scope=Scope.parse(["L-VOL", "R-VOL", "FOR"]))
+    assert {3, 4} <= {line for one in asked.report.not_corrected for line in one.missed}
+    assert not asked.report.complete
+
+
+# --- blocks that begin uncorrected -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_the_block_after_a_machine_move_is_named(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine, tmp_path: Path, streamed: bool
+) -> None:
+    """G53 leaves Z where it says; the next block begins there, and is off by what Z was not corrected."""
+    text = "G90\nG0 X100 Y100 Z-100 B30 C45\nG1 X120 F500\nG53 G0 Z-20.\nG1 X140\nX160\n"
+    if streamed:
+        part, out = tmp_path / "p.nc", tmp_path / "o.nc"
+        part.write_text(text)
+        report = compensate_file(part, out, dmu50, calibration, options=Options(tool_length_mm=LENGTH))
+        written = out.read_text()
+    else:
+        result = compensate(text, dmu50, calibration)
+        report, written = result.report, result.text
+    (left,) = report.not_corrected
+    assert left.lines == left.missed == (5,) and "begins where the axes stand uncorrected" in left.reason
+    assert not report.complete and "NOT ALL CORRECTED: 1 of 3 cutting blocks" in report.headline
+    # Where the axes stand: X, Y, B, C as the block before left them, Z where G53 says.
+    plain = [line for line in written.splitlines() if "G53" not in line]
+    stands = run_iso("\n".join(plain))[1][1].copy()
+    stands[2] = -20.0
+    meant = np.array([120.0, 100.0, -20.0, 30.0, 45.0])
+    off_um = truth.deviations(stands[None], meant[None])[0][0]
+    assert off_um > 20.0
+    # The first of five points inside the block is a tenth of the way on, and the error falls in proportion.
+    assert left.worst == pytest.approx(0.9 * off_um, rel=0.03)
+
+
+def test_a_rapid_that_cannot_be_corrected_is_no_failure(dmu50: Machine, calibration: Calibration) -> None:
+    """Nothing is cut there: exit status 0, and 3 with --strict."""
+    text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\nG0 Z-50\nG0 X0 Y0\n"
+    report = compensate(text, dmu50, calibration).report
+    assert {line for one in report.not_corrected for line in one.lines} == {5}
+    assert report.complete and not report.strictly_complete
+    assert report.headline.startswith("corrected, but for 1 of 4 blocks")
+
+
+def test_a_correction_short_by_less_than_the_tolerance_is_met(dmu50: Machine, calibration: Calibration) -> None:
+    """A cutting block stopped at a limit counts only by what it is off."""
+    text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\nG1 X0\n"
+    strict = compensate(text, dmu50, calibration)
+    (left,) = [one for one in strict.report.not_corrected if one.kind == "range"]
+    assert left.lines == (4,) and not strict.report.complete
+    loose = compensate(text, dmu50, calibration, tolerance_mm=2e-3 * left.worst)
+    assert loose.report.complete and not loose.report.strictly_complete
+
+
+# --- nothing corrected -----------------------------------------------------------------------------------------------
+
+
+def test_nothing_corrected_is_said_first_and_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    part, out, report = tmp_path / "p.nc", tmp_path / "o.nc", tmp_path / "r.json"
+    part.write_text("G90\nG0 X10 Y10 Z-10 B30 C10\nG1 X20 F500\n")
+    code, said = run(capsys, "compensate", part, "-o", out, "-m", "xyzbc_trunnion", "--json", report)
+    assert code == 3
+    assert "NOTHING CORRECTED: the calibration has no error motion in scope" in said.splitlines()[0]
+    assert json.loads(report.read_text())["complete"] is False
+    assert out.read_bytes() == part.read_bytes()
+    part.write_text("G90\n" + "".join(f"G1 X{-x} Y-5 Z20 F500\n" for x in range(1, 1819)))
+    code, said = run(capsys, "compensate", part, "-o", out, "--json", report)
+    assert code == 3
+    first = said.splitlines()[0]
+    assert "NOTHING CORRECTED: 1,818 of 1,818 blocks" in first and "is the work offset missing?" in first
+    data = json.loads(report.read_text())
+    (one,) = data["not_corrected"]
+    assert one["blocks"] == 1818 and one["lines"] == list(range(2, 1820))
+    assert one["worst"] == {"value": 1818.0, "unit": "mm", "line": 1819}
+    assert said.count("outside the range") == 1, "one line a reason"
+
+
+def test_several_programs_and_a_path_say_so_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a.nc", "b.nc"):
+        (tmp_path / name).write_text("G90\nG0 X10 Y10 Z-10 B30 C10\nG1 X20 F500\n")
+    words = ["-m", "xyzbc_trunnion", "--workers", 1]
+    code, said = run(capsys, "compensate", tmp_path / "a.nc", tmp_path / "b.nc", "-o", tmp_path / "out", *words)
+    assert code == 3 and said.count("NOTHING CORRECTED") == 2
+    code, said = run(capsys, "path", tmp_path / "a.nc", "-o", tmp_path / "p.nc", "-m", "xyzbc_trunnion")
+    assert code == 3 and "NOTHING CORRECTED" in said.splitlines()[0]
+    code, said = run(
+        capsys, "path", tmp_path / "a.nc", "-o", tmp_path / "p.nc", "-m", "xyzbc_trunnion", "--no-compensate"
+    )
+    assert code == 0
+
+
+def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    part, other = tmp_path / "p.nc", tmp_path / "q.nc"
+    part.write_text("G90\nG0 X100 Y100 Z-100\nG1 X120 F500\nG0 X0 Y0\n")
+    other.write_text("G90\nG0 X100 Y100 Z-100\nG1 X120 F500\n")
+    for words, expected in (((), 0), (("--strict",), 3)):
+        assert run(capsys, "compensate", part, "-o", tmp_path / "o.nc", *words)[0] == expected
+        several = ("compensate", part, other, "-o", tmp_path / "out", "--workers", 1)
+        assert run(capsys, *several, *words)[0] == expected
+        assert run(capsys, "path", part, "-o", tmp_path / "f.nc", *words)[0] == expected
+    assert run(capsys, "compensate", other, "-o", tmp_path / "o.nc", "--strict")[0] == 0
+
+
+# --- the account -----------------------------------------------------------------------------------------------------
+
+
+def test_a_tally_by_hand() -> None:
+    tally = ShortfallTally()
+    tally.add("range", "far", "um", np.array([3, 3, 9]), np.array([1.0, 2.5, 2.0]), np.array([True, False, False]))
+    tally.add("range", "far", "um", np.array([12]), np.array([2.4]), np.array([True]))
+    tally.add("tolerance", "near", "um", np.array([7]), np.array([0.5]), np.array([False]))
+    first, second = tally.shortfalls()
+    assert (first.lines, first.missed, first.worst, first.worst_line) == ((3, 9, 12), (3, 12), 2.5, 3)
+    assert first.text == "3 blocks (lines 3, 9, 12): far; worst 2.50 µm (line 3)"
+    assert second.lines == (7,) and second.missed == ()
+    tally.add("range", "far", "um", np.arange(100, 200), np.zeros(100), np.zeros(100, dtype=bool))
+    assert "103 blocks (lines 3, 9, 12, 100, 101, 102, 103, 104 … and 95 more)" in tally.shortfalls()[0].text
+
+
+def test_notes_of_one_text_are_one_line() -> None:
+    notes = [LineNote(4, "passed"), LineNote(5, "assumed"), LineNote(9, "passed")]
+    assert grouped(notes) == ["lines 4, 9: passed", "line 5: assumed"]
+
+
+def test_the_page_says_it_too(dmu50: Machine) -> None:
+    text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\n"
+    program = Iso().read(text.encode(), "p.nc")
+    result = Compensator(dmu50, Calibration.zero(dmu50), Options(setup=Setup())).compensate(program, Iso())
+    assert "NOTHING CORRECTED" in result._repr_html_()
+
+
+def test_no_program_of_the_package_is_half_corrected(tmp_path: Path) -> None:
+    """The bundled program, as in the README: exit status 0, everything corrected."""
+    done = twin("compensate", "cone_frustum.nc", "-o", tmp_path / "o.nc", "--tool-length", 120, "--strict")
+    assert done.returncode == 0, done.stdout
+    assert re.match(r"\S*cone_frustum\.nc on DMU 50 eVolution: corrected\n", done.stdout)
+    assert ROUNDING_UM < 1.0

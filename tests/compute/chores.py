@@ -1,0 +1,51 @@
+"""Tasks for `tests.compute.test_parallel`, in a module of its own that a worker imports quickly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.uncertainty.population import Draws, Part
+
+
+def squared(shared: int, task: int) -> int:
+    return shared + task * task
+
+
+def product(shared: int, task: int) -> np.ndarray:
+    """The last digits of a matrix product are its number of threads' too."""
+    a = np.random.default_rng(np.random.SeedSequence(shared, spawn_key=(task,))).standard_normal((300, 300))
+    return a @ a
+
+
+def refusing(shared: int, task: int) -> int:
+    if task == shared:
+        raise InputError("no such number", expected="another", file="numbers.csv", line=7, value=task)
+    return task
+
+
+def drawn_and_once_dead(shared: tuple[Draws, Path], task: tuple[int, int]) -> Part:
+    """Machines; the first worker that has the third task ends as if somebody had pulled the plug."""
+    draws, mark = shared
+    if task[0] == 2 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return draws.part(task)
+
+
+def deadly(shared: int, task: int) -> int:
+    if task == shared:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def patient(shared: Path, task: int) -> int:
+    """Says that it has begun, and takes its time."""
+    (shared / str(task)).touch()
+    time.sleep(60.0)
+    return task

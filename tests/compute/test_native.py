@@ -1,0 +1,553 @@
+"""Solving fast: compiled code against NumPy's, Pinocchio and the C library; what is kept between runs, and what is not trusted."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import math
+import os
+import platform
+import stat
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.kinematics.test_kinematics import random_commands
+from tests.machine.errors import random_calibration
+from twin.compute import batch
+from twin.compute.native import Taken, compiler, in_use, loading, solver, store
+from twin.compute.native.compiler import Compiler, CompilerError
+from twin.compute.native.problem import Outcome
+from twin.compute.native.tape import Tape, UnknownOperationError
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.inverse import Inverse, Solution, Status
+from twin.machine.calibration import Calibration
+from twin.machine.effects.along import Reversal
+from twin.machine.machine import Machine
+
+TINY = 'extern "C" int answer() { return 42; }\n'
+
+compiled = pytest.mark.skipif(compiler.found() is None, reason="no C++ compiler here")
+
+
+@pytest.fixture(scope="session")
+def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cache for all tests that only want to solve."""
+    return tmp_path_factory.mktemp("cache")
+
+
+def spoilt(rows: int, axes: int) -> Outcome:
+    return Outcome(np.full((rows, axes), 7e7), np.full(rows, 7e7), np.full(rows, 7e7), np.full(rows, 77, np.uint8), 0)
+
+
+@pytest.fixture
+def eager(libraries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile for any number of poses."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(libraries))
+    monkeypatch.delenv(loading.SWITCH, raising=False)
+    monkeypatch.setattr(loading, "WORTH_COMPILING", 0)
+    monkeypatch.setattr(loading, "_failed", {})
+    # Room for results as nobody would leave it: fresh memory is full of zeros, and zero means converged.
+    monkeypatch.setattr(Outcome, "empty", staticmethod(spoilt))
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of one's own, not there yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    return tmp_path / "home" / "twin"
+
+
+def hard(machine: Machine, nominal: Kinematics, n: int, rng: np.random.Generator) -> tuple[Poses, np.ndarray]:
+    """Poses all over the range: at its limits and near the singularity; numbers that are none, infinite, or far too large."""
+    q = random_commands(machine, n, rng)
+    limits = machine.limits / machine.scale[:, None]
+    for k, axis in enumerate(np.flatnonzero(np.isfinite(limits[:, 0]))):
+        q[2 * k * 20 : (2 * k + 1) * 20, axis], q[(2 * k + 1) * 20 : (2 * k + 2) * 20, axis] = limits[axis]
+    for axis in machine.rotary:
+        # Zero is where the rotary axes' own singularities lie on all three machines.
+        inside = np.clip(rng.normal(size=n // 20) * 0.1, *limits[axis])
+        q[rng.choice(np.arange(n // 4, n // 2), n // 20, replace=False), axis] = inside
+    found = nominal.forward(q)
+    point, rotation, start = found.point_mm.copy(), found.rotation.copy(), q.copy()
+    point[n - 1, 0], point[n - 2, 2], rotation[n - 3, 1, 2], start[n - 4, 0], start[n - 5, 1] = (
+        np.nan, np.inf, np.nan, -np.inf, np.nan,
+    )  # fmt: skip
+    rotation[n - 6] = 0.0
+    point[n - 7] += 900.0
+    if machine.rotary:
+        start[n - 8, machine.rotary[-1]] += 360.0 * 20_000
+    return Poses(point, rotation), start
+
+
+def both(inverse: Inverse, target: Poses, start: np.ndarray, **given: object) -> tuple[Solution, Solution]:
+    """Solved by compiled code, then without it."""
+    fast = inverse.solve(target, start, **given)  # type: ignore[arg-type]
+    assert inverse._solver._native is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(loading.SWITCH, "0")
+        again = Inverse(inverse.kinematics, rotary_limit_deg=inverse.rotary_limit_deg)
+        return fast, again.solve(target, start, **given)  # type: ignore[arg-type]
+
+
+def assert_alike(fast: Solution, plain: Solution) -> None:
+    assert np.array_equal(fast.status, plain.status)
+    assert np.array_equal(np.isnan(fast.positions), np.isnan(plain.positions))
+    assert np.array_equal(np.isinf(fast.point_residual_mm), np.isinf(plain.point_residual_mm))
+    there = np.isfinite(plain.point_residual_mm) & (plain.point_residual_mm < 1.0)
+    # The promise, mm and degrees; both stop within a tenth of it. At a singularity that is magnified: both meet the target to 1e-12 mm,
+    # and one in a million is 2.5e-9 mm from the other.
+    promise = np.where(plain.where(Status.SINGULAR), 1e-8, 1e-9)[:, None]
+    assert np.nanmax((np.abs(fast.positions - plain.positions) / promise)[there]) <= 1.0
+    assert np.abs(fast.orientation_residual_rad[there] - plain.orientation_residual_rad[there]).max() <= 1e-12
+    good = fast.where(Status.CONVERGED) | fast.where(Status.SINGULAR)
+    assert fast.point_residual_mm[good].max() <= 2e-9
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+@pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
+def test_compiled_and_plain_give_the_same(name: str) -> None:
+    """Every status and every position, on all machines, whatever the numbers."""
+    machine = Machine.load(name)
+    rng = np.random.default_rng(21)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=80.0)
+    inverse = Inverse(Kinematics(machine, random_calibration(machine, rng), tool_length_mm=80.0))
+    target, start = hard(machine, nominal, 6000, rng)
+    for rotary in (True, False, rng.uniform(size=6000) < 0.5):
+        fast, plain = both(inverse, target, start, rotary=rotary)
+        assert_alike(fast, plain)
+    assert all(np.any(plain.where(status)) for status in Status)
+    assert np.all(plain.where(Status.OUT_OF_RANGE)[-7:])
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_no_pose_is_lost(dmu50: Machine, calibration: Calibration) -> None:
+    """Blocks of poses are sorted into done at once, done later and not to be done; `spoilt` shows what nobody wrote."""
+    rng = np.random.default_rng(35)
+    q = random_commands(dmu50, 600_000, rng)
+    target = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0).forward(q)
+    found = Inverse(Kinematics(dmu50, calibration, tool_length_mm=100.0)).solve(target, q)
+    assert found.point_residual_mm.max() <= 2e-9
+    # Half a degree of C at the far corner of the table is 3 mm.
+    assert np.abs(found.positions - q).max() < 5.0
+    assert 0.02 < np.mean(found.where(Status.SINGULAR)) < 0.06
+
+
+@compiled
+@pytest.mark.slow
+@pytest.mark.usefixtures("eager")
+def test_a_million_poses_are_the_same(dmu50: Machine, calibration: Calibration) -> None:
+    rng = np.random.default_rng(22)
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
+    target, start = hard(dmu50, nominal, 1_000_000, rng)
+    assert_alike(*both(Inverse(Kinematics(dmu50, calibration, tool_length_mm=100.0)), target, start))
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_pinocchio_confirms(dmu50: Machine, calibration: Calibration) -> None:
+    """Its own kinematics, at the compiled commands, is where the target was."""
+    rng = np.random.default_rng(23)
+    real = Kinematics(dmu50, calibration, tool_length_mm=100.0)
+    q = random_commands(dmu50, 500, rng)
+    target = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0).forward(q)
+    inverse = Inverse(real)
+    found = inverse.solve(target, q)
+    assert inverse._solver._native is not None
+    data = dmu50.model.createData()
+    for i in np.flatnonzero(found.where(Status.CONVERGED)):
+        errors = real.error_frames(found.positions[i])[0]
+        pin.framesForwardKinematics(dmu50.model, data, dmu50.configuration(found.positions[i] * dmu50.scale, errors))
+        pose = data.oMf[dmu50.work_frame].actInv(data.oMf[dmu50.tool_frame])
+        point = (pose.translation - 0.1 * pose.rotation[:, 2]) * 1e3
+        assert np.abs(point - target.point_mm[i]).max() <= 1e-9
+        assert np.abs(pose.rotation[:, 2] - target.axis[i]).max() <= 1e-12
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_one_pose_many_poses_and_threads_give_the_same_bits(dmu50: Machine, calibration: Calibration) -> None:
+    n = loading.PORTION + 3001
+    rng = np.random.default_rng(24)
+    target, start = hard(dmu50, Kinematics(dmu50, Calibration.zero(dmu50)), n, rng)
+    inverse = Inverse(Kinematics(dmu50, calibration))
+    many = inverse.solve(target, start)
+    for rows in (slice(0, 1), slice(5, 8), slice(1023, 1026), slice(n // 4, n // 2), slice(n - 9, n)):
+        few = inverse.solve(Poses(target.point_mm[rows], target.rotation[rows]), start[rows])
+        assert np.array_equal(few.positions, many.positions[rows], equal_nan=True)
+        assert np.array_equal(few.status, many.status[rows])
+    assert len(inverse.solve(Poses(target.point_mm[:0], target.rotation[:0]), start[:0]).status) == 0
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_arrays_of_any_make(dmu50: Machine, calibration: Calibration) -> None:
+    """Column-major, every other row, single precision: the compiled code reads what is there."""
+    rng = np.random.default_rng(25)
+    target, start = hard(dmu50, Kinematics(dmu50, Calibration.zero(dmu50)), 400, rng)
+    inverse = Inverse(Kinematics(dmu50, calibration))
+    plain = inverse.solve(target, start)
+    odd = inverse.solve(
+        Poses(np.asfortranarray(target.point_mm), np.asfortranarray(target.rotation)),
+        np.repeat(np.asfortranarray(start), 2, axis=0)[::2],
+    )
+    assert np.array_equal(plain.positions, odd.positions, equal_nan=True)
+    rough = inverse.solve(target, start.astype(np.float32).astype(float))
+    assert np.nanmax(np.abs(rough.positions - plain.positions)[rough.where(Status.CONVERGED)]) <= 1e-8
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_a_directed_machine(dmu50: Machine, calibration: Calibration) -> None:
+    rng = np.random.default_rng(26)
+    directed = dataclasses.replace(calibration, extra=(Reversal(dmu50.by_name["Y"], 6.0),))
+    inverse = Inverse(Kinematics(dmu50, directed))
+    target, start = hard(dmu50, Kinematics(dmu50, Calibration.zero(dmu50)), 2000, rng)
+    sides = rng.integers(-1, 2, start.shape).astype(float)
+    fast, plain = both(inverse, target, start, approach=sides)
+    assert_alike(fast, plain)
+    # With the rotary axes held Y alone takes up half of the reversal, to the product of two small numbers.
+    known, unknown = (inverse.solve(target, start, rotary=False, approach=side) for side in (sides, None))
+    good = known.where(Status.CONVERGED) & unknown.where(Status.CONVERGED)
+    assert known.positions[good, 1] - unknown.positions[good, 1] == pytest.approx(-0.003 * sides[good, 1], abs=2e-5)
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_other_numbers_need_no_other_code(dmu50: Machine) -> None:
+    """A calibration with curves of the same orders, another tool and another limit are solved by the same library."""
+    rng = np.random.default_rng(27)
+    sources = set()
+    for length, limit in ((0.0, 0.5), (80.0, 0.2)):
+        real = Kinematics(dmu50, random_calibration(dmu50, rng), tool_length_mm=80.0 + length)
+        sources.add(Inverse(real, rotary_limit_deg=limit)._solver._source)
+    assert len(sources) == 1
+
+
+@compiled
+def test_sine_and_cosine(cache: Path) -> None:
+    """Against Python's own, over small, ordinary and the largest angles: within two roundings of one."""
+    tool = compiler.found()
+    assert tool is not None
+    source = (Path(solver.__file__).parent / "simd.hpp").read_text() + (
+        'extern "C" void run(long n, const double *x, double *s, double *c, double *f) { for (long i = 0; i < n; i += W) {'
+        "V v; __builtin_memcpy(&v, x + i, sizeof v); Turn t = sincos(v); V w = vfloor(v);"
+        "__builtin_memcpy(s + i, &t.s, sizeof v); __builtin_memcpy(c + i, &t.c, sizeof v);"
+        "__builtin_memcpy(f + i, &w, sizeof v); } }"
+    )
+    rng = np.random.default_rng(28)
+    x = np.concatenate(
+        [rng.uniform(-r, r, 4000) for r in (1e-8, 1.0, 10.0, 1e5, 1.6e6)]
+        + [np.arange(-400, 400) * (math.pi / 4.0), np.arange(-100.0, 100.0), np.full(8, np.nan), np.full(8, np.inf)]
+    )
+    s, c, f = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+    library = store.library(source, tool)
+    library.run(ctypes.c_long(len(x)), *(ctypes.c_void_p(a.ctypes.data) for a in (x, s, c, f)))
+    there = np.isfinite(x)
+    assert np.abs(s - [math.sin(v) if math.isfinite(v) else math.nan for v in x])[there].max() <= 2.3e-16
+    assert np.abs(c - [math.cos(v) if math.isfinite(v) else math.nan for v in x])[there].max() <= 2.3e-16
+    assert np.array_equal(f[there], np.floor(x[there]))
+    assert np.all(np.isnan(s[~there])) and np.all(np.isnan(c[~there]))
+
+
+def test_a_tape_is_its_function() -> None:
+    """All operations, conditions with not-a-number in the branch not taken, multiples of an angle; against CasADi."""
+    x = ca.SX.sym("x", 4)
+    values = [
+        ca.if_else(x[0] < 0.0, 1.0, ca.sqrt(x[0])),
+        ca.fmin(x[1], 3.0) / ca.fmax(ca.fabs(x[2]), 0.5),
+        ca.floor(x[3] / 0.3) + (-x[0]) ** 3 + x[1] ** 2 + 2.0 * x[2] + 1.0 / (2.0 + x[3] * x[3]),
+        *(ca.sin(k * x[3]) * ca.cos((k + 1) * x[3]) for k in range(1, 8)),
+        ca.cos((x[3] * (180.0 / math.pi)) * (math.pi / 180.0)),
+        ca.if_else(x[1] <= x[2], x[1], x[2]),
+        ca.jacobian(ca.fmax(0.0, x[0] - 0.2) * x[1] + ca.fmin(x[2], 0.1), x).T,
+        x[0] < x[1],
+    ]
+    function = ca.Function("f", [x], [ca.vertcat(*values[:5]), ca.vertcat(*values[5:])])
+    tape = Tape(function)
+    rng = np.random.default_rng(29)
+    columns = rng.normal(size=(4, 3000)) * 2.0
+    truth = np.concatenate([np.asarray(part) for part in function(columns)])
+    # Eight multiples of an angle, a rounding each.
+    assert np.abs(tape(list(columns)) - truth).max() <= 8 * 4e-16 * np.abs(truth).max()
+    assert sum(kind in ("sin", "cos") for kind, _, _ in tape.nodes) == 2
+    with pytest.raises(UnknownOperationError):
+        Tape(ca.Function("g", [x], [ca.erf(x)]))
+
+
+@pytest.mark.parametrize("switch", ["0", pytest.param("1", marks=compiled)])
+@pytest.mark.usefixtures("eager")
+def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, switch: str) -> None:
+    """Kinematics of more rows than CasADi is asked for, either way, against CasADi's own; numbers that are none stay so."""
+    monkeypatch.setenv(loading.SWITCH, switch)
+    n = 2 * loading.PORTION + 5 if switch == "1" else 3 * batch.MANY + 5
+    q = random_commands(dmu50, n, np.random.default_rng(33)) * dmu50.scale
+    q[7, 3], q[11, 0], q[13, 4] = np.nan, np.inf, 7e5
+    real = Kinematics(dmu50, calibration, tool_length_mm=60.0)
+    found = [np.concatenate(real.reached(q), axis=1)]
+    found.append(np.concatenate(real.reached(np.delete(q, [11, 13], axis=0)), axis=1))
+    assert (real._forward._fast._library is not None) == (switch == "1")
+    monkeypatch.setattr(batch, "MANY", n + 1)
+    truth = np.concatenate(real.reached(q), axis=1)
+    assert np.array_equal(np.isnan(found[0]), np.isnan(truth))
+    # Metres and cosines of at most one, some hundred roundings one after the other.
+    assert np.nanmax(np.abs(found[0] - truth)) <= 1e-14
+    assert np.nanmax(np.abs(found[1] - np.delete(truth, [11, 13], axis=0))) <= 1e-14
+
+
+@pytest.mark.parametrize(
+    "rows, switch", [(3, "0"), (1000, "0"), (batch.MANY, "0"), pytest.param(loading.PORTION + 9, "1", marks=compiled)]
+)
+@pytest.mark.usefixtures("eager")
+def test_rows_taken_from_a_table(rows: int, switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same bits as with the rows written out, whichever way they go; beside rows of one's own and one value for all."""
+    monkeypatch.setenv(loading.SWITCH, switch)
+    x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z")
+    function = batch.BatchFunction(ca.Function("f", [x, y, z], [ca.sin(x) * z, x[0] * y + x[1]]))
+    rng = np.random.default_rng(35)
+    taken = Taken(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
+    own, shared = rng.normal(size=(rows, 2)), np.array([1.7])
+    found, truth = function(taken, own, shared), function(taken.written(), own, shared)
+    assert (function._fast._library is not None) == (switch == "1")
+    assert all(np.array_equal(a, b) for a, b in zip(found, truth, strict=True))
+    table = taken.table.copy()
+    table[5, 1] = 3e5  # an angle too large for the C++
+    far = Taken(table, taken.line)
+    found, truth = function(far, own, shared), function(far.written(), own, shared)
+    assert found[0] == pytest.approx(truth[0], abs=1e-15) and found[1] == pytest.approx(truth[1], rel=1e-15)
+
+
+def test_a_function_with_an_operation_not_known_here() -> None:
+    x = ca.SX.sym("x", 2)
+    function = batch.BatchFunction(ca.Function("f", [x], [ca.erf(x[0]) + x[1]]))
+    rows = np.random.default_rng(34).normal(size=(batch.MANY, 2))
+    assert function(rows)[0][:, 0] == pytest.approx([math.erf(a) + b for a, b in rows], abs=1e-15)
+
+
+# What is kept, and what is trusted.
+
+
+def counting(folder: Path, *, does: str = 'exec c++ "$@"') -> Compiler:
+    """A compiler that writes a line each time it is called to compile."""
+    script = folder / "counting"
+    script.write_text(f'#!/bin/sh\necho called >> "{folder}/calls"\n{does}\n')
+    script.chmod(0o700)
+    return Compiler((str(script),), "counting 1.0")
+
+
+def calls(folder: Path) -> int:
+    log = folder / "calls"
+    return len(log.read_text().splitlines()) if log.exists() else 0
+
+
+@compiled
+def test_compiled_once(cache: Path, tmp_path: Path) -> None:
+    tool = counting(tmp_path)
+    assert store.library(TINY, tool).answer() == 42
+    assert store.library(TINY, tool).answer() == 42
+    assert calls(tmp_path) == 1
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    assert all(not path.stat().st_mode & 0o022 for path in cache.iterdir())
+    assert not list(cache.glob(".twin-*"))
+    # Another source, another compiler: another library.
+    assert store.key(TINY, tool) != store.key(TINY + "\n", tool)
+    assert store.key(TINY, tool) != store.key(TINY, Compiler(tool.command, "counting 1.1"))
+
+
+def test_a_library_is_of_its_compiler_its_flags_and_its_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A home on several computers: code for a processor that another one lacks the instructions of is never loaded there."""
+    tool = Compiler(("c++",), "c++ 1.0")
+    own = store.key(TINY, tool)
+    assert own == store.key(TINY, Compiler(("c++",), "c++ 1.0"))
+    assert own != store.key(TINY, Compiler(("c++", "-m32"), "c++ 1.0"))
+    with monkeypatch.context() as patch:
+        patch.setattr(compiler, "processor", lambda: "another one")
+        assert store.key(TINY, tool) != own
+    for flags in (compiler.FLAGS[:-1], (*compiler.FLAGS, "-ffast-math")):
+        with monkeypatch.context() as patch:
+            patch.setattr(compiler, "FLAGS", flags)
+            assert store.key(TINY, tool) != own
+
+
+@compiled
+@pytest.mark.parametrize("harm", ["truncated", "changed", "no note", "writeable by others", "a link", "empty note"])
+def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) -> None:
+    tool = counting(tmp_path)
+    name = store.key(TINY, tool)
+    store.library(TINY, tool)
+    target, note = cache / f"{name}.so", cache / f"{name}.sha256"
+    # Another file, not the same one changed: this process has that one mapped.
+    content = target.read_bytes()
+    target.unlink()
+    target.write_bytes(content[: len(content) // 2] if harm == "truncated" else content + b"!" * (harm == "changed"))
+    target.chmod(0o602 if harm == "writeable by others" else 0o600)
+    if harm == "no note":
+        note.unlink()
+    elif harm == "empty note":
+        note.write_text("")
+    elif harm == "a link":
+        target.rename(tmp_path / "elsewhere.so")
+        target.symlink_to(tmp_path / "elsewhere.so")
+    assert store.kept(name) is None
+    assert store.library(TINY, tool).answer() == 42
+    assert calls(tmp_path) == 2
+    assert store.kept(name) is not None
+
+
+@compiled
+def test_what_belongs_to_somebody_else_is_not_loaded(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tool = counting(tmp_path)
+    store.library(TINY, tool)
+    before = {path.name: path.read_bytes() for path in cache.iterdir()}
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    assert store.kept(store.key(TINY, tool)) is None
+    assert store.library(TINY, tool).answer() == 42
+    assert calls(tmp_path) == 2
+    assert {path.name: path.read_bytes() for path in cache.iterdir()} == before
+
+
+@compiled
+@pytest.mark.parametrize("obstacle", ["a file", "read-only"])
+def test_a_home_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, obstacle: str) -> None:
+    """Solved all the same; nothing is left anywhere."""
+    home = tmp_path / "home"
+    if obstacle == "a file":
+        home.write_text("")
+    else:
+        home.mkdir(mode=0o500)
+        # The superuser may write anywhere: what the others are told.
+        monkeypatch.setattr(Path, "mkdir", _refused)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+    room = tmp_path / "tmp"
+    os.mkdir(room)
+    monkeypatch.setattr("tempfile.tempdir", str(room))
+    tool = counting(tmp_path)
+    assert store.library(TINY, tool).answer() == 42
+    assert calls(tmp_path) == 1
+    assert not list(room.iterdir())
+
+
+def _refused(path: Path, *args: object, **options: object) -> None:
+    raise PermissionError(13, "Permission denied", str(path))
+
+
+@compiled
+def test_two_processes_at_once(cache: Path, tmp_path: Path) -> None:
+    """Both get it, one builds it."""
+    tool = counting(tmp_path, does='sleep 1\nexec c++ "$@"')
+    script = (
+        "from twin.compute.native import store\nfrom twin.compute.native.compiler import Compiler\n"
+        f"print(store.library({TINY!r}, Compiler({tool.command!r}, {tool.version!r})).answer())"
+    )
+    running = [
+        subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    told = [process.communicate(timeout=120) for process in running]
+    assert [out.strip() for out, _ in told] == ["42", "42"], told
+    assert calls(tmp_path) == 1
+
+
+@compiled
+def test_what_killed_builds_left_is_removed(cache: Path, tmp_path: Path) -> None:
+    cache.mkdir(parents=True)
+    cache.chmod(0o700)
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    old, new = (cache / f".twin-{pid}-00ff-{platform.node()}" for pid in (gone.pid, os.getpid()))
+    for left in (old, new):
+        left.mkdir()
+        (left / "made.so").write_text("half")
+    store.library(TINY, counting(tmp_path))
+    assert not old.exists() and new.exists()
+
+
+def test_a_compiler_that_fails_is_said_once(
+    dmu50: Machine, calibration: Calibration, eager: None, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = counting(
+        tmp_path, does='case "$1" in --version) echo broken 1.0;; *) echo "error: no disc" >&2; exit 1;; esac'
+    )
+    monkeypatch.setenv("CXX", script.command[0])
+    real = Kinematics(dmu50, calibration)
+    q = random_commands(dmu50, 200, np.random.default_rng(30))
+    target = real.forward(q)
+    with pytest.warns(RuntimeWarning, match="no disc") as said:
+        first = Inverse(real).solve(target, q)
+        second = Inverse(real).solve(target, q)
+    assert len(said) == 1
+    assert np.all(first.where(Status.CONVERGED) & second.where(Status.CONVERGED))
+    assert in_use() == f"NumPy ({script.command[0]}: error: no disc)"
+    with pytest.raises(CompilerError, match="no disc"):
+        store.library(TINY, script)
+    assert not list(cache.glob(".twin-*"))
+
+
+def test_no_compiler_and_switched_off(
+    dmu50: Machine, calibration: Calibration, eager: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither is worth a word but in `twin info`."""
+    real = Kinematics(dmu50, calibration)
+    q = random_commands(dmu50, 200, np.random.default_rng(31))
+    target = real.forward(q)
+    for variables, told in (
+        ({"PATH": str(tmp_path), "CXX": ""}, "NumPy (no C++ compiler found)"),
+        ({loading.SWITCH: "0"}, "NumPy (TWIN_NATIVE=0)"),
+    ):
+        with monkeypatch.context() as patch, warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for name, value in variables.items():
+                patch.setenv(name, value)
+            inverse = Inverse(real)
+            assert np.all(inverse.solve(target, q).where(Status.CONVERGED))
+            assert inverse._solver._native is None
+            assert in_use() == told
+
+
+@compiled
+def test_a_compiler_that_miscompiles_is_not_believed(
+    dmu50: Machine, calibration: Calibration, eager: None, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One wrong sign in what the sine is made of: NumPy's check of the first poses finds it."""
+    script = tmp_path / "wrong"
+    script.write_text(
+        '#!/bin/sh\ncase "$1" in --version) echo wrong 1.0; exit;; esac\n'
+        'sed "s/-1.66666666666666324348e-01/-1.66666666666666324348e-02/; s/- 1.66666666666666324348e-01/- 1.6e-01/" | exec c++ "$@"\n'
+    )
+    script.chmod(0o700)
+    monkeypatch.setenv("CXX", str(script))
+    real = Kinematics(dmu50, calibration)
+    q = random_commands(dmu50, 300, np.random.default_rng(32))
+    target = real.forward(q)
+    with pytest.warns(RuntimeWarning, match="wrong"):
+        found = Inverse(real).solve(target, q)
+    assert np.all(found.where(Status.CONVERGED))
+    assert np.abs(real.forward(found.positions).point_mm - target.point_mm).max() <= 1e-9
+
+
+def test_info_says_which_way(tmp_path: Path) -> None:
+    settings = {"XDG_CACHE_HOME": str(tmp_path), "COLUMNS": "200"}
+    told = {}
+    for switch in ("0", "1"):
+        done = subprocess.run(
+            [sys.executable, "-m", "twin.cli", "info"],
+            env=os.environ | settings | {loading.SWITCH: switch},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        told[switch] = next(line for line in done.stdout.splitlines() if line.startswith("inverse "))
+    assert told["0"] == "inverse       NumPy (TWIN_NATIVE=0)"
+    expected = "NumPy (no C++ compiler found)" if compiler.found() is None else "compiled from "
+    assert told["1"].startswith(f"inverse       {expected}")

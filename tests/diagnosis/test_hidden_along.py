@@ -1,0 +1,174 @@
+"""Errors along an axis itself: a reversal that changes along the travel, pitch and slow waves, teeth of gears.
+
+The truth machines (`tests.truth.hidden`, `tests.compensation.test_compensate_effects`) share no code with `twin`.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.compensation.test_compensate_effects import WornMachine, densely, done, extended, taking_up
+from tests.truth import hidden
+from tests.truth.few_axes import write_stage
+from tests.truth.hidden import Hidden
+from twin._common.errors import InputError
+from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.catalogue import catalogue
+from twin.machine.calibration import Calibration
+from twin.machine.effects.registry import effect_named
+from twin.machine.machine import Machine
+from twin.measurement.table import load
+
+SIGMA_MM = 3e-3
+TURNS = "G21 G90\nG0 X100 Y20 Z-100 B0 C0\nG1 Y60 F500\nY15\nX150 Y440\nY400\nY445\nX120 Y10\nY40\nM30\n"
+
+
+def stage(folder: Path, reversal_um: np.ndarray, *, cycles: int = 5, seed: int = 61) -> Diagnosis:
+    """A slide of 500 mm, measured along itself there and back at even positions, 0.6 µm of noise."""
+    machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(seed)
+    positions = np.linspace(0.0, 500.0, len(reversal_um))
+    with (folder / "stage.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow("X_mm approach_X target carrier x_mm y_mm z_mm round place_x_mm place_y_mm place_z_mm".split())
+        for cycle in range(cycles):
+            for way in (1, -1):
+                for at, size in zip(positions[::way], reversal_um[::way], strict=True):
+                    off = 0.5 * way * size + 0.6 * rng.standard_normal()
+                    table.writerow([at, way, "slide", "tool", at + 1e-3 * off, "", "", cycle + 1, 0, 0, 0])
+    return diagnose(load(folder / "stage.csv", machine), machine, Calibration.zero(machine))
+
+
+def test_a_reversal_that_grows_along_the_travel_is_found_and_promised(tmp_path: Path) -> None:
+    u = np.linspace(-1.0, 1.0, 9)
+    result = stage(tmp_path, -10.0 + 6.0 * u)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where, cause.promised) == ("reversal_curve", "X", True)
+    found = {q.name: q for q in cause.parameters}
+    for name, value in {"c0": -10.0, "c1": 6.0}.items():
+        assert abs(found[name].value - value) < 3.0 * found[name].u
+    assert "changes along its travel: from -16" in cause.evidence
+    result.extended.save(tmp_path / "extended.yaml")
+    (effect,) = Calibration.load(tmp_path / "extended.yaml", result.calibration.machine).effects
+    state = {"X": np.array([0.0, 500.0, 500.0]), "approach_X": np.array([1.0, 1.0, -1.0])}
+    # Half the reversal to either side, in µm; the ends are known to some 0.3 µm.
+    assert effect.components(state)[0] == pytest.approx([-8.0, -2.0, 2.0], abs=1.0)
+    assert result.gain is not None and result.gain.rms_after_um == pytest.approx(0.6, rel=0.15)
+
+
+def test_a_constant_reversal_is_no_curve(tmp_path: Path) -> None:
+    (cause,) = stage(tmp_path, np.full(9, -10.0)).causes
+    assert (cause.effect, cause.where, cause.equivalent) == ("reversal", "X", ())
+    # The second opinion holds a curve whose change is nothing to be the same cause.
+    assert cause.probability is not None and cause.probability > 0.95
+
+
+def test_a_reversal_that_no_curve_foretells_is_the_plain_one_and_a_rest(tmp_path: Path) -> None:
+    """It differs from place to place as chance had it: the mean is named, and nothing is said between the places."""
+    rough = np.array([-9.0, 5.0, -7.0, 8.0, -6.0, 7.0, -8.0, 6.0, -5.0]) - 20.0
+    result = stage(tmp_path, rough)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where) == ("reversal", "X")
+    (size,) = cause.parameters
+    assert size.value == pytest.approx(rough.mean(), abs=1.0)
+    left = result.unexplained
+    assert left is not None and set(left.depends_on) == {"approach_X", "X_mm"} and left.size_um > 2.0
+
+
+def test_a_reversal_that_changes_with_another_axis_is_none_of_its_own_travel(dmu50: Machine, tmp_path: Path) -> None:
+    rng = np.random.default_rng(62)
+    of = hidden.rounded(hidden.plan(rng, poses=60))
+    truth = Hidden("reversal_curve", "Y", {"c0": 0.0, "c1": 12.0})
+    read = hidden.noisy(hidden.points(of, [truth]), rng, "isotropic", SIGMA_MM)
+    data = load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
+    (cause,) = diagnose(data, dmu50, Calibration.default(dmu50)).causes
+    assert (cause.effect, cause.where, cause.equivalent) == ("reversal_curve", "Y", ())
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_program_is_compensated_for_it(dmu50: Machine, tmp_path: Path, sign: float) -> None:
+    """Turns of Y at either end of its travel, where the reversal is 4 and 20 µm; a constant of the mean leaves most of the change."""
+    entry = f"effect: reversal_curve, where: Y, parameters: {{c0: {12.0 * sign}, c1: {8.0 * sign}}}"
+    truth = WornMachine(extended(tmp_path), reversal={}, varying={"Y": (12.0 * sign, 8.0 * sign)})
+    after = {}
+    for name, one in {
+        "curve": entry,
+        "mean": f"effect: reversal, where: Y, parameters: {{size: {12.0 * sign}}}",
+    }.items():
+        result = done(TURNS, dmu50, extended(tmp_path, one))
+        off = truth.off(densely(result.commands), densely(result.nominal))
+        after[name] = float(np.sqrt(np.mean(off[~np.repeat(taking_up(result), 8)[7:]] ** 2)))
+    assert after["curve"] < 0.6 and after["mean"] > 1.5
+
+
+def test_it_is_read_and_refused(dmu50: Machine) -> None:
+    effect = effect_named("reversal_curve", "Y", {"c0": 1.0, "c1": 2.0, "c2": 3.0}, dmu50)
+    assert [one.name for one in effect.parameters] == [f"reversal_curve:Y.c{k}" for k in range(3)]
+    with pytest.raises(InputError, match="an axis of limited range"):
+        effect_named("reversal_curve", "C", {"c0": 1.0}, dmu50)
+    with pytest.raises(InputError, match="parameters of reversal_curve Y"):
+        effect_named("reversal_curve", "Y", {"c0": 1.0, "c2": 2.0}, dmu50)
+
+
+def slow_or_fast(folder: Path, period_mm: float) -> Diagnosis:
+    """A wave of 5 µm along 500 mm at 41 uneven positions, five times."""
+    machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(63)
+    positions = np.sort(np.round(rng.uniform(0.0, 500.0, 41), 1))
+    positions[[0, -1]] = 0.0, 500.0
+    with (folder / "wave.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow("X_mm target carrier x_mm y_mm z_mm round place_x_mm place_y_mm place_z_mm".split())
+        for cycle in range(5):
+            for at in positions:
+                off = 5.0 * np.sin(2.0 * np.pi * at / period_mm + 0.4) + 0.3 * rng.standard_normal()
+                table.writerow([at, "slide", "tool", at + 1e-3 * off, "", "", cycle + 1, 0, 0, 0])
+    return diagnose(load(folder / "wave.csv", machine), machine, Calibration.zero(machine))
+
+
+@pytest.mark.parametrize(
+    ("period_mm", "name"), [(500.0 / 1.5, "positioning"), (290.0, "positioning"), (120.0, "pitch_error")]
+)
+def test_a_wave_longer_than_half_the_travel_is_a_curve(tmp_path: Path, period_mm: float, name: str) -> None:
+    result = slow_or_fast(tmp_path, period_mm)
+    named = {effect for cause in result.causes for effect, _ in ((cause.effect, cause.where), *cause.equivalent)}
+    assert name in named and (name == "pitch_error" or "pitch_error" not in named)
+    if name == "pitch_error":
+        (cause,) = result.causes
+        period = next(q for q in cause.parameters if q.name == "period")
+        assert abs(period.value - period_mm) < 3.0 * period.u and not cause.bounded
+
+
+def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: Path) -> None:
+    """Order 48 of C's own angle, with 151 angles: more than twice as many as 75, the highest that they tell."""
+    rng = np.random.default_rng(64)
+    of = hidden.rounded(hidden.plan(rng, poses=140))
+    truth = Hidden("harmonic", "E_CC", {"order": 48, "cos": 12.0, "sin": -9.0})
+    read = hidden.noisy(hidden.points(of, [truth]), rng, "isotropic", SIGMA_MM)
+    data = load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
+    (cause,) = diagnose(data, dmu50, Calibration.default(dmu50)).causes
+    assert (cause.effect, cause.where, cause.equivalent) == ("harmonic", "E_CC", ())
+    found = {q.name: q for q in cause.parameters}
+    assert found["order"].value == 48.0
+    assert max(abs(found[name].value - truth.numbers[name]) / found[name].u for name in ("cos", "sin")) < 3.0
+
+
+def test_orders_that_the_positions_cannot_tell_are_not_tried(dmu50: Machine, tmp_path: Path) -> None:
+    """Only as high as half the positions of a turn, and as half a grid they may stand on; other components as before."""
+    rng = np.random.default_rng(65)
+    for angles, most in (
+        (np.arange(0.0, 360.0, 2.0), 89),
+        (np.arange(0.0, 360.0, 0.5), 200),
+        (np.arange(0.0, 90.0), 44),
+    ):
+        of = hidden.rounded(hidden.plan(rng, poses=len(angles)))
+        q = of.q.copy()
+        q[:, 4] = np.resize(angles, len(q))
+        of = replace(of, q=q)
+        data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
+        found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
+        assert len(found["E_CC"].cells) == most and found["E_CC"].tests == most
+        assert len(found["E_XC"].cells) == 30

@@ -1,0 +1,247 @@
+"""Diagnosis by passes over the points: the same numbers as with all signatures at hand, whatever is taken away, and at any size."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.battery import _doubted
+from tests.truth import hidden
+from tests.truth.hidden import Hidden
+from twin._common.arrays import locked
+from twin.diagnosis import diagnose
+from twin.diagnosis.diagnose import Searcher
+from twin.diagnosis.folds import parts as parts_of
+from twin.diagnosis.pool import ALARMS, SAMPLED
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.products import Products
+from twin.diagnosis.readings import readings
+from twin.diagnosis.signatures import of_effect
+from twin.diagnosis.sweep import Block, Signatures
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements, load, state_of
+from twin.numerics.covariance import Covariance
+
+EFFECTS = (Hidden("reversal", "Y", {"size": 6.0}), Hidden("squareness", "E_A0Z", {"angle": 12.0}))
+
+
+def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measurements:
+    rng = np.random.default_rng(seed)
+    plan = hidden.rounded(hidden.plan(rng, poses=poses, same=False))
+    read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
+    return load(hidden.write(folder / "measured.csv", plan, read, u_mm=3e-3), machine)
+
+
+def split(problem: Problem) -> np.ndarray:
+    """(n,) the part each reading is held out with."""
+    found = parts_of(problem.network.data, problem.network.machine, ())
+    assert found is not None
+    return found.part
+
+
+@pytest.fixture(scope="module")
+def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Searcher]:
+    """Some 900 points, and a calibration that is not exactly known."""
+    data = measured(dmu50, tmp_path_factory.mktemp("data"), 40)
+    placed = readings(data, dmu50, _doubted(Calibration.default(dmu50)))
+    problem, known, scatter = placed.without(placed.bad)
+    return problem, Searcher(problem, known, scatter)
+
+
+@pytest.fixture(scope="module")
+def whole(searched: tuple[Problem, Searcher]) -> np.ndarray:
+    """(3n, columns) all signatures, as only a small set of points allows."""
+    problem, searcher = searched
+    return problem.signature(searcher.pool.products.columns)
+
+
+def close(found: np.ndarray, truth: np.ndarray, size: np.ndarray | float) -> None:
+    assert np.abs(found - truth).max() <= 1e-11 * np.max(size)
+
+
+def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+    problem, searcher = searched
+    parts = split(problem)
+    rng = np.random.default_rng(1)
+    vectors = rng.standard_normal((len(parts), 3, 70))
+    found = Signatures(problem.view, searcher.pool.products.columns, parts).along(lambda block: vectors[block.rows])
+    assert len(found) == parts.max() + 1 > 1
+    for part, own in enumerate(found):
+        rows = np.repeat(parts == part, 3)
+        close(own, whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
+    some = np.sort(rng.choice(len(parts), 100, replace=False))
+    few = searcher.pool.products.signatures.along(lambda block: vectors[block.rows], some)
+    rows = (3 * some[:, None] + np.arange(3)).ravel()
+    close(few[0], whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
+
+
+def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+    _, searcher = searched
+    pool = searcher.pool
+    for columns, blocks in zip(pool._columns, pool.products.within, strict=True):
+        for own, block in zip(columns[::17], blocks[::17], strict=True):
+            close(block, whole[:, own].T @ whole[:, own], np.abs(block).max() + 1e-30)
+
+
+def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+    """Against an orthonormal basis of the whole matrix by singular values: the definition."""
+    problem, searcher = searched
+    nuisance, prior = problem.nuisance, problem.prior
+    some = whole[:, ::97]
+    for out in (None, *range(3)):
+        gone = np.zeros(len(problem.view.rows), dtype=bool) if out is None else split(problem) == out
+        keep = np.where(np.repeat(gone, 3), 0.0, 1.0)
+        part = problem if out is None else problem.without(gone)
+        assert part is not None
+        u, values, _ = np.linalg.svd(np.concatenate([nuisance * keep[:, None], prior]), full_matrices=False)
+        basis = u[: len(nuisance), values > 1e-9 * values[0]]
+        kept = some * keep[:, None]
+        truth = kept.T @ kept - (basis.T @ kept).T @ (basis.T @ kept)
+        size = np.linalg.norm(kept, axis=0).max() ** 2
+        found = part.products(searcher.pool.products.columns[::97])
+        assert np.abs(found.gram - truth).max() <= 1e-10 * size
+        assert np.abs(part.inner(some) - truth).max() <= 1e-10 * size
+        residual = problem.residual * keep
+        slope = kept.T @ residual - (basis.T @ kept).T @ (basis.T @ residual)
+        assert np.abs(found.slope - slope).max() <= 1e-9 * np.linalg.norm(residual) * np.sqrt(size)
+        assert part.chi2 == pytest.approx(residual @ residual - np.sum((basis.T @ residual) ** 2), rel=1e-9)
+
+
+def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
+    """Its direction has the prior; it is no reason to hold nothing out."""
+    problem, _ = searched
+    doubted = _doubted(Calibration.default(dmu50))
+    assert doubted.joint is not None
+    matrix = np.array(doubted.joint.matrix)
+    matrix[::2] *= 1e-9
+    matrix[:, ::2] *= 1e-9
+    small = replace(doubted, joint=Covariance(doubted.joint.names, locked(matrix)))
+    again = Problem(problem.network, problem.setup, small)
+    for part in range(3):
+        assert again.without(split(problem) == part) is not None
+
+
+@pytest.mark.parametrize("which", ["a part", "any points"])
+def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
+    problem, searcher = searched
+    parts = split(problem)
+    products = Products(problem, searcher.pool.products.columns, searcher.pool._columns, parts=parts)
+    gone = np.flatnonzero(parts == 1)
+    if which == "any points":
+        gone = np.sort(np.random.default_rng(2).choice(len(parts), 60, replace=False))
+    left = products.less(gone)
+    rows = np.repeat(~np.isin(np.arange(len(parts)), gone), 3)
+    columns = np.arange(0, whole.shape[1], 211)
+    size = np.linalg.norm(whole) ** 2
+    close(left.cross(columns), whole[rows][:, columns].T @ whole[rows], size)
+    close(left.by_basis, problem.basis[rows].T @ whole[rows], size)
+    close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
+
+
+def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+    problem, searcher = searched
+    pool = searcher.pool
+    products = Products(problem, pool.products.columns, pool._columns)
+    alone = np.array([pool.forms[i].columns[0] for i in pool._rows[0][:2]])
+    products.cross(np.array([0, 5, 9]))
+    products.replace(alone[:1], [products.columns[int(alone[1])]])
+    changed = np.array(whole)
+    changed[:, alone[0]] = whole[:, alone[1]]
+    asked = np.array([0, int(alone[0]), 9])
+    close(products.cross(asked), changed[:, asked].T @ changed, np.linalg.norm(whole) ** 2)
+    assert not np.array_equal(changed, whole) or alone[0] == alone[1]
+
+
+def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -> None:
+    """Columns that are worked out many at once against the effects themselves, one a parameter."""
+    problem, searcher = searched
+    machine, data = problem.network.machine, problem.network.data
+    state, block = state_of(data, machine), Block(problem.view, slice(None))
+    seen = set()
+    for candidate in searcher.known.candidates:
+        if candidate.build is None:
+            continue
+        for cell in (candidate.cells[0], candidate.cells[-1]):
+            values = np.linspace(0.7, 1.3, len(cell.columns))
+            effects = candidate.build(values, cell.fixed)
+            own = Signatures(problem.view, cell.columns).at(block)
+            found = own @ (values / np.array([column.scale for column in cell.columns]))
+            truth = np.zeros_like(found)
+            for effect in effects:
+                columns = of_effect(effect, machine, state)
+                at = 6 * next(
+                    i
+                    for i, f in enumerate(machine.frames)
+                    if (f.axis, f.role) == (effect.frame.axis, effect.frame.role)
+                )
+                for i, part in effect.components(state).items():
+                    truth += problem.view.by_error[:, :, at + i] * (np.broadcast_to(part, len(found))[:, None] * 1e-6)
+                assert len(columns) == len(effect.parameters)
+            assert np.abs(found - truth).max() <= 1e-9 * max(np.abs(truth).max(), 1e-12), (candidate.key, cell.fixed)
+            seen.add(candidate.effect)
+    assert {"pitch_error", "harmonic", "positioning", "thermal_drift", "misplaced", "reversal"} <= seen
+
+
+@pytest.mark.slow
+def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
+    levels = []
+    for poses in (SAMPLED // 6 - 120, SAMPLED // 3):
+        data = measured(dmu50, tmp_path, poses)
+        placed = readings(data, dmu50, Calibration.default(dmu50))
+        problem, known, scatter = placed.without(placed.bad)
+        levels.append(Searcher(problem, known, scatter).pool.level)
+    assert min(levels) >= ALARMS
+    assert levels[0] == pytest.approx(levels[1], rel=0.5)
+
+
+MEMORY = """
+import sys
+from pathlib import Path
+from tests.benchmarks.timing import peak_mb
+from twin.diagnosis import diagnose
+from twin.machine.machine import Machine
+from twin.measurement.table import load
+machine = Machine.load("dmu50")
+found = diagnose(load(Path(sys.argv[1]), machine), machine)
+print(peak_mb(), *(f"{c.effect}:{c.where}" for c in found.causes))
+"""
+
+
+@pytest.mark.slow
+def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path) -> None:
+    """By less than 12 kB a point, 10.7 as measured: signatures of all forms would be 150 kB."""
+    peaks = []
+    for poses in (2_000, 16_000):
+        measured(dmu50, tmp_path, poses)
+        told = subprocess.run(
+            [sys.executable, "-c", MEMORY, str(tmp_path / "measured.csv")],
+            check=True,
+            capture_output=True,
+            text=True,
+            cwd=Path(__file__).resolve().parents[2],
+        ).stdout.split()
+        assert {"reversal:Y", "squareness:E_A0Z"} == set(told[1:])
+        peaks.append(float(told[0]))
+    assert peaks[1] < 2000.0
+    assert (peaks[1] - peaks[0]) * 1024.0 / (6 * 14_000) < 12.0
+
+
+def test_many_points_are_diagnosed_as_few(dmu50: Machine, tmp_path: Path) -> None:
+    """More than are held at once, and than the price is taken from: the same names, sizes within their uncertainty."""
+    found = diagnose(measured(dmu50, tmp_path, 1_000), dmu50)
+    assert {(cause.effect, cause.where) for cause in found.causes} == {effect.key for effect in EFFECTS}
+    for cause in found.causes:
+        (size,) = cause.parameters
+        truth = next(
+            iter(next(effect for effect in EFFECTS if effect.key == (cause.effect, cause.where)).numbers.values())
+        )
+        assert abs(size.value - truth) < 3.0 * size.u
+    assert found.gain is not None and found.gain.held_out is not None
+    assert found.gain.held_out.after_um == pytest.approx(3.0, rel=0.02)

@@ -1,0 +1,118 @@
+"""What data cannot tell is named, not guessed: too few targets, axes that rest, places and stations nobody knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identification.plans import PLACES, read_by_truth, table, with_places
+from tests.identification.test_identify import EXACT, as_the_thesis, differences
+from tests.truth.machine import TruthMachine, in_datum, written
+from twin.identification import identify
+from twin.machine.machine import Machine
+
+
+@pytest.fixture(scope="module")
+def errors() -> dict[str, dict]:
+    return in_datum(np.random.default_rng(51), size=30.0)
+
+
+@pytest.fixture
+def truth(errors: dict[str, dict], tmp_path: Path) -> TruthMachine:
+    return written(tmp_path / "t.yaml", errors)
+
+
+def test_targets_nobody_placed_and_linear_axes_alone(
+    dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]
+) -> None:
+    """Angular error times an unknown distance looks like straightness: said, and allowed for; with the places it is gone."""
+    plan = as_the_thesis(dmu50)
+    data = read_by_truth(plan.select(plan.carrier == "tool"), truth)
+    unknown, known = identify(data, dmu50), identify(with_places(data), dmu50)
+    (notice,) = unknown.notices
+    assert "whose distance from the machine's own origin is not known" in notice
+    for name in ("E_XX", "E_YX", "E_ZX", "E_C0Y"):
+        assert name in notice.split(" refer to")[0]
+    assert known.notices == ()
+    for name, curve in known.calibration.curves.items():
+        q = np.linspace(*curve.domain, 11)
+        (wide, u_wide), (exact, u) = unknown.interval(name, q), known.interval(name, q)
+        if name in notice:
+            assert u_wide.max() > 1.2 * u.max(), name
+            # 0.2 m is one standard deviation of each target's coordinate; these sit up to 0.2 m away.
+            assert np.all(np.abs(wide - exact) <= 5.0 * u_wide), name
+    numbers = {**known.calibration.squareness, **known.calibration.location}
+    worst = {k: v for k, v in differences(known.calibration, truth, errors).items() if k[3] in "XYZ" and k[2] != "0"}
+    assert max(value for name, value in worst.items() if name in known.calibration.curves) <= EXACT
+    for name, value in errors["squareness"].items():
+        assert numbers[name] == pytest.approx(value, abs=EXACT)
+
+
+def test_axes_that_rest_are_named(dmu50: Machine, truth: TruthMachine) -> None:
+    plan = as_the_thesis(dmu50)
+    found = identify(read_by_truth(plan.select(plan.carrier == "tool"), truth), dmu50)
+    reasons = {one.name: one.reason for one in found.unidentified}
+    for letter in "XYZABC":
+        assert reasons[f"E_{letter}B"] == "B was not moved" and reasons[f"E_{letter}C"] == "C was not moved"
+    assert reasons["E_A0C"] == "C was not moved"
+    assert set(found.calibration.curves) == {f"E_{letter}{axis}" for letter in "XYZABC" for axis in "XYZ"}
+    assert "B was not moved" in found.to_text()
+
+
+def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
+    """Through the origin of X's error frame. Nothing tells a turn about that line: E_AX is named and not reported;
+    what does not hang on it is exact.
+    """
+    errors = in_datum(np.random.default_rng(52), ("E_XX", "E_BX", "E_CX"), constants=False)
+    truth = written(tmp_path / "t.yaml", errors)
+    positions = np.tile([250.0, 225.0, -200.0, 0.0, 0.0], (44, 1))
+    positions[:22, 0] = np.tile(np.linspace(0.0, 500.0, 11), 2)
+    positions[22:, 1] = np.tile(np.linspace(0.0, 450.0, 11), 2)
+    places = dict(PLACES)
+    PLACES.update(L=("tool", (-150.0, -225.0, 200.0)), R=("tool", (100.0, -225.0, 200.0)))
+    try:
+        plan = with_places(table(dmu50, positions, np.tile(np.repeat(["L", "R"], 11), 2), np.full(44, "1")))
+        found = identify(read_by_truth(plan, truth), dmu50)
+    finally:
+        PLACES.clear()
+        PLACES.update(places)
+    reasons = {one.name: one.reason for one in found.unidentified}
+    assert "it takes three targets apart from one line" in reasons["E_AX"]
+    # Both targets lie on one line along x through the frame of X: its roll alone moves neither, and moves with nothing else.
+    assert reasons["E_AX"].startswith("no reading shows E_AX order 1 +1000 µrad alone")
+    assert "E_AX" not in found.calibration.curves
+    worst = differences(found.calibration, truth, errors)
+    assert max(worst[name] for name in ("E_XX", "E_YX", "E_ZX", "E_BX", "E_CX")) <= EXACT
+
+
+def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]) -> None:
+    """Their line is oblique, so that it is a mixture of three angles that nothing tells: what is reported still holds within 4 u."""
+    plan = as_the_thesis(dmu50)
+    data = with_places(read_by_truth(plan.select(np.isin(plan.target, ("P", "Q"))), truth))
+    found = identify(data, dmu50)
+    assert any(name in {one.name for one in found.unidentified} for name in ("E_AX", "E_BX", "E_CX"))
+    for name, curve in found.calibration.curves.items():
+        q = np.linspace(*curve.domain, 11)
+        value, u = found.interval(name, q)
+        true = np.array([truth.curve(name, float(v)) for v in q])
+        assert np.all(np.abs(value - true) <= 4.0 * u + EXACT), name
+
+
+def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict[str, dict]) -> None:
+    """E_X0B, E_Y0B, E_Y0C: named with the reason where no place is known; found where all are."""
+    more = {**errors, "location": {**errors["location"], "E_X0B": 12.0, "E_Y0B": -7.0, "E_Y0C": 9.0}}
+    truth = written(tmp_path / "t.yaml", more)
+    data = read_by_truth(as_the_thesis(dmu50), truth)
+    unknown, known = identify(data, dmu50), identify(with_places(data), dmu50)
+    reasons = {one.name: one.reason for one in unknown.unidentified}
+    assert set(reasons) == {"E_X0B", "E_Y0B", "E_Y0C"}
+    assert all("give the targets' places" in reason for reason in reasons.values())
+    # The cradle's frame shifted along its own axis is stations and tool targets shifted the other way, one for one.
+    shown = reasons["E_X0B"].removeprefix("no reading shows E_X0B +1000 µm with ").partition(": ")[0].split(", ")
+    assert sorted(shown) == [f"{name} x +1 mm" for name in ("station 1", "target K", "target P", "target Q")]
+    assert known.unidentified == ()
+    for name, value in more["location"].items():
+        assert known.calibration.location[name] == pytest.approx(value, abs=EXACT), name
+    assert max(differences(known.calibration, truth, more).values()) <= EXACT

@@ -1,0 +1,179 @@
+"""Rows that agree, positions outside the range, stations without a reading: refused, set aside or named while a table is read."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.truth.few_axes import write_drill
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import LaserTracker
+from twin.measurement.simulate import simulate
+from twin.measurement.table import Measurements, load
+from twin.samples import thesis_plan
+
+SEED = 20
+
+
+@pytest.fixture(scope="module")
+def tracked(dmu50: Machine) -> Measurements:
+    """The thesis's plan before a laser tracker, hundredths of a micrometre written; four rounds."""
+    rng = np.random.default_rng(SEED)
+    data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
+    return replace(data, point_mm=locked(np.round(data.point_mm, 5)))
+
+
+def pasted(data: Measurements, machine: Machine, path: Path, rows: list[int], *without: str) -> Path:
+    """The table as a file with some rows once more at its end; columns that begin with ``without`` left out."""
+    lines = [line.split(",") for line in data.to_csv(machine).splitlines() if not line.startswith("#")]
+    lines += [lines[row + 1] for row in rows]
+    keep = [i for i, name in enumerate(lines[0]) if not name.startswith(without or "-")]
+    path.write_text("\n".join(",".join(line[i] for i in keep) for line in lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("without", [(), ("round",), ("round", "approach")], ids=lambda names: "-".join(names) or "all")
+def test_a_pasted_row_of_a_tracker_is_a_copy(
+    dmu50: Machine, tracked: Measurements, tmp_path: Path, without: tuple[str, ...]
+) -> None:
+    """No time is given. 16 repeats of a point at 5 µm and digits of 0.01 µm: chance makes an equal pair in 10⁶ tables."""
+    found = load(pasted(tracked, dmu50, tmp_path / "m.csv", [3, 400], *without), dmu50)
+    assert len(found) == len(tracked)
+    assert [(note.line, note.text) for note in found.set_aside] == [
+        (len(tracked) + 2, "the same as line 5 in every column"),
+        (len(tracked) + 3, "the same as line 402 in every column"),
+    ]
+
+
+@pytest.mark.parametrize("rows", [10, 840])
+def test_a_table_pasted_twice(dmu50: Machine, tracked: Measurements, tmp_path: Path, rows: int) -> None:
+    """With and without repeats that differ."""
+    part = tracked.select(np.arange(rows))
+    path = pasted(part, dmu50, tmp_path / "m.csv", list(range(rows)), "round")
+    found = load(path, dmu50)
+    assert len(found) == rows and [note.line for note in found.set_aside] == list(range(rows + 2, 2 * rows + 2))
+
+
+def gauge(machine: Machine, path: Path, *, step_mm: float, noise_mm: float, times: bool = False) -> Path:
+    """A drill's x before a gauge with coarse steps: 5 positions, 40 readings of each, no rounds."""
+    rng = np.random.default_rng(SEED)
+    x = np.tile(np.linspace(0.0, 200.0, 5), 40)
+    read = np.round((x * (1.0 + 30e-6) + rng.normal(0.0, noise_mm, len(x))) / step_mm) * step_mm
+    lines = ["X_mm,Z_mm,target,carrier,x_mm,y_mm,z_mm" + (",time_s" if times else "")]
+    lines += [
+        f"{q:g},0,G,work,{-m:.5f},," + (f",{10 * i}" if times else "")
+        for i, (q, m) in enumerate(zip(x, read, strict=True))
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(("step_mm", "noise_mm"), [(0.0025, 0.004), (0.01, 0.003), (0.01, 0.0), (0.05, 0.004)])
+def test_equal_readings_of_a_coarse_gauge_are_no_copies(tmp_path: Path, step_mm: float, noise_mm: float) -> None:
+    """Steps as fine as the noise, coarser, and so coarse that no repeat differs."""
+    machine = Machine.load(write_drill(tmp_path))
+    found = load(gauge(machine, tmp_path / "m.csv", step_mm=step_mm, noise_mm=noise_mm), machine)
+    assert len(found) == 200 and not found.set_aside
+
+
+def test_times_decide(tmp_path: Path) -> None:
+    """The same gauge with times: no reading is taken twice at one moment, so that the pasted row is found."""
+    machine = Machine.load(write_drill(tmp_path))
+    path = gauge(machine, tmp_path / "m.csv", step_mm=0.01, noise_mm=0.003, times=True)
+    assert not load(path, machine).set_aside
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, lines[7]]) + "\n")
+    (note,) = load(path, machine).set_aside
+    assert (note.line, note.text) == (202, "the same as line 8 in every column")
+    # Times of the minute are shared by different readings: they do not tell.
+    coarse = [re.sub(r"(\d+)$", lambda found: str(int(found[1]) // 600), line) for line in lines[1:]]
+    path.write_text("\n".join([lines[0], *coarse]) + "\n")
+    assert not load(path, machine).set_aside
+
+
+@pytest.mark.parametrize("column", ["T_bed_degC", "readback_X_mm", "u_x_mm", "load_kg"])
+def test_a_row_that_differs_in_any_column_is_no_copy(
+    dmu50: Machine, tracked: Measurements, tmp_path: Path, column: str
+) -> None:
+    """The last, which is not understood, too."""
+    lines = pasted(tracked, dmu50, tmp_path / "m.csv", [3]).read_text().splitlines()
+    text = [f"{lines[0]},{column}", *(f"{line},0.01" for line in lines[1:-1]), f"{lines[-1]},0.02"]
+    (tmp_path / "m.csv").write_text("\n".join(text) + "\n")
+    assert not load(tmp_path / "m.csv", dmu50).set_aside
+    (tmp_path / "m.csv").write_text("\n".join([*text[:-1], f"{lines[-1]},0.01"]) + "\n")
+    (note,) = load(tmp_path / "m.csv", dmu50).set_aside
+    assert note.line == len(tracked) + 2
+
+
+def shifted(data: Measurements, machine: Machine, path: Path, axis: int, change: float, factor: float = 1.0) -> Path:
+    positions = np.array(data.positions)
+    positions[:, axis] = positions[:, axis] * factor + change
+    replace(data, positions=locked(positions)).save(path, machine)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("axis", "change", "words", "likely"),
+    [
+        (0, 600.0, "X_mm runs 600 … 1100 and X 0 … 500", "X_mm less an offset of 600 mm?"),
+        (0, -250.0, "X_mm runs -250 … 250 and X 0 … 500", "X_mm less an offset of -250 mm?"),
+        (0, 50.0, "X_mm runs 50 … 550 and X 0 … 500", "X_mm less an offset of 50 mm?"),
+        (1, 60.0, "Y_mm runs 60 … 510 and Y 0 … 450", "Y_mm less an offset of 60 mm?"),
+        (2, 400.0, "Z_mm runs 0 … 400 and Z -400 … 0", "Z_mm less an offset of 400 mm?"),
+        (3, -90.0, "B_deg runs -90 … 90 and B 0 … 180", "B_deg less an offset of -90 deg?"),
+    ],
+)
+def test_a_missing_offset_is_named(
+    dmu50: Machine, tracked: Measurements, tmp_path: Path, axis: int, change: float, words: str, likely: str
+) -> None:
+    """All rows outside the range, or a part of them."""
+    path = shifted(tracked, dmu50, tmp_path / "m.csv", axis, change)
+    with pytest.raises(InputError) as caught:
+        load(path, dmu50)
+    assert words in caught.value.what and likely in caught.value.expected
+    assert caught.value.file == str(path) and caught.value.line is not None
+    line = path.read_text().splitlines()[caught.value.line - 1].split(",")
+    assert float(line[axis]) == float(str(caught.value.value))
+
+
+def test_micrometres_are_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="X_mm looks like micrometres, divide by 1000"):
+        load(shifted(tracked, dmu50, tmp_path / "m.csv", 0, 0.0, 1e3), dmu50)
+
+
+def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
+    """Typing errors on either side are no offset."""
+    positions = np.array(tracked.positions)
+    positions[[5, 100, 300], 0] = [600.0, 501.0, -70.0]
+    replace(tracked, positions=locked(positions)).save(tmp_path / "m.csv", dmu50)
+    found = load(tmp_path / "m.csv", dmu50)
+    assert len(found) == len(tracked) - 3
+    assert {note.text for note in found.set_aside} == {"X is commanded outside its range 0 … 500 mm"}
+
+
+def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
+    """A notice where other stations remain; refused where it is the only one. A target likewise."""
+    points, stations = np.array(tracked.point_mm), np.array(tracked.station)
+    stations[:40], points[:40] = "west", np.nan
+    points[tracked.target == "P"] = np.nan
+    lost = int(np.count_nonzero(tracked.target == "P"))
+    replace(tracked, point_mm=locked(points), station=locked(stations)).save(tmp_path / "m.csv", dmu50)
+    assert load(tmp_path / "m.csv", dmu50).notices[:3] == (
+        "the file says: simulated readings",
+        "station west is not part of the result: none of its 40 rows can be used (no coordinate was measured)",
+        f"target P is not part of the result: none of its {lost} rows can be used (no coordinate was measured)",
+    )
+    lines = tmp_path / "n.csv"
+    lines.write_text(
+        "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,station\n" + "0,0,0,0,0,K,tool,,,,west\n" * 4
+    )
+    with pytest.raises(InputError, match="station west: no coordinate was measured") as caught:
+        load(lines, dmu50)
+    assert caught.value.line == 2

@@ -1,0 +1,281 @@
+"""From the calibration's covariance to the tool point: against a second formulation, against draws, and where nothing is known."""
+
+from __future__ import annotations
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+import yaml
+from scipy import stats
+
+from tests.machine.errors import random_calibration
+from tests.truth.machine import TruthMachine
+from twin import cli
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.numerics.covariance import Covariance
+from twin.uncertainty.at_tool import POSES_A_STEP, ToolUncertainty, numerical_tolerance, radius_95
+from twin.uncertainty.budget import error_budget, volume
+
+LENGTH = 120.0
+
+
+def names_of(calibration: Calibration) -> tuple[str, ...]:
+    return tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
+
+
+def with_covariance(calibration: Calibration, rng: np.random.Generator, u: float) -> Calibration:
+    """Every number with a standard uncertainty about ``u`` µm or µrad, all of them correlated."""
+    names = names_of(calibration)
+    drawn = rng.normal(size=(len(names), len(names) + 20)) * u / np.sqrt(len(names))
+    return replace(calibration, joint=Covariance(names, locked(drawn @ drawn.T)))
+
+
+@pytest.fixture(scope="module")
+def uncertain(dmu50: Machine) -> Calibration:
+    rng = np.random.default_rng(20)
+    return with_covariance(random_calibration(dmu50, rng, 100.0), rng, 2.0)
+
+
+def nudged(truth: TruthMachine, name: str, by: float) -> TruthMachine:
+    """The truth machine with one number of its file changed."""
+    other = copy.deepcopy(truth)
+    entry, _, index = name.partition("[")
+    if index:
+        other.curves[entry]["coefficients"][int(index[:-1])] += by
+    else:
+        table = other.squareness if entry in other.squareness else other.location
+        table[entry] += by
+    return other
+
+
+def test_first_order_against_a_second_formulation(dmu50: Machine, uncertain: Calibration, tmp_path: Path) -> None:
+    """J by central differences of a machine that shares no code, number by number, and J Σ Jᵀ written out."""
+    uncertain.save(tmp_path / "c.yaml")
+    truth = TruthMachine(tmp_path / "c.yaml", LENGTH)
+    q = volume(dmu50, 6, seed=3)
+    found = ToolUncertainty(Kinematics(dmu50, uncertain, tool_length_mm=LENGTH)).at(q)
+    assert uncertain.joint is not None and found.complete
+    names = uncertain.joint.names
+    columns = np.empty((len(q), 6, len(names)))
+    for k, name in enumerate(names):
+        plus, minus = nudged(truth, name, 1.0), nudged(truth, name, -1.0)
+        for i, row in enumerate(q):
+            a, b = plus.pose(row), minus.pose(row)
+            turn = a[:3, :3] @ b[:3, :3].T
+            columns[i, :3, k] = (a[:3, 3] - b[:3, 3]) * 1e3 / 2
+            columns[i, 3:, k] = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]) * 1e6 / 2
+    wanted = columns @ uncertain.joint.matrix @ columns.transpose(0, 2, 1)
+    scale = np.sqrt(np.einsum("nii->ni", wanted))
+    # Differences: 1e-13 m of rounding over 1 µm, 1e-7; the third derivative over a step of 1e-6 is far below.
+    assert np.abs((found.covariance - wanted) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-6
+    assert found.standard_um == pytest.approx(scale[:, :3], rel=1e-6)
+
+
+def test_first_order_against_monte_carlo(dmu50: Machine, uncertain: Calibration) -> None:
+    tool = ToolUncertainty(Kinematics(dmu50, uncertain, tool_length_mm=LENGTH))
+    q = volume(dmu50, 4, seed=5)
+    first = tool.at(q)
+    trials = 100_000
+    drawn = tool.monte_carlo(q, np.random.default_rng(6), trials)
+    assert drawn.validated == (True,) * len(q)
+    spread = np.sqrt(np.einsum("nii->ni", first.covariance))
+    noise = 1.0 / np.sqrt(trials)
+    # Five standard errors of a covariance's entry, √(1 + ρ²) in units of the two standard deviations, and of a mean.
+    apart = (drawn.covariance - first.covariance) / (spread[:, :, None] * spread[:, None, :])
+    assert np.abs(apart).max() < 5 * np.sqrt(2.0) * noise
+    assert np.abs(drawn.mean / spread).max() < 5 * noise
+    # The 95 % quantile of a length: its own error is 2 % of a standard deviation at 1e4 draws, 0.6 % here; U is up to 0.54 % large.
+    assert np.abs(drawn.radius_um / first.expanded_um - 1).max() < 0.01
+    again = tool.monte_carlo(q, np.random.default_rng(6), trials)
+    assert np.array_equal(again.interval_um, drawn.interval_um)
+
+
+def test_where_first_order_is_not_enough_it_is_not_validated(dmu50: Machine) -> None:
+    """The spindle nods by 20 mrad (u) over a tool of 300 mm: the tip rises with the square of the angle, which has no first order."""
+    calibration = Calibration(
+        dmu50,
+        "test",
+        MappingProxyType({}),
+        MappingProxyType({}),
+        MappingProxyType({"E_A0B": 0.0}),
+        Covariance(("E_A0B",), locked(np.array([[2e4**2]]))),
+    )
+    tool = ToolUncertainty(Kinematics(dmu50, calibration, tool_length_mm=300.0))
+    rng = np.random.default_rng(7)
+    coarse = tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 10_000)
+    assert coarse.validated == (False,)
+    assert (coarse.difference_um > coarse.tolerance_um).any()
+    small = replace(calibration, joint=Covariance(("E_A0B",), locked(np.array([[1.0]]))))
+    tool = ToolUncertainty(Kinematics(dmu50, small, tool_length_mm=300.0))
+    assert tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 200_000).validated == (True,)
+    # Two digits ask for ends to 0.5 … 5 % of u, and a thousand trials give them to 8 %.
+    assert tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 1000, digits=2).validated == (None,)
+
+
+def test_numerical_tolerance() -> None:
+    """JCGM 101, 7.9.2, examples 1 and 2: u = 0.00035 g to two digits and to one."""
+    assert numerical_tolerance(np.array(0.00035), 2) == pytest.approx(0.5e-5)
+    assert numerical_tolerance(np.array(0.00035), 1) == pytest.approx(0.5e-4)
+    assert numerical_tolerance(np.array([9.96, 0.0]), 2) == pytest.approx([0.5, 0.0])
+
+
+@pytest.mark.parametrize("directions", [1, 2, 3])
+def test_radius_is_exact_for_equal_directions(directions: int) -> None:
+    covariance = np.diag([4.0] * directions + [0.0] * (3 - directions))
+    exact = 2.0 * np.sqrt(stats.chi2.ppf(0.95, directions))
+    assert radius_95(covariance[None])[0] == pytest.approx(exact, rel=4e-5)  # of the polynomial
+
+
+def test_radius_covers_95_percent() -> None:
+    """Of draws from covariances of every shape, needles and discs among them."""
+    rng = np.random.default_rng(8)
+    for _ in range(30):
+        directions = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        root = directions * 10.0 ** rng.uniform(-2, 1, size=3)
+        radius = radius_95((root @ root.T)[None])[0]
+        length = np.linalg.norm(rng.standard_normal((40_000, 3)) @ root.T, axis=1)
+        # 0.15 % of the approximation, and five standard errors of 0.11 % of the draws.
+        assert abs(np.mean(length <= radius) - 0.95) < 0.01
+    assert radius_95(np.zeros((1, 3, 3)))[0] == 0.0
+
+
+def test_what_is_fully_correlated_cancels(dmu50: Machine) -> None:
+    """The spindle and the table's axis C shifted by the same unknown amount along x: nothing between tool and work at B = 0."""
+    names = ("E_X0C", "E_XX[0]")
+    tied = Covariance(names, locked(np.full((2, 2), 9.0)))
+    base = random_calibration(dmu50, np.random.default_rng(9), 1e-3)  # in effect none: nothing else is turned
+    calibration = replace(
+        base,
+        curves=MappingProxyType({"E_XX": base.curves["E_XX"]}),
+        squareness=MappingProxyType({}),
+        location=MappingProxyType({"E_X0C": 0.0}),
+    )
+    q = [[250.0, 225.0, -200.0, 0.0, c] for c in (0.0, 77.0)] + [[250.0, 225.0, -200.0, 180.0, 0.0]]
+
+    def expanded(joint: Covariance) -> np.ndarray:
+        return ToolUncertainty(Kinematics(dmu50, replace(calibration, joint=joint))).at(q).expanded_um
+
+    both = expanded(tied)
+    assert both[:2].max() < 1e-6  # rounding in the square root of eps · 9 µm²
+    # B = 180° turns C's own frame about the tilted axis, and x there to −x: the two shifts add, 6 µm instead of 0.
+    assert both[2] == pytest.approx(1.96 * 6.0, rel=1e-4)
+    apart = expanded(Covariance(names, locked(9.0 * np.eye(2))))
+    assert apart == pytest.approx(1.96 * 3.0 * np.sqrt(2.0), rel=1e-4)
+
+
+def test_no_covariance_is_unknown_and_not_zero(dmu50: Machine, calibration: Calibration) -> None:
+    tool = ToolUncertainty(Kinematics(dmu50, calibration))
+    found = tool.at([250.0, 225.0, -200.0, 30.0, 0.0])
+    assert not found.known and not found.complete
+    assert np.isnan(found.covariance).all() and np.isnan(found.expanded_um).all()
+    assert np.isnan(found.axis_expanded_urad).all()
+    named = {*calibration.curves, *calibration.squareness, *calibration.location}
+    assert set(found.without_uncertainty) == named
+    over = tool.over_volume(50).to_dict()
+    assert over["known"] is False and over["rms_um"] is None and over["expanded_um"] is None
+    assert json.loads(json.dumps(over, allow_nan=False)) == over
+    with pytest.raises(InputError, match="covariance"):
+        tool.monte_carlo([250.0, 225.0, -200.0, 30.0, 0.0], np.random.default_rng(0))
+
+
+def test_what_has_no_covariance_is_named(dmu50: Machine, uncertain: Calibration) -> None:
+    assert uncertain.joint is not None
+    some = replace(uncertain, joint=uncertain.joint.where(lambda name: name not in ("E_XX[2]", "E_C0Y")))
+    found = ToolUncertainty(Kinematics(dmu50, some)).at([250.0, 225.0, -200.0, 30.0, 0.0])
+    assert found.without_uncertainty == ("E_XX[2]", "E_C0Y")
+    assert found.known and not found.complete
+    rows = {row.name: row.peak_u for row in error_budget(dmu50, some)[0]}
+    assert np.isnan(rows["E_XX"]) and np.isnan(rows["E_C0Y"])
+    assert rows["E_A0Z"] == pytest.approx(np.sqrt(some.covariance.of(["E_A0Z"]).matrix[0, 0]))
+    # Two numbers of a power curve, by hand: u² = s00 + 2 u s01 + u² s11 …, largest over the domain.
+    names = [f"E_XY[{k}]" for k in range(6)]
+    matrix = some.covariance.of(names).matrix
+    u = np.linspace(-1, 1, 2001)[:, None] ** np.arange(6)
+    assert rows["E_XY"] == pytest.approx(np.sqrt(np.einsum("nk,kl,nl->n", u, matrix, u).max()), rel=1e-4)
+
+
+def test_a_map_over_the_volume(dmu50: Machine, uncertain: Calibration) -> None:
+    tool = ToolUncertainty(Kinematics(dmu50, uncertain, tool_length_mm=LENGTH))
+    grid = tool.on_grid((3, 2, 2), {"B": 90.0})
+    assert grid.positions.shape == (12, 5)
+    assert {tuple(row) for row in grid.positions[:, :3]} == {
+        (x, y, z) for x in (0.0, 250.0, 500.0) for y in (0.0, 450.0) for z in (-400.0, 0.0)
+    }
+    assert set(grid.positions[:, 3]) == {90.0} and set(grid.positions[:, 4]) == {0.0}
+    alone = np.array([tool.at(row).expanded_um[0] for row in grid.positions])
+    assert grid.uncertainty.expanded_um == pytest.approx(alone, rel=1e-12)
+    data = json.loads(json.dumps(grid.to_dict(), allow_nan=False))
+    assert data["rms_um"] == pytest.approx(np.sqrt(np.mean(alone**2)))
+    assert data["max_um"] == pytest.approx(alone.max())
+    assert list(data["where"].values()) == pytest.approx(grid.positions[np.argmax(alone)].tolist())
+    assert tool.over_volume().rms_um == pytest.approx(grid.rms_um, rel=0.5)  # of one size, neither a bound of the other
+    for counts, rotary, words in (((3, 2), {}, "X, Y, Z"), ((2, 2, 2), {"X": 1.0}, "B, C")):
+        with pytest.raises(InputError, match=words):
+            tool.on_grid(counts, rotary)
+
+
+def test_many_poses_are_as_good_as_one(dmu50: Machine, uncertain: Calibration) -> None:
+    """Across the seams of the steps the poses are worked off in."""
+    tool = ToolUncertainty(Kinematics(dmu50, uncertain))
+    q = volume(dmu50, POSES_A_STEP + 300)
+    many = tool.at(q)
+    for i in (0, 255, 256, POSES_A_STEP - 1, POSES_A_STEP, len(q) - 1):
+        assert many.covariance[i] == pytest.approx(tool.at(q[i]).covariance[0], rel=1e-9, abs=1e-12)
+    with pytest.raises(ValueError, match="read-only"):
+        many.covariance[0] = 0.0
+
+
+def test_a_rank_one_covariance_gives_no_negative_variance(dmu50: Machine, uncertain: Calibration) -> None:
+    names = names_of(uncertain)
+    shape = np.random.default_rng(10).normal(size=len(names))
+    tied = replace(uncertain, joint=Covariance(names, locked(np.outer(shape, shape))))
+    found = ToolUncertainty(Kinematics(dmu50, tied)).at(volume(dmu50, 500))
+    assert np.einsum("nii->ni", found.covariance).min() >= 0.0
+    assert np.isfinite(found.expanded_um).all()
+    largest = np.linalg.eigvalsh(found.covariance[:, :3, :3])
+    assert (largest[:, 1] <= 1e-9 * largest[:, 2]).all()  # one number moves every point along a line
+
+
+def test_a_curves_own_covariance_is_taken(dmu50: Machine, tmp_path: Path) -> None:
+    """A file whose curve has its own covariance and whose others have none: taken, and the others named."""
+    path = tmp_path / "c.yaml"
+    curve = {"unit": "um", "domain": [0, 500], "basis": "power", "coefficients": [1.0, 2.0]}
+    data = {
+        "schema": "twin.calibration/1",
+        "machine": dmu50.name,
+        "source": "a test",
+        "curves": {"E_XX": {**curve, "covariance": [[4.0, 0.0], [0.0, 9.0]]}, "E_YX": curve},
+    }
+    path.write_text(yaml.safe_dump(data))
+    found = ToolUncertainty(Kinematics(dmu50, Calibration.load(path, dmu50))).at([500.0, 225.0, -200.0, 0.0, 0.0])
+    assert found.without_uncertainty == ("E_YX",)
+    assert found.standard_um[0] == pytest.approx([np.sqrt(13.0), 0.0, 0.0], abs=1e-9)
+
+
+def test_info_says_what_is_known_of_the_tool(
+    dmu50: Machine, uncertain: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def printed(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["info", *arguments])
+        assert stopped.value.code == 0
+        return capsys.readouterr().out
+
+    assert "uncertainty of the tool point: unknown" in printed()
+    assert uncertain.joint is not None
+    some = replace(uncertain, joint=uncertain.joint.where(lambda name: not name.startswith("E_XX")))
+    some.save(tmp_path / "c.yaml")
+    text = printed("-c", str(tmp_path / "c.yaml"), "--tool-length", "120")
+    over = ToolUncertainty(Kinematics(dmu50, some, tool_length_mm=LENGTH)).over_volume()
+    assert f"U at least {over.rms_um:.2f} µm RMS, {over.max_um:.2f} µm largest" in text
+    assert "not in it (no covariance in the calibration): E_XX" in text
+    assert "peak u" in text

@@ -1,0 +1,1 @@
+"""What every package needs: errors with their place, files written whole, units, read-only arrays, distributions, threads."""

@@ -1,0 +1,159 @@
+"""Tables: CSV with a header and comments, whose errors know file, line and value."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError, control_character, is_it
+from twin._common.files import read_lines
+
+MOST_COLUMNS: Final = 1000
+LARGEST: Final = 1e12
+"""Of any number in a table: seconds since 1970 are less; the square of it, and sums of squares, are finite."""
+
+
+def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
+    """Return a CSV file with a header row and ``#`` comments.
+
+    A row is a line: a line break in a cell is refused.
+
+    Returns:
+        Header, rows with their lines, and the text of every comment.
+
+    Raises:
+        InputError: no header, too many columns, a column given twice, a row of another length, a cell that does not end in its line
+            or is too long, a control character.
+    """
+    whole = [(number, text) for number, text in enumerate(read_lines(path), start=1) if text.strip()]
+    for number, text in whole:
+        if control_character(text) is not None:
+            raise InputError("a control character", expected="printable text", file=path, line=number, value=text)
+    lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
+    comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
+    if not lines:
+        raise InputError("no header row", expected="a CSV table with a header", file=path)
+    cells = _cells(lines, path)
+    header = [name.strip() for name in cells[0]]
+    if len(header) > MOST_COLUMNS:
+        raise InputError(f"{len(header)} columns", expected=f"at most {MOST_COLUMNS}", file=path, line=lines[0][0])
+    twice = next((name for name, count in Counter(header).items() if count > 1), None)
+    if twice is not None:
+        raise InputError("a column given twice", expected="each column once", file=path, line=lines[0][0], value=twice)
+    rows = []
+    for (number, text), row in zip(lines[1:], cells[1:], strict=True):
+        if len(row) != len(header):
+            raise InputError(
+                f"{len(row)} cells",
+                expected=f"{len(header)}, as in the header",
+                file=path,
+                line=number,
+                value=",".join(row),
+            )
+        rows.append((number, [cell.strip() for cell in row] if " " in text or "\t" in text else row))
+    return header, rows, comments
+
+
+def cells_of(text: str, path: Path, line: int) -> list[str]:
+    """Return the cells of one line of CSV.
+
+    Raises:
+        InputError: a cell that does not end in this line, or is too long.
+    """
+    return _cells([(line, text)], path)[0]
+
+
+def _cells(lines: Sequence[tuple[int, str]], path: Path) -> list[list[str]]:
+    """The cells of every line: as many rows as lines."""
+    reader = csv.reader((text for _, text in lines), strict=True)
+    found: list[list[str]] = []
+    expected = "cells with a comma between, each ending in its line"
+    try:
+        for row in reader:
+            found.append(row)
+            if reader.line_num != len(found):
+                line, text = lines[len(found) - 1]
+                raise InputError("a line break in a cell", expected=expected, file=path, line=line, value=text)
+    except csv.Error as error:
+        line, text = lines[len(found)]
+        raise InputError(f"no row of a table ({error})", expected=expected, file=path, line=line, value=text) from None
+    return found
+
+
+@final
+@dataclass(frozen=True)
+class Cells:
+    """The cells below a header; reading a column checks it, and what does not fit is an `InputError` with file, line and value."""
+
+    path: Path
+    columns: Mapping[str, int]
+    rows: Sequence[tuple[int, list[str]]]
+
+    def numbers(self, name: str) -> np.ndarray:
+        """A column of numbers; NaN where the cell is empty or the column absent."""
+        column = self.columns.get(name)
+        if column is None:
+            return locked(np.full(len(self.rows), np.nan))
+        cells = [row[column] for _, row in self.rows]
+        try:
+            values = np.array([float(cell) if cell else np.nan for cell in cells], dtype=float)
+        except ValueError:
+            line, cell = next(
+                (line, row[column]) for line, row in self.rows if row[column] and not _is_number(row[column])
+            )
+            raise InputError(
+                f"{name} is no number",
+                expected="a number with a decimal point, or nothing",
+                file=self.path,
+                line=line,
+                value=cell,
+            ) from None
+        for i in np.flatnonzero(np.isfinite(values) & (np.abs(values) > LARGEST)):
+            raise InputError(
+                f"{name} is too large",
+                expected=f"a number of at most {LARGEST:g}",
+                file=self.path,
+                line=self.rows[int(i)][0],
+                value=cells[i],
+            )
+        for i in np.flatnonzero(np.isnan(values)):
+            if cells[i]:
+                values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
+        return locked(values)
+
+    def words(self, name: str, default: str) -> np.ndarray:
+        """A column of words; the default where the cell is empty or the column absent."""
+        column = self.columns.get(name)
+        cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
+        return locked(np.array(cells, dtype=object))
+
+    def signs(self, name: str) -> np.ndarray:
+        """A column of directions, +1 or −1; 0 where the cell is empty or the column absent."""
+        values = np.nan_to_num(self.numbers(name), nan=0.0)
+        wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
+        if np.any(wrong):
+            i = int(np.flatnonzero(wrong)[0])
+            raise InputError(
+                f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
+            )
+        return locked(values)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def not_understood(name: str, known: Sequence[str]) -> str:
+    """What a reader is told of a column that is not used."""
+    return f"column {name} is not understood and not used{is_it(name, known)}"

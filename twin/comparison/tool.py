@@ -1,0 +1,441 @@
+"""What a change of the calibration is at the tool: over the volume, as it is and after the workpiece has been aligned anew.
+
+Where the work frame lies on the machine is found by touching off, before every part: a shift and a turn of everything together (six
+numbers, fitted to the change over all poses by least squares) cost nothing. They also take up what no measurement of the tool against
+the work can tell, so that two calibrations that say the same in different words come out alike.
+
+What the uncertainties alone would show is drawn: both calibrations' numbers from their covariances, independently, through the first
+derivatives of the tool point by them (JCGM 101:2008; the chain itself is as good as linear in errors of this size).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.display import finite
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.inverse import Inverse, Status
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.effects import Frame
+from twin.uncertainty.at_tool import COVERAGE, ToolUncertainty, radius_95
+from twin.uncertainty.budget import drawn_sides, volume
+
+POSES: Final = 400
+Cause = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
+"""Where a change acts, and its components by what effects are functions of: as of `twin.machine.effects.Effect`."""
+DRAWS: Final = 8000
+DRAWS_A_STEP: Final = 500
+"""Held at once: 500 draws of 400 points are 5 MB."""
+SEED: Final = 16907
+
+
+@final
+@dataclass(frozen=True)
+class Moved:
+    """How far the tool point has moved over the volume.
+
+    Attributes:
+        rms_um, max_um: of the distance over the poses.
+        where: position of the largest, by axis.
+        u_max_um: U there (`twin.uncertainty.at_tool.DEFINITION`); NaN if unknown.
+        limit_um: what the RMS stays below where nothing has changed but for the uncertainties, in all but the share of false alarms
+            that this look has; NaN if unknown.
+        p_value: of an RMS that large or larger if nothing has changed; NaN if unknown.
+    """
+
+    rms_um: float
+    max_um: float
+    where: Mapping[str, float]
+    u_max_um: float
+    limit_um: float
+    p_value: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; null where it is unknown."""
+        found: dict[str, Any] = {"rms_um": self.rms_um, "max_um": self.max_um, "where": dict(self.where)}
+        for name in ("u_max_um", "limit_um", "p_value"):
+            value = getattr(self, name)
+            found[name] = finite(value)
+        return found
+
+
+@final
+@dataclass(frozen=True)
+class Left:
+    """What remains where the older calibration compensates the machine that the newer one describes.
+
+    Attributes:
+        rms_um, max_um, where: of the tool point against where it was meant to be, after aligning the workpiece anew.
+        as_it_is_rms_um, as_it_is_max_um: before that.
+        u_max_um: U at ``where``; NaN if unknown.
+        surely_um: with 95 % probability no more than this at any of the poses; NaN if unknown.
+        at_least_um: with 95 % probability more than this at one of them; NaN if unknown.
+        poses: at how many poses.
+        out_of_reach: poses left out, because compensating them leaves a range or a curve's domain.
+    """
+
+    rms_um: float
+    max_um: float
+    where: Mapping[str, float]
+    as_it_is_rms_um: float
+    as_it_is_max_um: float
+    u_max_um: float
+    surely_um: float
+    at_least_um: float
+    poses: int
+    out_of_reach: int
+
+    def enough(self, tolerance_um: float) -> bool | None:
+        """Whether the older calibration is still good enough; None if it cannot be told.
+
+        The rule of ISO 14253-1: what is uncertain counts for neither answer.
+        """
+        if not np.isfinite(self.surely_um):
+            return None
+        if self.surely_um <= tolerance_um:
+            return True
+        return False if self.at_least_um > tolerance_um else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; null where it is unknown."""
+        return {
+            "rms_um": self.rms_um,
+            "max_um": self.max_um,
+            "where": dict(self.where),
+            "as_it_is": {"rms_um": self.as_it_is_rms_um, "max_um": self.as_it_is_max_um},
+            "u_max_um": self.u_max_um if np.isfinite(self.u_max_um) else None,
+            "surely_um": self.surely_um if np.isfinite(self.surely_um) else None,
+            "at_least_um": self.at_least_um if np.isfinite(self.at_least_um) else None,
+            "poses": self.poses,
+            "out_of_reach": self.out_of_reach,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class AtTool:
+    """The change at the tool.
+
+    Attributes:
+        tool_length_mm: it holds for.
+        poses: over how many.
+        everything: all errors of both calibrations, those that only one has included; nothing removed.
+        everything_aligned: the same after aligning the workpiece anew.
+        judged: the errors that could be judged, alone; after aligning. None if there are none.
+        by_class: of the judged ones, by class of ISO/TR 16907; after aligning.
+        by_error: RMS and largest distance, µm, each judged error's change makes alone; after aligning.
+        by_cause: what those of `causes` make alone; after aligning. Without U.
+        left: what the older calibration leaves.
+    """
+
+    tool_length_mm: float
+    poses: int
+    everything: Moved
+    everything_aligned: Moved
+    judged: Moved | None
+    by_class: Mapping[str, Moved]
+    by_error: Mapping[str, tuple[float, float]]
+    by_cause: Mapping[str, Moved]
+    left: Left
+
+
+@final
+class Alignment:
+    """A shift and a turn of the work frame, fitted to displacements of the tool point.
+
+    Args:
+        point_mm: (n, 3) the points, in the work frame.
+    """
+
+    def __init__(self, point_mm: np.ndarray) -> None:
+        x, y, z = (point_mm - point_mm.mean(axis=0)).T / max(float(np.abs(point_mm).max(initial=0.0)), 1.0)
+        rates = np.zeros((len(point_mm), 3, 6))
+        rates[:, :, :3] = np.eye(3)
+        # ω × p
+        rates[:, 1, 3], rates[:, 2, 3] = -z, y
+        rates[:, 0, 4], rates[:, 2, 4] = z, -x
+        rates[:, 0, 5], rates[:, 1, 5] = -y, x
+        left, size, _ = np.linalg.svd(rates.reshape(-1, 6), full_matrices=False)
+        self._basis = left[:, size > 1e-9 * size[0]]
+
+    def removed(self, displacement: np.ndarray) -> np.ndarray:
+        """(n, 3, …) displacements without it."""
+        flat = displacement.reshape(len(self._basis), -1)
+        return np.asarray((flat - self._basis @ (self._basis.T @ flat)).reshape(displacement.shape))
+
+
+@final
+@dataclass(frozen=True)
+class _Scene:
+    """Two calibrations at the same poses."""
+
+    first: Calibration
+    second: Calibration
+    tool_length_mm: float | None
+    conditions: Conditions
+    q: np.ndarray
+    sides: np.ndarray
+    meant: Poses
+    alignment: Alignment
+
+    def kinematics(self, calibration: Calibration) -> Kinematics:
+        return Kinematics(
+            self.first.machine, calibration, tool_length_mm=self.tool_length_mm, conditions=self.conditions
+        )
+
+    def moved_um(self, keep: Callable[[str], bool] = lambda name: True) -> np.ndarray:
+        """(n, 3) second less first, of some of the errors."""
+        points = [
+            self.kinematics(side.where(keep)).forward(self.q, self.sides).point_mm for side in (self.first, self.second)
+        ]
+        return np.asarray((points[1] - points[0]) * 1e3)
+
+    @cached_property
+    def state(self) -> dict[str, Any]:
+        """What effects are functions of."""
+        names = self.first.machine.names
+        found: dict[str, Any] = {name: self.q[:, i] for i, name in enumerate(names)}
+        found |= {f"{APPROACH}{name}": self.sides[:, i] for i, name in enumerate(names)}
+        return found | self.conditions.channels
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """(n, 3, 6·frames) of the tool point by the error frames: metres a metre and a radian, which are µm a µm and a µrad."""
+        return self.kinematics(self.first).sensitivities(self.q, self.sides).error[:, :3]
+
+    def made_by(self, frame: Frame, components: Mapping[int, Any]) -> np.ndarray:
+        """(n, 3) µm that components of one error frame make at the tool point, to first order."""
+        frames = [(one.axis, one.role) for one in self.first.machine.frames]
+        start = 6 * frames.index((frame.axis, frame.role))
+        found = np.zeros((len(self.q), 3))
+        for component, value in components.items():
+            found += self.rates[:, :, start + component] * np.broadcast_to(value, len(self.q))[:, None]
+        return found
+
+    def moved_by(self) -> dict[str, np.ndarray]:
+        """(n, 3) what the change of every error alone does to the tool point, µm, by its name: to first order."""
+        found: dict[str, np.ndarray] = {}
+        for sign, side in ((-1.0, self.first), (1.0, self.second)):
+            for effect in side.effects:
+                own = sign * self.made_by(effect.frame, effect.components(self.state))
+                found[effect.name] = found.get(effect.name, 0.0) + own
+        return found
+
+    def place(self, row: int) -> dict[str, float]:
+        return dict(zip(self.first.machine.names, self.q[row].tolist(), strict=True))
+
+
+def at_tool(
+    first: Calibration,
+    second: Calibration,
+    *,
+    judged: Mapping[str, str],
+    drawn: Collection[str],
+    share: float,
+    causes: Mapping[str, Cause],
+    whole_model: bool,
+    tool_length_mm: float | None = None,
+    conditions: Conditions | None = None,
+    poses: int = POSES,
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> AtTool:
+    """The change over the volume, as far as all curves of both are defined.
+
+    Args:
+        first: the older calibration; no effect in it may need a channel that the conditions do not give.
+        second: the newer.
+        judged: class by name of the errors whose change is known with its uncertainty.
+        drawn: those of them whose numbers are not the very same in both.
+        share: of false alarms, for all rows that are judged together.
+        causes: changes of which it is to be known what each makes alone, by the error's name.
+        whole_model: whether the two have all their effects; if some were left out, U of everything is unknown.
+        tool_length_mm: None for the machine file's own.
+        conditions: temperatures and time.
+        poses: spread evenly over the ranges.
+        progress: called with a stage and the fraction done.
+
+    Raises:
+        InputError: no pose lies within all curves.
+    """
+    machine = first.machine
+    q = volume(machine, poses)
+    q = q[~(first.outside(q) | second.outside(q)).any(axis=1)]
+    if not len(q):
+        raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
+    at = Conditions() if conditions is None else conditions
+    meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
+    scene = _Scene(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
+    progress("at the tool", 0.1)
+    whole = scene.moved_um()
+    classes = [name for name in dict.fromkeys(judged.values()) if any(judged[e] == name for e in drawn)]
+    chance = {} if not drawn else _chance(scene, judged, drawn, classes, progress)
+    complete = whole_model and all(effect.name in judged for side in (first, second) for effect in side.effects)
+    whole_chance = chance if complete else {}
+    moved_by, level = scene.moved_by(), share / (1 + len(classes))
+    of_class = {
+        name: _moved(
+            scene,
+            scene.alignment.removed(np.sum([moved_by[error] for error in judged if judged[error] == name], axis=0)),
+            chance.get(name, _NOTHING),
+            level,
+        )
+        for name in classes
+    }
+    alone = {}
+    for name in drawn:
+        distance = np.linalg.norm(scene.alignment.removed(moved_by[name]), axis=1)
+        alone[name] = (float(np.sqrt(np.mean(distance**2))), float(distance.max()))
+    aligned = scene.alignment.removed(whole)
+    known = aligned if complete else scene.alignment.removed(scene.moved_um(lambda name: name in judged))
+    return AtTool(
+        tool_length_mm=scene.kinematics(first).tool_length_mm,
+        poses=len(q),
+        everything=_moved(scene, whole, whole_chance.get("raw", _NOTHING), level),
+        everything_aligned=_moved(scene, aligned, whole_chance.get("all", _NOTHING), level),
+        judged=_moved(scene, known, chance["all"], level) if drawn else None,
+        by_class=of_class,
+        by_error=alone,
+        by_cause={
+            name: _moved(scene, scene.alignment.removed(scene.made_by(frame, components(scene.state))), _NOTHING, level)
+            for name, (frame, components) in causes.items()
+        },
+        left=_left(scene, whole_chance.get("all", _NOTHING)),
+    )
+
+
+@final
+@dataclass(frozen=True)
+class _Part:
+    """What chance makes of one quantity.
+
+    Attributes:
+        rms_um: (draws,) over the poses; empty if unknown.
+        u_um: (n,) U at every pose; empty if unknown.
+        factor: how many U hold all poses at once in 95 % of the draws; NaN if unknown.
+    """
+
+    rms_um: np.ndarray
+    u_um: np.ndarray
+    factor: float = float("nan")
+
+
+_NOTHING: Final = _Part(np.zeros(0), np.zeros(0))
+
+
+def _chance(
+    scene: _Scene,
+    judged: Mapping[str, str],
+    drawn: Collection[str],
+    classes: list[str],
+    progress: Callable[[str, float], None],
+) -> dict[str, _Part]:
+    """By draws of both calibrations' numbers."""
+    owner = {
+        number.name: effect.name
+        for side in (scene.first, scene.second)
+        for effect in side.effects
+        for number in effect.parameters
+    }
+    tools = []
+    for side in (scene.first, scene.second):
+        kept = side.where(lambda name: name in judged)
+        own = kept.covariance.where(lambda name: owner[name] in drawn)
+        tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own))))
+    rates = [_point_rates(tool, scene.q, scene.sides) for tool in tools]
+    groups: dict[str, list[np.ndarray]] = {"all": [np.arange(len(tool.parameters)) for tool in tools]}
+    for name in classes:
+        groups[name] = [
+            np.array([i for i, number in enumerate(tool.parameters) if judged[owner[number]] == name], dtype=int)
+            for tool in tools
+        ]
+    count = len(scene.q)
+    rms: dict[str, list[np.ndarray]] = {name: [] for name in ("raw", *groups)}
+    squares = {name: np.zeros((count, 3, 3)) for name in rms}
+    distance = np.empty((count, DRAWS), dtype=np.float32)
+    rng = np.random.default_rng(SEED)
+    for start in range(0, DRAWS, DRAWS_A_STEP):
+        off = [tool.draw(rng, DRAWS_A_STEP) for tool in tools]
+        for name, rows in groups.items():
+            moved = sum(
+                rate[:, own] @ one[own] for rate, one, own in zip(rates, off, rows, strict=True)
+            )  # independent: the sign does not matter
+            shaped = np.asarray(moved).reshape(count, 3, DRAWS_A_STEP)
+            found = {name: scene.alignment.removed(shaped)}
+            if name == "all":
+                found["raw"] = shaped
+                distance[:, start : start + DRAWS_A_STEP] = np.linalg.norm(found[name], axis=1)
+            for which, points in found.items():
+                rms[which].append(np.sqrt(np.einsum("nik,nik->k", points, points) / count))
+                squares[which] += points @ points.transpose(0, 2, 1)
+        progress("at the tool", 0.1 + 0.8 * (start + DRAWS_A_STEP) / DRAWS)
+    u_um = {name: radius_95(squares[name] / DRAWS) for name in rms}
+    moved_at_all = u_um["all"] > 1e-9 * u_um["all"].max()
+    factor = float(np.quantile((distance[moved_at_all] / u_um["all"][moved_at_all, None]).max(axis=0), COVERAGE))
+    return {name: _Part(np.concatenate(rms[name]), u_um[name], factor if name == "all" else np.nan) for name in rms}
+
+
+def _point_rates(tool: ToolUncertainty, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """(3n, p) derivatives of the tool point by the uncertain numbers, µm a unit of each."""
+    error = tool.kinematics.sensitivities(q, sides).error[:, :3]
+    found = np.zeros((len(q), 3, len(tool.parameters)))
+    for component, columns, shape in tool.rates(q, sides):
+        # Metres a metre and a radian are µm a µm and a µrad.
+        found[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
+    return found.reshape(3 * len(q), -1)
+
+
+def _moved(scene: _Scene, displacement: np.ndarray, chance: _Part, share: float) -> Moved:
+    distance = np.linalg.norm(displacement, axis=1)
+    row = int(np.argmax(distance))
+    rms = float(np.sqrt(np.mean(distance**2)))
+    known = len(chance.rms_um) > 0
+    return Moved(
+        rms,
+        float(distance[row]),
+        scene.place(row),
+        float(chance.u_um[row]) if known else np.nan,
+        float(np.quantile(chance.rms_um, 1.0 - share)) if known else np.nan,
+        float((1 + np.count_nonzero(chance.rms_um >= rms)) / (1 + DRAWS)) if known else np.nan,
+    )
+
+
+def _left(scene: _Scene, chance: _Part) -> Left:
+    """Commands that the older calibration makes, on the machine that the newer describes."""
+    machine = scene.first.machine
+    older, newer = (scene.kinematics(side) for side in (scene.first, scene.second))
+    keep = np.ones(len(scene.q), dtype=bool)
+    if len(machine.linear) == 3 and len(machine.rotary) <= 2:
+        found = Inverse(older).solve(scene.meant, scene.q, approach=scene.sides)
+        keep = ~found.where(Status.OUT_OF_RANGE) & ~newer.outside_domain(found.positions).any(axis=1)
+        commands = found.positions[keep]
+        reached = newer.forward(commands, scene.sides[keep]).point_mm
+        off = (reached - scene.meant.point_mm[keep]) * 1e3
+    else:
+        # Where there is no inverse, to first order: what one calibration takes away is what the other adds.
+        off = scene.moved_um()
+    if not np.any(keep):
+        return Left(np.nan, np.nan, {}, np.nan, np.nan, np.nan, np.nan, np.nan, 0, len(scene.q))
+    aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
+    raw = np.linalg.norm(off, axis=1)
+    row = int(np.argmax(aligned))
+    known = len(chance.u_um) > 0
+    u = chance.u_um[keep] if known else np.full(len(aligned), np.nan)
+    return Left(
+        rms_um=float(np.sqrt(np.mean(aligned**2))),
+        max_um=float(aligned[row]),
+        where=scene.place(int(np.flatnonzero(keep)[row])),
+        as_it_is_rms_um=float(np.sqrt(np.mean(raw**2))),
+        as_it_is_max_um=float(raw.max()),
+        u_max_um=float(u[row]),
+        surely_um=float(np.max(aligned + chance.factor * u)),
+        at_least_um=float(np.max(aligned - chance.factor * u)),
+        poses=int(np.count_nonzero(keep)),
+        out_of_reach=int(np.count_nonzero(~keep)),
+    )

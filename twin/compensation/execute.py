@@ -1,0 +1,147 @@
+"""A program executed on the machine with errors: where the tool was meant to go, and where it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Final, final
+
+import numpy as np
+
+from twin.compensation.backlash import LostMotion
+from twin.compensation.toolpath import Path, Setup, WordSpace, along, check_domains, chords, follow, outside_range
+from twin.display import card, histogram, note, pairs, several
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.machine import Machine
+from twin.nc import read_program
+from twin.nc.blocks import Kind, Program
+
+SPACING: Final = (5.0, 2.0)
+"""mm of linear and degrees of rotary motion between two points, at most."""
+CHORD_MM: Final = 0.01
+"""How closely arcs are followed."""
+
+
+@final
+@dataclass(frozen=True)
+class Execution:
+    """A program run once.
+
+    Attributes:
+        positions: (n, axes) commands, mm and degrees, command order.
+        meant_mm: (n, 3) intended tool points in the work frame.
+        sides: (n, axes) the side every axis comes from, as of `twin.compensation.backlash`.
+        reached_mm: (n, 3) tool points the machine reaches.
+        tilt_urad: (n, 2) how the tool axis leans there against where it was meant to point (`Poses.tilt_urad`).
+        cutting: (n,) False on rapids.
+        ends: (n,) whether the point is the end of a block.
+        lines: (n,) program line of each point.
+        left_out: points outside an axis's range, which nothing is known of.
+    """
+
+    positions: np.ndarray
+    meant_mm: np.ndarray
+    sides: np.ndarray
+    reached_mm: np.ndarray
+    tilt_urad: np.ndarray
+    cutting: np.ndarray
+    ends: np.ndarray
+    lines: np.ndarray
+    left_out: int
+
+    def _repr_html_(self) -> str:
+        off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
+        if not len(off):
+            return card("Executed", note("no point within the ranges", loud=True), wrong=True).text
+        worst = int(np.argmax(off))
+        rows = [
+            (
+                "tool point off",
+                f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
+            ),
+            ("tool axis leans", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
+            ("left out", f"{several(self.left_out, 'point')} outside the ranges" if self.left_out else ""),
+        ]
+        small = f"{several(len(off), 'point')}, {self.ends.sum():,} of them block ends"
+        return card(
+            "Executed", pairs(rows), histogram(off, "off by (µm)", "points"), small=small, wrong=self.left_out > 0
+        ).text
+
+
+def execute_file(
+    program: str | FilePath,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    tool_length_mm: float | None = None,
+    tcp: bool = False,
+    setup: Setup | None = None,
+    conditions: Conditions | None = None,
+) -> Execution:
+    """Run the program of a file, or one that comes with twin.
+
+    Args:
+        program: its path.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        tool_length_mm: the machine file's own if None.
+        tcp: whether the control's kinematics are on from the start.
+        setup: work offsets and origin; none if None.
+        conditions: temperatures and time, for the effects that need them.
+
+    Raises:
+        InputError: as `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    at = Conditions() if conditions is None else conditions
+    at.require(errors)
+    read, dialect = read_program(program)
+    space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
+    path = follow(read, dialect.moves(read, space.axes, tcp=tcp), space)
+    return execute(read, path, space, Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at))
+
+
+def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) -> Execution:
+    """Run a program as its control would: straight in words between blocks, rapids drawn straight too.
+
+    Args:
+        program: the program.
+        path: its motions (`twin.compensation.toolpath.follow`).
+        space: words to commands on the machine as drawn.
+        real: the machine with errors, same tool length, and the temperatures and time its effects need.
+
+    Raises:
+        InputError: a position in the axis's range that its error motions do not cover.
+    """
+    words, tcp, cutting, ends, lines, of = [], [], [], [], [], []
+    for i, motion in enumerate(path.motions):
+        fractions = np.array([1.0])
+        if np.isfinite(motion.start).all():
+            size = np.abs(motion.end - motion.start)
+            steps = max(size[:3].max() / SPACING[0], size[3:].max(initial=0.0) / SPACING[1], chords(motion, CHORD_MM))
+            fractions = np.arange(1, int(np.ceil(max(steps, 1.0))) + 1) / np.ceil(max(steps, 1.0))
+        words.append(along(motion, fractions) if np.isfinite(motion.start).all() else motion.end[None, :])
+        of += [i] * len(fractions)
+        tcp += [motion.move.tcp] * len(fractions)
+        cutting += [motion.move.kind is not Kind.RAPID] * len(fractions)
+        ends += [False] * (len(fractions) - 1) + [True]
+        lines += [program.lines[motion.move.line].number] * len(fractions)
+    positions = space.commands(np.concatenate(words), np.array(tcp))
+    check_domains(real, program.source, np.array(lines)[ends], positions[ends])
+    sides = LostMotion(real.calibration).sides(path, np.array(of), positions)
+    keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
+    positions, sides = positions[keep], sides[keep]
+    meant, reached = space.nominal.forward(positions), real.forward(positions, sides)
+    return Execution(
+        positions=positions,
+        meant_mm=meant.point_mm,
+        sides=sides,
+        reached_mm=reached.point_mm,
+        tilt_urad=reached.tilt_urad(meant),
+        cutting=np.array(cutting)[keep],
+        ends=np.array(ends)[keep],
+        lines=np.array(lines)[keep],
+        left_out=int(np.count_nonzero(~keep)),
+    )

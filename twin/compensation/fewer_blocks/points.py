@@ -1,0 +1,162 @@
+"""Points of a curve as a program: one straight block a point, to be refitted like any other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from twin._common.csv_tables import cells_of
+from twin._common.errors import InputError
+from twin._common.files import read_lines
+from twin.nc.blocks import AxisWords, Dialect, Program
+from twin.nc.text import Style, format_number
+
+POINT: Final = ("x_mm", "y_mm", "z_mm")
+VECTOR: Final = ("i", "j", "k")
+SUFFIX: Final = ".csv"
+DECIMALS: Final = 9
+"""Decimals of the points: a tenth of nothing a machine knows."""
+
+
+def is_points(path: Path) -> bool:
+    """Whether a file is a table of points, by its name."""
+    return path.suffix.lower() == SUFFIX
+
+
+def points_program(
+    path: Path, axes: AxisWords, dialects: Sequence[Dialect], written: Dialect, feed: float | None
+) -> tuple[Program, Dialect]:
+    """The program that goes through the points of a table, in a straight block each.
+
+    Args:
+        path: the table: ``x_mm,y_mm,z_mm``, then nothing, or one column ``<axis>_deg`` a rotary axis, or the tool vector ``i,j,k``;
+            ``#`` begins a comment.
+        axes: the machine's words.
+        dialects: the languages there are.
+        written: the language of the output.
+        feed: mm/min, or None: no feed is said.
+
+    Returns:
+        The program and its language: that of the output, but cutter locations for points with a tool vector.
+
+    Raises:
+        InputError: with line and value, where it is no such table; rotary axes for an output that has no words for them.
+    """
+    header, lines, values = _table(path, axes)
+    vectors = header[3:] == VECTOR
+    if written.name == "apt" and len(header) > 3 and not vectors:
+        raise InputError(
+            "rotary axes in cutter locations",
+            expected="columns i,j,k, or -o with .nc or .h",
+            file=path,
+            line=lines[0] - 1,
+            value=",".join(header),
+        )
+    language = "apt" if vectors or written.name == "apt" else written.name
+    if vectors:
+        size = np.linalg.norm(values[:, 3:], axis=1)
+        wrong = np.flatnonzero(np.abs(size - 1.0) > 1e-3)
+        if wrong.size:
+            at = int(wrong[0])
+            raise InputError(
+                "not a tool vector",
+                expected="i,j,k of length one",
+                file=path,
+                line=lines[at],
+                value=",".join(f"{v:g}" for v in values[at, 3:]),
+            )
+    text = _TEXTS[language](path, _names(header, axes), values, feed)
+    dialect = next(one for one in dialects if one.name == language)
+    return dialect.read(text.encode("latin-1", "replace"), str(path)), dialect
+
+
+def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.ndarray]:
+    """Header, line of every row, and (n, columns) numbers."""
+    rotary = tuple(f"{name}_deg" for name in axes.rotary)
+    known = [POINT, *([POINT + rotary] if rotary else []), *([POINT + VECTOR] if rotary else [])]
+    expected = "header " + " or ".join(",".join(one) for one in known)
+    header: tuple[str, ...] | None = None
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    for number, text in enumerate(read_lines(path), start=1):
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in cells_of(text, path, number)]
+        if header is None:
+            header = tuple(cells)
+            if header not in known:
+                raise InputError("not a table of points", expected=expected, file=path, line=number, value=text)
+            continue
+        if len(cells) != len(header):
+            raise InputError(
+                f"{len(cells)} values in a row",
+                expected=f"{len(header)}: {','.join(header)}",
+                file=path,
+                line=number,
+                value=text,
+            )
+        rows.append([_number(cell, name, path, number) for cell, name in zip(cells, header, strict=True)])
+        lines.append(number)
+    if header is None:
+        raise InputError("no header", expected=expected, file=path)
+    if len(rows) < 2:
+        raise InputError(f"{len(rows)} points", expected="two or more", file=path)
+    return header, lines, np.array(rows)
+
+
+def _number(cell: str, column: str, path: Path, line: int) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e6:
+        raise InputError(f"{column} is no coordinate", expected="a number below 1e6", file=path, line=line, value=cell)
+    return value
+
+
+def _names(header: tuple[str, ...], axes: AxisWords) -> tuple[str, ...]:
+    return axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
+
+
+def _word(name: str, value: float, *, plus: bool = False) -> str:
+    text = format_number(value, DECIMALS, Style(point=not plus, plus=plus))
+    return f"{name}{'=' if len(name) > 1 else ''}{text}"
+
+
+def _iso(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
+    rows = [" ".join(_word(name, value) for name, value in zip(names, row, strict=True)) for row in values.tolist()]
+    first = "" if feed is None else f" F{feed:g}"
+    body = "".join(f"{row}\n" for row in rows[1:])
+    return f"%\n({_shown(path)})\nG21 G90 G94\nG1 {rows[0]}{first}\n{body}M30\n%\n"
+
+
+def _heidenhain(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
+    title = re.sub(r"\W", "_", path.stem, flags=re.ASCII).upper() or "POINTS"
+    rows = [
+        " ".join(_word(name, value, plus=True) for name, value in zip(names, row, strict=True))
+        for row in values.tolist()
+    ]
+    lines = [f"BEGIN PGM {title} MM", f"; {_shown(path)}"]
+    lines += [f"L {row}" + (f" R0 F{feed:g}" if i == 0 and feed is not None else "") for i, row in enumerate(rows)]
+    lines += ["M30", f"END PGM {title} MM"]
+    return "".join(f"{i} {line}\n" for i, line in enumerate(lines))
+
+
+def _apt(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
+    said = "" if feed is None else f"FEDRAT/{feed:g},MMPM\n"
+    rows = "".join(
+        "GOTO/" + ",".join(format_number(value, DECIMALS, Style(keep=5)) for value in row) + "\n"
+        for row in values.tolist()
+    )
+    return f"$$ {_shown(path)}\nUNITS/MM\n{said}{rows}FINI\n"
+
+
+_TEXTS: Final = {"iso": _iso, "heidenhain": _heidenhain, "apt": _apt}
+
+
+def _shown(path: Path) -> str:
+    return "points of " + "".join(c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name)

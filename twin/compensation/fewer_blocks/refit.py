@@ -1,0 +1,215 @@
+"""A program or a table of points in, the program out that follows the same path with fewer blocks and lands within a tolerance of it.
+
+The tolerance holds for the path the machine with its errors executes beside the path the input means, both ways. It is shared out: what
+rounding may take, what the machine may err between the ends of a block, and the path itself; of that the curve gets as little as
+saves blocks, the blocks the rest. What comes out is read back and executed densely before anybody sees it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin.compensation.bench import Bench, Options, Progress
+from twin.compensation.compensator import Compensation, Compensator
+from twin.compensation.fewer_blocks.account import Job, Written, account
+from twin.compensation.fewer_blocks.emit import renumbered, shortened
+from twin.compensation.fewer_blocks.fewer import Fewer
+from twin.compensation.fewer_blocks.points import is_points, points_program
+from twin.compensation.fewer_blocks.report import PathReport
+from twin.compensation.fewer_blocks.runs import find_runs
+from twin.compensation.pieces import CUTTER_LOCATION_INCREMENT
+from twin.compensation.toolpath import follow
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.nc import DIALECTS, dialect_for, read_program
+from twin.nc.blocks import Dialect, Program
+
+DEFAULT_TOLERANCE_MM: Final = 0.01
+
+
+@final
+@dataclass(frozen=True)
+class Refit:
+    """A refitted program.
+
+    Attributes:
+        text: the program, to be written as latin-1.
+        report: what was done.
+    """
+
+    text: str
+    report: PathReport
+
+    def _repr_html_(self) -> str:
+        return self.report._repr_html_()
+
+
+@final
+class Refitter:
+    """Refits programs on one machine with one calibration.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        options: as of `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
+        compensated: whether the output is compensated; else it is meant for the machine as drawn.
+
+    Raises:
+        InputError: the machine cannot run programs.
+    """
+
+    def __init__(
+        self, machine: Machine, calibration: Calibration, options: Options | None = None, *, compensated: bool = True
+    ) -> None:
+        chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
+        self.bench = Bench(machine, calibration if compensated else Calibration.zero(machine), chosen)
+        self.asked = compensated
+        self.compensated = compensated and not self.bench.calibration.empty
+
+    def refit(
+        self,
+        program: Program,
+        dialect: Dialect,
+        progress: Progress | None = None,
+        *,
+        into: Dialect | None = None,
+        printed: bool = False,
+    ) -> Refit:
+        """Refit one program.
+
+        Args:
+            program: as read.
+            dialect: its language.
+            progress: called with a stage and the fraction done.
+            into: the language to write; another than the program's own only for cutter locations, which are then posted.
+            printed: whether every block is to be written at the least increments, fitted or not: for points.
+
+        Raises:
+            InputError: the program cannot be read, or has something in it that must not pass; a tolerance that rounding alone uses up.
+            OutputError: the text produced does not say what was meant.
+        """
+        say = progress or (lambda stage, fraction: None)
+        say("reading", 0.0)
+        space, tcp = self.bench.space, self.bench.options.tcp
+        written_in = dialect if into is None else into
+        posted = written_in.name != dialect.name
+        increment = self.bench.increment.copy()
+        if dialect.name == "apt" and not posted:
+            increment[:3] = CUTTER_LOCATION_INCREMENT
+        fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
+        reading = dialect.moves(program, space.axes, tcp=tcp)
+        path = follow(program, reading, space)
+        if not path.motions:
+            raise InputError(
+                "no block that moves an axis to a known place", expected="a program with motion", file=program.source
+            )
+        runs = find_runs(program, path, space)
+        fitted = []
+        for i, run in enumerate(runs):
+            say("fitting", 0.05 + 0.5 * i / len(runs))
+            fitted.append(fewer.of(run, path))
+        say("writing", 0.55)
+        members = {line for run in runs for line in run.lines}
+        loose = [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
+        short = shortened(
+            program,
+            dialect,
+            reading,
+            [one.places for one in fitted],
+            space,
+            increment,
+            tcp=tcp,
+            posted=posted,
+            others=loose if printed else (),
+        )
+        shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
+        job = Job(program, dialect, reading, path, tuple(fitted), shares, fewer.lever, short)
+        written = self._written(job, written_in, say, posted=posted)
+        say("checking", 0.9)
+        report = account(self.bench, job, written, compensated=self.compensated, asked=self.asked)
+        say("done", 1.0)
+        return Refit(written.text, report)
+
+    def _written(self, job: Job, into: Dialect, say: Progress, *, posted: bool) -> Written:
+        """The text: compensated where that is asked for, posted where it is to be another language."""
+        if not self.compensated and not posted:
+            text = renumbered(job.program, job.short.program.text, job.dialect)
+            return Written(text, into, posted, None, {}, frozenset())
+        share = job.shares.compensation if self.compensated else job.shares.tolerance
+        options = replace(self.bench.options, tolerance_mm=share * 1e-3)
+        result = Compensator(self.bench.machine, self.bench.calibration, options).compensate(
+            job.short.program,
+            job.short,
+            lambda stage, fraction: say(stage, 0.55 + 0.35 * fraction),
+            into=into if posted else None,
+        )
+        text = result.text if posted else renumbered(job.program, result.text, job.dialect)
+        rewrites = {id(rewrite.move): rewrite for rewrite in result.rewrites}
+        report = result.report if self.compensated else None
+        return Written(text, into, posted, report, rewrites, _taken(result))
+
+
+def _taken(result: Compensation) -> frozenset[tuple[int, int]]:
+    """Line number and place within its block of every row that only takes up a reversal."""
+    seen: Counter[int] = Counter()
+    found = []
+    for line, taken in zip(result.lines.tolist(), result.taken.tolist(), strict=True):
+        if taken:
+            found.append((line, seen[line]))
+        seen[line] += 1
+    return frozenset(found)
+
+
+def refit(
+    program: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    options: Options | None = None,
+    compensated: bool = True,
+    output: str | Path | None = None,
+    feed: float | None = None,
+    progress: Progress | None = None,
+) -> Refit:
+    """Refit the program of a file (or one that comes with twin), or the points of a table.
+
+    Args:
+        program: its path; ``.csv`` is a table of points (`twin.compensation.fewer_blocks.points`).
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        options: as of `Refitter`.
+        compensated: whether the output is compensated.
+        output: the name of the output, for its language; the program's own, ISO for points, if None.
+        feed: mm/min of a program made of points.
+        progress: called with a stage and the fraction done.
+
+    Raises:
+        InputError: the input cannot be read, or the output's language does not fit it.
+        OutputError: as `Refitter.refit`.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    refitter = Refitter(machine, errors, options, compensated=compensated)
+    source = Path(program)
+    points = is_points(source)
+    target = dialect_for(Path(output)) if output is not None else None
+    if points:
+        iso = next(dialect for dialect in DIALECTS if dialect.name == "iso")
+        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target or iso, feed)
+        target = target or iso
+    else:
+        if feed is not None:
+            raise InputError(
+                "--feed for a program", expected="--feed with points only: a program has its own", value=feed
+            )
+        read, dialect = read_program(source)
+    if target is not None and target.name != dialect.name and dialect.name != "apt":
+        raise InputError(
+            f"a {dialect.name} program cannot be written as {target.name}",
+            expected=f"-o with {' '.join(dialect.suffixes)}",
+            file=output,
+        )
+    return refitter.refit(read, dialect, progress, into=target, printed=points)

@@ -1,0 +1,119 @@
+"""A CasADi function over many rows at once: mapped and fed through its buffers, never called in a Python loop per row.
+
+Very many rows in one call go a faster way, whose results may differ in the last digits.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from twin.compute.native import RowFunction, Taken
+
+MANY: Final = 4096
+"""Rows in a call from which CasADi's own evaluation is not the fastest (`twin.compute.native.rows`)."""
+CHUNK = 1024
+"""Rows a call of CasADi's: long enough that a call costs nothing, short enough that its work fits in cache."""
+REST = 128
+"""Rows a call for what is left over, so that little of it is padding."""
+
+
+@final
+class BatchFunction:
+    """``rows in, rows out``: every input and output is an array with one row a pose.
+
+    Args:
+        function: dense inputs and outputs; each becomes an array of shape (rows, entries), entries column-major.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
+        self._widths_out = [function.numel_out(i) for i in range(function.n_out())]
+        dense = (
+            function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
+        )
+        workers = os.cpu_count() or 1
+        self._function = dense
+        self._mapped = dense.map(CHUNK, "thread", workers) if workers > 1 else dense.map(CHUNK)
+        self._rest = dense.map(REST, "thread", workers) if workers > 1 else dense.map(REST)
+        self._single = dense.map(1)
+
+    @cached_property
+    def _fast(self) -> RowFunction:
+        return RowFunction(self._function)
+
+    def __call__(self, *inputs: np.ndarray | Taken) -> tuple[np.ndarray, ...]:
+        """Evaluate all rows.
+
+        Args:
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows; or rows taken from a table.
+
+        Returns:
+            One (rows, entries) array an output.
+        """
+        rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
+        given = [
+            array if isinstance(array, Taken) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
+            for array, width in zip(inputs, self._widths_in, strict=True)
+        ]
+        outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
+        if rows >= MANY and self._fast(given, outputs):
+            return outputs
+        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in given]
+        start = 0
+        while start < rows:
+            left = rows - start
+            if rows <= 4:
+                function, size = self._single, 1
+            else:
+                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._rest, REST)
+            # As many calls of one size as fit share one buffer.
+            end = start + max(left // size, 1) * size
+            self._run(function, size, range(start, min(end, rows), size), columns, outputs)
+            start = end
+        return outputs
+
+    @staticmethod
+    def _run(
+        function: ca.Function,
+        size: int,
+        starts: range,
+        columns: list[np.ndarray],
+        outputs: tuple[np.ndarray, ...],
+    ) -> None:
+        buffer: Any
+        buffer, trigger = function.buffer()
+        for start in starts:
+            part = slice(start, start + size)
+            have = min(size, len(columns[0]) - start)
+            whole = have == size
+            given = [column[part] if whole else _padded(column[part], size) for column in columns]
+            results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
+            for i, array in enumerate(given):
+                buffer.set_arg(i, _view(array))
+            for i, array in enumerate(results):
+                buffer.set_res(i, _view(array))
+            trigger()
+            if not whole:
+                for output, result in zip(outputs, results, strict=True):
+                    output[part] = result[:have]
+
+
+def _view(array: np.ndarray) -> Any:
+    # CasADi's stubs know the (pointer, size) form only; it takes a buffer.
+    return memoryview(array)  # type: ignore[arg-type, unused-ignore]
+
+
+def _padded(rows: np.ndarray, size: int) -> np.ndarray:
+    """The last row repeated up to ``size``: padding must be a pose like any other."""
+    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)])
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    symbols = [ca.SX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
+    results = function.call(symbols)
+    return ca.Function(function.name(), symbols, [ca.densify(result) for result in results])

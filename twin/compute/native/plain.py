@@ -1,0 +1,197 @@
+"""The solver without a compiler: NumPy on blocks of poses, CasADi on a few.
+
+Newton's method on all poses at once. The rotary axes are used where that reaches the orientation within what they may move; where it
+does not, they are moved as far as makes sense and the linear axes solve for the point.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final, final
+
+import casadi as ca
+import numpy as np
+
+from twin.compute.native.problem import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Outcome, Problem
+from twin.compute.native.tape import Tape, UnknownOperationError
+
+FEW: Final = 100
+"""Poses up to which CasADi is faster: NumPy costs a call an instruction."""
+PORTION: Final = 16384
+"""Poses at a time, so that what is held of them stays in cache."""
+
+
+class _Routine:
+    """One function, evaluated column by column."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+
+    @cached_property
+    def _tape(self) -> Tape | None:
+        try:
+            return Tape(self._function)
+        except UnknownOperationError:
+            return None
+
+    def __call__(self, columns: np.ndarray) -> np.ndarray:
+        """(inputs, rows) → (outputs, rows)."""
+        if columns.shape[1] > FEW and self._tape is not None:
+            return self._tape(list(columns))
+        ends = np.cumsum([self._function.numel_in(k) for k in range(self._function.n_in())])
+        found = self._function.call([ca.DM(part) for part in np.split(columns, ends[:-1])])
+        return np.concatenate([np.asarray(part) for part in found])
+
+
+@final
+class Plain:
+    """One problem, solved by NumPy."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    @cached_property
+    def _turn(self) -> _Routine:
+        return _Routine(self.problem.functions.turn)
+
+    @cached_property
+    def _again(self) -> _Routine:
+        return _Routine(self.problem.functions.again)
+
+    @cached_property
+    def _follow(self) -> _Routine:
+        return _Routine(self.problem.functions.follow)
+
+    @cached_property
+    def _repair(self) -> _Routine:
+        return _Routine(self.problem.functions.repair)
+
+    @cached_property
+    def _check(self) -> _Routine:
+        return _Routine(self.problem.functions.check)
+
+    def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
+        """(n,) mm left at the point at (n, axes) positions in mm and degrees."""
+        x = self._columns(batch)
+        x[: self.problem.axes] = (positions * self.problem.scale).T
+        return np.sqrt(self._check(x)[2]) / self.problem.mm
+
+    def solve(self, batch: Batch) -> Outcome:
+        """All poses of a batch."""
+        found = Outcome.empty(len(batch), self.problem.axes)
+        iterations = 0
+        for start in range(0, len(batch), PORTION):
+            part = slice(start, start + PORTION)
+            solved = self._solve(batch.part(part))
+            found.positions[part], found.code[part] = solved.positions, solved.code
+            found.distance[part], found.apart[part] = solved.distance, solved.apart
+            iterations = max(iterations, solved.iterations)
+        return Outcome(found.positions, found.distance, found.apart, found.code, iterations)
+
+    def _columns(self, batch: Batch) -> np.ndarray:
+        """(inputs, n) of a routine."""
+        problem = self.problem
+        x = np.empty((problem.inputs, len(batch)))
+        x[: problem.axes] = (batch.start * problem.scale).T
+        if batch.approach is not None:
+            x[problem.axes : 2 * problem.axes] = batch.approach.T
+        x[-6:-3] = batch.point.T * problem.mm
+        x[-3:] = batch.axis.T * (1.0 / np.sqrt(np.einsum("ni,ni->n", batch.axis, batch.axis)))
+        return x
+
+    def _solve(self, batch: Batch) -> Outcome:
+        problem, axes = self.problem, self.problem.axes
+        with np.errstate(all="ignore"):
+            x = self._columns(batch)
+        good = np.isfinite(x[:axes]).all(axis=0) & np.isfinite(x[-6:]).all(axis=0)
+        x[:, ~good] = 0.0
+        start = x[:axes].copy()
+        singular = np.zeros(len(batch), dtype=bool)
+        iterations = 0
+        loose = batch.loose & bool(problem.rotary)
+        rows = np.flatnonzero(good & loose)
+        if rows.size:
+            solved, done, iterations = self._newton(x[:, rows], rotary=True)
+            reached = done & self._admissible(solved, start[:, rows])
+            x[:axes, rows[reached]] = solved[:axes, reached]
+            stuck = rows[~reached]
+            if stuck.size:
+                singular[stuck] = True
+                x[:axes, stuck] = self._repair(x[:, stuck])
+        rows = np.flatnonzero(good & (~loose | singular))
+        if rows.size:
+            solved, _, steps = self._newton(x[:, rows], rotary=False)
+            iterations = max(iterations, steps)
+            x[:axes, rows] = solved[:axes]
+        return self._judged(x, good, singular, iterations)
+
+    def _newton(self, x: np.ndarray, *, rotary: bool) -> tuple[np.ndarray, np.ndarray, int]:
+        """Columns after Newton's method, whether each converged, and the steps taken."""
+        problem, axes = self.problem, self.problem.axes
+        x, step = x.copy(), self._turn if rotary else self._follow
+        done = np.zeros(x.shape[1], dtype=bool)
+        last = np.full(x.shape[1], np.inf)
+        active, moving, matrices = np.arange(x.shape[1]), x, x[:0]
+        for steps in range(problem.steps + 1):
+            if steps >= 2:
+                # Most are done by now: the residual alone says so at half the price.
+                found = self._check(moving)
+                size = found[0 if rotary else 1]
+                finished = self._finished(size, last[active])
+                done[active[finished]] = True
+                left = ~finished & np.isfinite(size)
+                active, moving = active[left], moving[:, left]
+                if not active.size:
+                    return x, done, steps
+                if steps == 2 and rotary:
+                    # And what is missing is so little that the matrices at hand will do.
+                    last[active] = size[left]
+                    moved = moving[:axes] + self._again(np.concatenate([found[-5:, left], matrices[:, left]]))
+                    far = np.flatnonzero(size[left] > problem.near)
+                    if far.size:
+                        moved[:, far] = step(moving[:, far])[:axes]
+                    moving[:axes] = x[:axes, active] = moved
+                    continue
+            result = step(moving)
+            size = result[axes]
+            finished = self._finished(size, last[active])
+            done[active[finished]] = True
+            last[active] = size
+            left = ~finished & np.isfinite(size)
+            if steps == problem.steps or not np.any(left):
+                break
+            active, moving, matrices = active[left], moving[:, left], result[axes + 1 :, left]
+            moving[:axes] = result[:axes, left]
+            x[:axes, active] = moving[:axes]
+        return x, done, steps
+
+    def _finished(self, size: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Converged: within a tenth of the promise, or no longer improving while within it."""
+        tolerance = self.problem.tolerance
+        return (size <= 0.1 * tolerance) | ((size <= tolerance) & (size >= last))
+
+    def _admissible(self, x: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Whether the rotary axes stayed within what a repair may move them, and in range."""
+        problem, rotary = self.problem, list(self.problem.rotary)
+        turned = x[rotary].T
+        inside = (turned >= problem.limits[:, 0]) & (turned <= problem.limits[:, 1])
+        near = np.abs(turned - start[rotary].T) <= problem.rotary_limit
+        return np.asarray((inside & near).all(axis=1))
+
+    def _judged(self, x: np.ndarray, good: np.ndarray, singular: np.ndarray, iterations: int) -> Outcome:
+        problem = self.problem
+        positions = x[: problem.axes].T / problem.scale
+        left = self._check(x)
+        distance = np.sqrt(left[2])
+        beyond = ((positions < problem.bounds[:, 0]) | (positions > problem.bounds[:, 1])).any(axis=1)
+        missed = ~(distance <= 2.0 * problem.tolerance)
+        code = np.where(singular, SINGULAR, CONVERGED).astype(np.uint8)
+        code[~good | beyond | missed] = OUT_OF_RANGE
+        positions[~good] = np.nan
+        distance = np.where(good, distance / problem.mm, np.inf)
+        return Outcome(positions, distance, np.where(good, angle(np.sqrt(left[3])), np.inf), code, iterations)
+
+
+def angle(apart: np.ndarray) -> np.ndarray:
+    """Radians between unit vectors that far apart."""
+    return np.asarray(2.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)))

@@ -1,0 +1,194 @@
+"""A CasADi function over very many rows: compiled where that is worth it, else NumPy's way (`twin.compute.native.tape`)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import casadi as ca
+import numpy as np
+
+from twin.compute.native import loading
+from twin.compute.native.cpp import LARGEST_ANGLE, routine
+from twin.compute.native.tape import Tape, UnknownOperationError
+
+LARGEST_TAPE: Final = 5_000
+"""Instructions of what is compiled: the compiler takes a third of a millisecond for each."""
+TRIED: Final = 256
+"""Rows that NumPy confirms before compiled code is believed."""
+ROUNDING: Final = 1e-10
+"""Of a value that is at most one, or of the value: rounding of either evaluation is a thousandth of it."""
+
+
+class _Job(ctypes.Structure):
+    """`Rows` of rows.cpp, field by field."""
+
+    _fields_ = (
+        ("rows", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("in", "in_step", "in_line", "out", "out_step", "k")),
+    )
+
+
+@final
+@dataclass(frozen=True)
+class Taken:
+    """Rows taken from a shorter table, not written out: what each of many rows wants of the few things there are.
+
+    Attributes:
+        table: (lines, entries).
+        line: (rows,) which line each row is.
+    """
+
+    table: np.ndarray
+    line: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """As if written out."""
+        return len(self.line), self.table.shape[1]
+
+    def written(self) -> np.ndarray:
+        """(rows, entries)."""
+        return self.table.take(self.line, axis=0)
+
+
+@final
+class RowFunction:
+    """``columns in, rows out``; the answers of its ways agree to rounding.
+
+    Args:
+        function: dense inputs and outputs.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._library: ctypes.CDLL | None = None
+
+    def __call__(self, inputs: Sequence[np.ndarray | Taken], outputs: tuple[np.ndarray, ...]) -> bool:
+        """Fill the outputs.
+
+        Args:
+            inputs: (rows, entries) doubles of any strides; one number for all rows has the stride 0.
+            outputs: (rows, entries) each, row after row.
+
+        Returns:
+            Whether it did: not where the function has an operation that is not known here (`twin.compute.native.tape`).
+        """
+        if self._tape is None:
+            return False
+        columns = [_Column(one, k) for one in inputs for k in range(one.shape[1])]
+        found = [array[:, k] for array in outputs for k in range(array.shape[1])]
+        many = len(outputs[0]) >= loading.WORTH_COMPILING
+        wanted = many and len(self._tape.nodes) <= LARGEST_TAPE and loading.enabled()
+        if wanted and self._library is None:
+            self._library = self._confirmed(loading.library(self._source), columns)
+        # Sines of angles the C++ does not reduce are left to NumPy; infinite and not-a-number come out as they should.
+        if self._library is None or not wanted or any(_far(one) for one in inputs):
+            self._plain(columns, found)
+        else:
+            self._compiled(self._library, columns, found)
+        return True
+
+    @cached_property
+    def _tape(self) -> Tape | None:
+        try:
+            return Tape(self._function)
+        except UnknownOperationError:
+            return None
+
+    @cached_property
+    def _source(self) -> str:
+        tape = self._tape
+        if tape is None:
+            return ""
+        sizes = f"enum {{ N = {tape.inputs}, O = {tape.outputs} }};"
+        return "\n".join([loading.text("simd.hpp"), sizes, routine("row", tape), loading.text("rows.cpp")])
+
+    @cached_property
+    def _constants(self) -> np.ndarray:
+        return np.array(self._tape.constants if self._tape is not None else ())
+
+    def _plain(self, columns: list[_Column], found: list[np.ndarray]) -> None:
+        if self._tape is not None:
+            for column, values in zip(found, self._tape([one.part() for one in columns]), strict=True):
+                column[:] = values
+
+    def _confirmed(self, library: ctypes.CDLL | None, columns: list[_Column]) -> ctypes.CDLL | None:
+        """The library, if NumPy finds the same for the first rows."""
+        if library is None or self._tape is None:
+            return None
+        some = [column.part(TRIED) for column in columns]
+        plain = self._tape(some)
+        fast = np.empty_like(plain)
+        self._compiled(library, [_Column(values[:, None], 0) for values in some], list(fast))
+        there = np.isfinite(plain)
+        if np.all(np.abs(fast - plain)[there] <= ROUNDING * np.maximum(1.0, np.abs(plain[there]))):
+            return library
+        loading.give_up(self._source, "its results are wrong")
+        return None
+
+    def _compiled(self, library: ctypes.CDLL, columns: list[_Column], found: list[np.ndarray]) -> None:
+        rows = len(found[0])
+        values = [
+            np.array([column.values.ctypes.data for column in columns]),
+            np.array([column.ctypes.data for column in found]),
+        ]
+        steps = [_steps([column.values for column in columns]), _steps(found)]
+        lines = np.array([0 if column.line is None else column.line.ctypes.data for column in columns])
+        of_table = lines != 0
+
+        def part(start: int) -> None:
+            given = values[0] + np.where(of_table, 0, 8 * start * steps[0])
+            taken = lines + np.where(of_table, 8 * start, 0)
+            out = values[1] + 8 * start * steps[1]
+            job = _Job(
+                min(loading.PORTION, rows - start),
+                *(one.ctypes.data for one in (given, steps[0], taken, out, steps[1], self._constants)),
+            )
+            library.run(ctypes.byref(job))
+
+        starts = range(0, rows, loading.PORTION)
+        if len(starts) == 1:
+            part(0)
+            return
+        # ctypes lets go of Python while it is in there.
+        with ThreadPoolExecutor(min(os.cpu_count() or 1, len(starts))) as pool:
+            for _ in pool.map(part, starts):
+                pass
+
+
+@final
+class _Column:
+    """One entry of an input.
+
+    Attributes:
+        values: doubles, a whole number of them apart.
+        line: (rows,) which of these each row has; None: its own.
+    """
+
+    def __init__(self, given: np.ndarray | Taken, entry: int) -> None:
+        table = given.table if isinstance(given, Taken) else given
+        self.values = table[:, entry]
+        self.line = np.ascontiguousarray(given.line, dtype=np.int64) if isinstance(given, Taken) else None
+
+    def part(self, rows: int | None = None) -> np.ndarray:
+        """The first so many rows, or all."""
+        return self.values[:rows] if self.line is None else self.values.take(self.line[:rows])
+
+
+def _steps(columns: list[np.ndarray]) -> np.ndarray:
+    """How many doubles from one row to the next."""
+    return np.array([column.strides[0] // column.itemsize for column in columns], dtype=np.int64)
+
+
+def _far(given: np.ndarray | Taken) -> bool:
+    """Whether a number is larger than the C++ takes as an angle."""
+    values = given.table if isinstance(given, Taken) else given
+    if not values.size or (values.max() <= LARGEST_ANGLE and values.min() >= -LARGEST_ANGLE):
+        return False
+    return bool(np.fmax.reduce(np.abs(values), axis=None) > LARGEST_ANGLE)

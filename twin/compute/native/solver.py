@@ -1,0 +1,199 @@
+"""Solves a problem the fastest way there is here: compiled where there is a compiler and work enough for it, else by NumPy."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.compute.native import loading
+from twin.compute.native.cpp import LARGEST_ANGLE, routine
+from twin.compute.native.plain import Plain, angle
+from twin.compute.native.problem import CONVERGED, LEFT, Batch, Outcome, Problem
+from twin.compute.native.tape import Tape, UnknownOperationError
+
+TRIED: Final = 256
+"""Poses whose answer NumPy confirms before compiled code is believed."""
+
+_ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
+_POINTERS: Final = ctypes.c_void_p
+
+
+class _Job(ctypes.Structure):
+    """`Job` of solve.cpp, field by field."""
+
+    _fields_ = (
+        ("rows", ctypes.c_int64),
+        *((name, _POINTERS) for name in ("start", "point", "axis", "approach", "loose")),
+        *(
+            (f"{name}_{step}", ctypes.c_int64)
+            for name in ("start", "point", "axis", "approach")
+            for step in ("row", "column")
+        ),
+        ("loose_row", ctypes.c_int64),
+        *((name, _POINTERS) for name in ("positions", "distance", "apart", "code")),
+        *((f"k_{name}", _POINTERS) for name in _ROUTINES),
+        *((name, _POINTERS) for name in ("scale", "lower", "upper", "first", "last")),
+        *((name, ctypes.c_double) for name in ("rotary_limit", "tolerance", "near", "largest", "mm")),
+        ("steps", ctypes.c_int64),
+        ("taken", ctypes.c_int64),
+    )
+
+
+@final
+@dataclass
+class _Compiled:
+    """One problem, solved by compiled code."""
+
+    problem: Problem
+    library: ctypes.CDLL
+    constants: tuple[np.ndarray, ...]
+    numbers: dict[str, np.ndarray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.numbers = {
+            "scale": self.problem.scale,
+            "lower": self.problem.bounds[:, 0],
+            "upper": self.problem.bounds[:, 1],
+            "first": self.problem.limits[:, 0],
+            "last": self.problem.limits[:, 1],
+        } | {f"k_{name}": values for name, values in zip(_ROUTINES, self.constants, strict=True)}
+        self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in self.numbers.items()}
+        self.library.solve.argtypes = (ctypes.POINTER(_Job),)
+        self.library.solve.restype = None
+
+    def solve(self, batch: Batch) -> Outcome:
+        found = Outcome.empty(len(batch), self.problem.axes)
+        parts = [
+            slice(start, min(start + loading.PORTION, len(batch))) for start in range(0, len(batch), loading.PORTION)
+        ]
+        if len(parts) <= 1:
+            taken = [self._run(batch, found, part) for part in parts]
+        else:
+            # ctypes lets go of Python while it is in there.
+            with ThreadPoolExecutor(min(os.cpu_count() or 1, len(parts))) as pool:
+                taken = list(pool.map(lambda part: self._run(batch, found, part), parts))
+        return Outcome(found.positions, found.distance, found.apart, found.code, max(taken, default=0))
+
+    def _run(self, batch: Batch, found: Outcome, part: slice) -> int:
+        job = _Job(
+            rows=part.stop - part.start,
+            rotary_limit=self.problem.rotary_limit,
+            tolerance=self.problem.tolerance,
+            near=self.problem.near,
+            largest=LARGEST_ANGLE,
+            mm=self.problem.mm,
+            steps=self.problem.steps,
+            taken=0,
+        )
+        for name, values in self.numbers.items():
+            setattr(job, name, values.ctypes.data)
+        for name in ("positions", "distance", "apart", "code"):
+            setattr(job, name, getattr(found, name)[part].ctypes.data)
+        for name in ("start", "point", "axis", "approach", "loose"):
+            values = getattr(batch, name)
+            if values is None:
+                continue
+            setattr(job, name, values[part].ctypes.data)
+            for step, stride in zip(("row", "column"), values.strides, strict=False):
+                setattr(job, f"{name}_{step}", stride // values.itemsize)
+        self.library.solve(ctypes.byref(job))
+        return int(job.taken)
+
+
+@final
+class Solver:
+    """One problem, solved whichever way is fastest; the answers agree to rounding.
+
+    The compiled code is kept in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._plain = Plain(problem)
+        self._native: _Compiled | None = None
+        self._confirmed = False
+
+    def solve(self, batch: Batch) -> Outcome:
+        """All poses of a batch."""
+        if len(batch) < loading.WORTH_COMPILING or not loading.enabled():
+            return self._plain.solve(batch)
+        if self._native is None:
+            self._native = self._compiled()
+        if self._native is None:
+            return self._plain.solve(batch)
+        found = self._native.solve(_aligned(batch))
+        if not self._confirmed and not self._agrees(found, batch):
+            loading.give_up(self._source, "its results are wrong")
+            self._native = None
+            return self._plain.solve(batch)
+        return self._completed(found, batch)
+
+    def _completed(self, found: Outcome, batch: Batch) -> Outcome:
+        """With what the C++ leaves to NumPy: large angles."""
+        far = np.flatnonzero((found.apart > 0.01) & np.isfinite(found.apart) & (found.code != LEFT))
+        found.apart[far] = angle(found.apart[far])
+        rows = np.flatnonzero(found.code == LEFT)
+        if not rows.size:
+            return found
+        rest = self._plain.solve(batch.part(rows))
+        found.positions[rows], found.code[rows] = rest.positions, rest.code
+        found.distance[rows], found.apart[rows] = rest.distance, rest.apart
+        return Outcome(found.positions, found.distance, found.apart, found.code, max(found.iterations, rest.iterations))
+
+    def _agrees(self, found: Outcome, batch: Batch) -> bool:
+        """Whether poses said to be reached are, by NumPy: the check of a compiler nobody has tried this with."""
+        rows = np.flatnonzero(found.code == CONVERGED)[:TRIED]
+        if not rows.size:
+            return not np.any(self._plain.solve(batch.part(slice(0, TRIED))).code == CONVERGED)
+        left = self._plain.check(found.positions[rows], batch.part(rows))
+        # Twice: the promise itself holds to rounding of either evaluation.
+        self._confirmed = bool(np.all(left <= 2.0 * 2.0 * self.problem.tolerance / self.problem.mm))
+        return self._confirmed
+
+    @cached_property
+    def _tapes(self) -> tuple[Tape, ...] | None:
+        try:
+            return tuple(Tape(getattr(self.problem.functions, name)) for name in _ROUTINES)
+        except UnknownOperationError:
+            return None
+
+    @cached_property
+    def _source(self) -> str:
+        problem, tapes = self.problem, self._tapes or ()
+        sizes = {"A": problem.axes, "N": problem.inputs, "R": len(problem.rotary), "DIRECTED": int(problem.directed)}
+        sizes["K"] = tapes[0].outputs - problem.axes - 1
+        return "\n".join(
+            [
+                loading.text("simd.hpp"),
+                f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
+                f"static const int ROTARY[] = {{{', '.join(map(str, problem.rotary or (0,)))}}};",
+                *(routine(name, tape) for name, tape in zip(_ROUTINES, tapes, strict=True)),
+                loading.text("solve.cpp"),
+            ]
+        )
+
+    def _compiled(self) -> _Compiled | None:
+        if self._tapes is None:
+            return None
+        library = loading.library(self._source)
+        if library is None:
+            return None
+        return _Compiled(self.problem, library, tuple(np.array(tape.constants) for tape in self._tapes))
+
+
+def _aligned(batch: Batch) -> Batch:
+    """Arrays C++ can step through: doubles, whole strides."""
+
+    def ready(values: np.ndarray, kind: Any) -> np.ndarray:
+        fits = values.dtype == kind and values.flags.aligned and all(s % values.itemsize == 0 for s in values.strides)
+        return values if fits else np.array(values, dtype=kind, order="C")
+
+    approach = None if batch.approach is None else ready(batch.approach, np.float64)
+    start, point, axis = (ready(values, np.float64) for values in (batch.start, batch.point, batch.axis))
+    return Batch(start, point, axis, approach, ready(batch.loose, np.bool_))

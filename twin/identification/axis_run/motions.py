@@ -1,0 +1,324 @@
+"""Six error motions of a linear axis at every position, and its curves: from a multi-axis interferometer's readings.
+
+Relative to the reference position, as the counters are: what is constant, and the slope of a straightness, belong to where the layout
+stands. So they do in a calibration (`twin.identification.unknowns`): a curve has no constant, a straightness no slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Literal, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.distributions import chi2_sf
+from twin._common.errors import InputError
+from twin._common.units import UM, URAD
+from twin.identification.axis_run.layout import AxisLayout
+from twin.identification.axis_run.readings import Readings
+from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments.multi_axis import turn
+from twin.measurement.instruments.multi_axis_solve import Displacement, measure
+from twin.numerics.curves import basis_named
+from twin.numerics.spatial import cross_matrix, rotation_exp
+
+Spread = Literal["stated", "repeats"]
+MOST: Final = 13
+"""Functions of a curve at most, as `identify`."""
+FEWEST: Final = 4
+"""Positions of which one may be held out and a straightness still has one order to show."""
+PAYS: Final = 1e-6
+"""Of held-out error: of models that foretell alike the smallest is taken."""
+NAMES: Final = "XYZABC"
+MOST_STATES: Final = 1500
+"""Positions, each side counted: their joint covariance has 6 times as many rows and columns (0.6 GB)."""
+MOST_ROWS: Final = 30_000
+"""Readings of them."""
+SCALE: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
+
+
+@final
+@dataclass(frozen=True)
+class Motions:
+    """Error motions at g states (a position and the side it was come to from), µm and µrad, error frame of the axis.
+
+    Attributes:
+        axis: name.
+        position_mm: (g,) commanded.
+        approach: (g,) +1, −1, 0 unknown.
+        count: (g,) how many rows each is the mean of.
+        values: (g, 6) E_X… to E_C…, less those at the reference position.
+        covariance: (6g, 6g) joint, state after state.
+        u_installation: (g, 6) the part of the standard uncertainty that no repeat takes away.
+        repeatability: (6,) standard deviation of one row about the mean of its state; NaN where nothing was repeated.
+        chi2: of readings and installation together.
+        dof: its degrees of freedom.
+        spread: whose scatter the covariance carries.
+        displacement: the carriage's motions row by row, and the installation as estimated.
+        simulated: whether the readings were simulated.
+    """
+
+    axis: str
+    position_mm: np.ndarray
+    approach: np.ndarray
+    count: np.ndarray
+    values: np.ndarray
+    covariance: np.ndarray
+    u_installation: np.ndarray
+    repeatability: np.ndarray
+    chi2: float
+    dof: int
+    spread: Spread
+    displacement: Displacement
+    simulated: bool = False
+
+    def __len__(self) -> int:
+        return len(self.position_mm)
+
+    @property
+    def u(self) -> np.ndarray:
+        """(g, 6) standard uncertainties, µm and µrad."""
+        return np.sqrt(np.diag(self.covariance)).reshape(-1, 6)
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a misfit as large if layout, noise and installation are as stated."""
+        return float(chi2_sf(self.chi2, self.dof))
+
+
+def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "stated") -> Motions:
+    """Six error motions at every position that was measured.
+
+    Args:
+        layout: of the interferometer.
+        readings: of the run.
+        spread: the readings' stated noise, or the scatter of repeats of the same state. The installation's part is in both.
+
+    Raises:
+        InputError: beams that do not fix six motions; too few repeats for ``spread="repeats"``; no estimate; too many readings.
+    """
+    states = len(np.unique(np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1), axis=0))
+    if states > MOST_STATES or len(readings) > MOST_ROWS:
+        raise InputError(
+            "too many readings for a joint covariance of all of them",
+            expected=f"at most {MOST_STATES} positions, each side counted, and {MOST_ROWS} rows",
+            file=readings.source,
+            value=f"{states} positions, {len(readings)} rows",
+        )
+    start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
+    found = measure(
+        layout.beams, readings.paths(layout), noise=layout.noise, installation_u=layout.installation_u, poses=start
+    )
+    if not found.converged:
+        raise InputError(
+            "the readings lead to no pose of the carriage",
+            expected="changes of path of this layout, in mm",
+            file=readings.source,
+            value=f"off by {np.nanmax(np.abs(found.residual)) * 1e3:.3g} mm",
+        )
+    # With M₀ the pose at the reference and P the way out to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
+    place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place
+    _, left = turn(found.poses[:, 3:])
+    values = found.poses - start
+    values[:, :3] += layout.place - place
+    by_pose = np.tile(np.eye(6), (len(readings), 1, 1))
+    by_pose[:, :3, 3:] = cross_matrix(place) @ left
+    by_pose /= SCALE[:, None]
+    own = by_pose @ found.own @ by_pose.transpose(0, 2, 1)
+    lever = by_pose @ found.lever
+    state, group = np.unique(
+        np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1), axis=0, return_inverse=True
+    )
+    group = group.reshape(-1)
+    count = np.bincount(group)
+    share = (np.arange(len(state))[:, None] == group) / count[:, None]
+    mean = share @ (values / SCALE)
+    scatter = values / SCALE - mean[group]
+    repeats = len(readings) - len(state)
+    pooled = scatter.T @ scatter / repeats if repeats else np.full((6, 6), np.nan)
+    if spread == "repeats":
+        if repeats <= 6:
+            raise InputError(
+                "too few repeats to tell how six motions scatter",
+                expected="seven rows more than states (positions and sides they were come to from)",
+                file=readings.source,
+                value=f"{len(readings)} rows of {len(state)}",
+            )
+        each = pooled / count[:, None, None]
+    else:
+        each = np.einsum("gn,nij->gij", share**2, own)
+    mean_lever = np.einsum("gn,nip->gip", share, lever)
+    flat = mean_lever.reshape(6 * len(state), -1)
+    joint = flat @ found.installation_covariance @ flat.T
+    common = np.sqrt(np.diag(joint)).reshape(-1, 6)
+    for g in range(len(state)):
+        joint[6 * g : 6 * g + 6, 6 * g : 6 * g + 6] += each[g]
+    known = layout.installation_u > 0.0
+    misfit = float(np.nansum((found.residual / layout.noise) ** 2))
+    misfit += float(np.sum((found.installation[known] / layout.installation_u[known]) ** 2))
+    return Motions(
+        axis=layout.axis.name,
+        position_mm=locked(np.array(state[:, 0])),
+        approach=locked(np.array(state[:, 1])),
+        count=locked(count),
+        values=locked(mean),
+        covariance=locked((joint + joint.T) / 2.0),
+        u_installation=locked(common),
+        repeatability=locked(np.sqrt(np.diag(pooled))),
+        chi2=misfit,
+        dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
+        spread=spread,
+        displacement=found,
+        simulated=readings.simulated,
+    )
+
+
+@final
+@dataclass(frozen=True)
+class AxisCurves:
+    """Six curves of one linear axis.
+
+    Attributes:
+        calibration: the curves, with their joint covariance.
+        orders: name → how many functions of its basis; a curve that none pays for is not there.
+        held_out: name → RMS error at positions held out, µm or µrad.
+        reversal: name → value less than half the way apart: mean of positive less negative approach, and its standard uncertainty, µm
+            or µrad; empty where not both sides were measured.
+        chi2: of the motions about the curves.
+        dof: its degrees of freedom.
+    """
+
+    calibration: Calibration
+    orders: dict[str, int]
+    held_out: dict[str, float]
+    reversal: dict[str, tuple[float, float]]
+    chi2: float
+    dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a misfit as large if these curves are all there is."""
+        return float(chi2_sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
+
+
+def axis_curves(
+    motions: Motions, machine: Machine, *, source: str, wanted: Callable[[str], bool] = lambda name: True
+) -> AxisCurves:
+    """The six curves of the axis, each with as many orders as foretell the positions left out best.
+
+    Generalised least squares with the joint covariance of all motions at all positions, so that what the installation does to all of
+    them is in the curves' covariance too. Constants, slopes of straightness and a reversal of every motion are estimated along and
+    left to whom they belong.
+
+    Args:
+        motions: as measured.
+        machine: the machine.
+        source: where they come from, in words.
+        wanted: whether a curve of that name is sought.
+
+    Raises:
+        InputError: fewer than `FEWEST` positions; no curve wanted.
+    """
+    index = machine.names.index(motions.axis)
+    positions = np.zeros((len(motions), len(machine.axes)))
+    positions[:, index] = motions.position_mm
+    distinct = np.unique(motions.position_mm)
+    basis = basis_named("power")
+    if len(distinct) < FEWEST or basis is None:
+        raise InputError(
+            f"too few positions of {motions.axis}", expected=f"{FEWEST} or more", value=f"{len(distinct)} positions"
+        )
+    bases = dict.fromkeys(machine.names, basis)
+    spaces, _ = spaces_for(machine, positions, bases=bases, most=MOST, wanted=wanted)
+    if not spaces:
+        raise InputError("no curve wanted", expected=f"names of {motions.axis}'s error motions", value=motions.axis)
+    both = np.any(motions.approach > 0.0) and np.any(motions.approach < 0.0)
+    side = [motions.approach[:, None] / 2.0] if both else []
+    chosen: dict[str, CurveSpace] = {}
+    held_out: dict[str, float] = {}
+    for letter in NAMES:
+        name = f"E_{letter}{motions.axis}"
+        space = next((one for one in spaces if one.name == name), None)
+        if space is None:
+            continue
+        count, error = _order(space, motions, side, NAMES.index(letter))
+        chosen[name] = CurveSpace(name, space.basis, space.domain, space.first, count)
+        held_out[name] = error
+    return _fitted(motions, machine, chosen, side, source, held_out)
+
+
+def _order(space: CurveSpace, motions: Motions, side: list[np.ndarray], component: int) -> tuple[int, float]:
+    """How many functions of a space foretell best what is held out: position after position, all of its states at once."""
+    y = motions.values[:, component]
+    w = np.sqrt(motions.count)
+    best, least = space.first, np.inf
+    for count in range(space.first, space.count + 1):
+        a = np.concatenate([space.functions(motions.position_mm)[:, :count], *side], axis=1) * w[:, None]
+        q, _ = np.linalg.qr(a)
+        residual = y * w - q @ (q.T @ (y * w))
+        total = 0.0
+        for position in np.unique(motions.position_mm):
+            rows = motions.position_mm == position
+            held = np.eye(int(rows.sum())) - q[rows] @ q[rows].T
+            total += float(np.sum((np.linalg.pinv(held, rcond=1e-10) @ residual[rows]) ** 2))
+        error = float(np.sqrt(total / np.sum(w**2)))
+        if error < least * (1.0 - PAYS):
+            best, least = count, error
+    return best, least
+
+
+def _fitted(
+    motions: Motions,
+    machine: Machine,
+    chosen: dict[str, CurveSpace],
+    side: list[np.ndarray],
+    source: str,
+    held_out: dict[str, float],
+) -> AxisCurves:
+    g = len(motions)
+    blocks = []
+    places: dict[str, int] = {}
+    start = 0
+    for name, space in chosen.items():
+        part = np.concatenate([space.functions(motions.position_mm)[:, : space.count], *side], axis=1)
+        block = np.zeros((g, 6, part.shape[1]))
+        block[:, NAMES.index(name[2])] = part
+        blocks.append(block.reshape(6 * g, -1))
+        places[name] = start
+        start += part.shape[1]
+    design = np.concatenate(blocks, axis=1)
+    rows = np.tile([f"E_{letter}{motions.axis}" in chosen for letter in NAMES], g)
+    try:
+        factor = np.linalg.cholesky(motions.covariance[np.ix_(rows, rows)])
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"the uncertainty of {motions.axis}'s motions is too uneven to weigh them",
+            expected="readings of one layout, and stated uncertainties of like sizes",
+        ) from None
+    whitened = np.linalg.solve(factor, design[rows])
+    right = np.linalg.solve(factor, motions.values.reshape(-1)[rows])
+    q, r = np.linalg.qr(whitened)
+    theta = np.linalg.solve(r, q.T @ right)
+    inverse = np.linalg.inv(r)
+    covariance = inverse @ inverse.T
+    left = right - whitened @ theta
+    unknowns = Unknowns(machine, [space for space in chosen.values() if space.count > space.first], [])
+    at = [places[column.entity] + column.index for column in unknowns.columns]
+    calibration, _ = unknowns.calibration(theta[at], list(range(len(at))), source, locked(covariance[np.ix_(at, at)]))
+    reversal = {}
+    if side:
+        for name, space in chosen.items():
+            k = places[name] + space.count
+            reversal[name] = (float(theta[k]), float(np.sqrt(covariance[k, k])))
+    return AxisCurves(
+        calibration=replace(calibration, simulated=motions.simulated),
+        orders={name: space.count for name, space in chosen.items() if space.count > space.first},
+        held_out=held_out,
+        reversal=reversal,
+        chi2=float(left @ left),
+        dof=len(right) - len(theta),
+    )

@@ -1,0 +1,165 @@
+"""A table of a multi-axis interferometer's readings: one row a position of the axis, one column a beam.
+
+Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the layout, optionally ``round``, ``approach`` and
+``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `Readings.set_aside` with line and reason.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.csv_tables import Cells, not_understood, read_table
+from twin._common.errors import InputError
+from twin._common.files import write_whole
+from twin._common.units import MM
+from twin.identification.axis_run.layout import AxisLayout
+from twin.measurement.checks import LARGEST_MM, RowNote, outside
+from twin.measurement.table import comments_of, says_simulated
+
+FEWEST_BEAMS: Final = 6
+"""Beams without which six motions are not fixed."""
+
+
+@final
+@dataclass(frozen=True)
+class Readings:
+    """Readings of n rows; arrays are read-only.
+
+    Attributes:
+        source: the file, or where else they come from.
+        lines: (n,) line of each row in the file.
+        position_mm: (n,) commanded.
+        change_mm: (n, m) as the instrument shows it; NaN for a beam that was not read.
+        round: (n,) names.
+        approach: (n,) +1, −1, 0 unknown.
+        time_s: (n,) NaN where not given.
+        set_aside: rows that are not among these, and why.
+        notices: what a reader of the result must know.
+        simulated: whether they were simulated, not measured on a machine.
+    """
+
+    source: str
+    lines: np.ndarray
+    position_mm: np.ndarray
+    change_mm: np.ndarray
+    round: np.ndarray
+    approach: np.ndarray
+    time_s: np.ndarray
+    set_aside: tuple[RowNote, ...] = ()
+    notices: tuple[str, ...] = ()
+    simulated: bool = False
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def paths(self, layout: AxisLayout) -> np.ndarray:
+        """(n, m) change of path, there and back, metres."""
+        return np.asarray(self.change_mm * MM * (2.0 if layout.halved else 1.0))
+
+    def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
+        """The table as text; reading it gives the same readings."""
+        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": _printed(self.position_mm)}
+        columns |= {name: _printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        columns["round"] = list(self.round)
+        if np.any(self.approach):
+            columns["approach"] = [str(int(value)) for value in self.approach]
+        if np.isfinite(self.time_s).any():
+            columns["time_s"] = _printed(self.time_s)
+        text = io.StringIO()
+        text.write(comments_of(comment, simulated=self.simulated))
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        return text.getvalue()
+
+    def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
+        """Write the table, whole or not at all."""
+        write_whole(Path(path), self.to_csv(layout, comment=comment))
+
+
+def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
+    """Read and check a table of readings.
+
+    Args:
+        path: the file.
+        layout: the interferometer that read them.
+
+    Raises:
+        InputError: with file, line and value: no header, a missing column, a cell that is no number, no usable row.
+    """
+    path = Path(path)
+    header, rows, comments = read_table(path)
+    position = f"{layout.axis.name}_mm"
+    needed = (position, *layout.columns)
+    for name in needed:
+        if name not in header:
+            raise InputError(
+                f"column {name} is missing",
+                expected=f"columns {', '.join(needed)}",
+                file=path,
+                line=rows[0][0] - 1 if rows else 1,
+            )
+    if not rows:
+        raise InputError("no reading", expected="one row a position below the header", file=path)
+    known = {*needed, "round", "approach", "time_s"}
+    cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
+    table = Readings(
+        source=str(path),
+        lines=locked(np.array([line for line, _ in rows], dtype=int)),
+        position_mm=cells.numbers(position),
+        change_mm=locked(np.stack([cells.numbers(name) for name in layout.columns], axis=1)),
+        round=cells.words("round", "1"),
+        approach=cells.signs("approach"),
+        time_s=cells.numbers("time_s"),
+        notices=(
+            *(f"the file says: {text}" for text in says_simulated(comments)),
+            *(not_understood(name, sorted(known)) for name in header if name not in known),
+        ),
+        simulated=bool(says_simulated(comments)),
+    )
+    return _usable(table, layout)
+
+
+def _usable(table: Readings, layout: AxisLayout) -> Readings:
+    reasons: dict[int, str] = {}
+
+    def aside(rows: np.ndarray, reason: str) -> None:
+        for row in np.flatnonzero(rows):
+            reasons.setdefault(int(row), reason)
+
+    aside(~np.isfinite(table.position_mm), "a commanded position that is no finite number")
+    aside(np.isinf(table.change_mm).any(axis=1), "a reading that is no finite number")
+    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading beyond {LARGEST_MM:g} mm")
+    aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
+    lower, upper = layout.axis.lower, layout.axis.upper
+    if lower is not None and upper is not None:
+        beyond = outside(layout.axis, table.position_mm)
+        aside(beyond, f"{layout.axis.name} is commanded outside its range {lower:g} … {upper:g} mm")
+    keep = np.array([row not in reasons for row in range(len(table))])
+    notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
+    if not np.any(keep):
+        raise InputError(f"no usable row: {notes[0].text}", expected="readings", file=table.source, line=notes[0].line)
+    return Readings(
+        source=table.source,
+        lines=locked(table.lines[keep]),
+        position_mm=locked(table.position_mm[keep]),
+        change_mm=locked(table.change_mm[keep]),
+        round=locked(table.round[keep]),
+        approach=locked(table.approach[keep]),
+        time_s=locked(table.time_s[keep]),
+        set_aside=notes,
+        notices=table.notices,
+        simulated=table.simulated,
+    )
+
+
+def _printed(values: np.ndarray) -> list[str]:
+    return ["" if np.isnan(value) else repr(float(value)) for value in values]

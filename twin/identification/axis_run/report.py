@@ -1,0 +1,117 @@
+"""What a run says: as text, and as JSON (``schema: twin.axis_run/1``)."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from twin._common.provenance import texts, to_json
+from twin.display import finite
+from twin.identification.axis_run.layout import AxisLayout
+from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions
+from twin.identification.axis_run.readings import Readings
+from twin.measurement.checks import grouped_notes
+
+SCHEMA: Final = "twin.axis_run/1"
+UNLIKELY: Final = 1e-3
+"""A chance below it is worth a word."""
+STRAY: Final = 3.0
+"""How many times the noise of its own rows a motion must scatter for the repeats to be named."""
+
+
+def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
+    """What a reader of the result must know before using it."""
+    found = []
+    if motions.p_value < UNLIKELY:
+        found.append(
+            f"beams and stated uncertainties do not go together (chi² {motions.chi2:.0f} for {motions.dof}): "
+            "a beam, the layout or its uncertainties are not as stated"
+        )
+    own = np.sqrt(np.einsum("nii->ni", motions.displacement.own)).mean(axis=0) * 1e6
+    stray = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > STRAY * own[i]]
+    if stray:
+        names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in stray)
+        found.append(f"{names}: repeats scatter more than the beams' noise explains; --uncertainty repeats takes it in")
+    if curves.p_value < UNLIKELY:
+        found.append(
+            f"the curves leave something (chi² {curves.chi2:.0f} for {curves.dof}): a finer shape, or scatter beyond what is stated"
+        )
+    return tuple(found)
+
+
+def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
+    """The report as JSON."""
+    installation = motions.displacement
+    left = np.sqrt(np.diag(installation.installation_covariance))
+    return {
+        "schema": SCHEMA,
+        "layout": layout.name,
+        "axis": motions.axis,
+        "data": readings.source,
+        "rows": {"used": len(readings), "set_aside": len(readings.set_aside)},
+        "uncertainty": motions.spread,
+        "motions": [
+            {
+                "position_mm": float(motions.position_mm[g]),
+                "approach": int(motions.approach[g]),
+                "rows": int(motions.count[g]),
+                **{
+                    f"E_{letter}{motions.axis}": {
+                        "value": float(motions.values[g, i]),
+                        "u": float(motions.u[g, i]),
+                        "u_installation": float(motions.u_installation[g, i]),
+                    }
+                    for i, letter in enumerate(NAMES)
+                },
+            }
+            for g in range(len(motions))
+        ],
+        "curves": {
+            name: {"functions": count, "held_out": curves.held_out[name]} for name, count in curves.orders.items()
+        },
+        "reversal": {name: {"value": value, "u": u} for name, (value, u) in curves.reversal.items()},
+        "repeatability": {
+            f"E_{letter}{motions.axis}": finite(float(motions.repeatability[i])) for i, letter in enumerate(NAMES)
+        },
+        "misfit": {"chi2": motions.chi2, "dof": motions.dof, "p_value": motions.p_value},
+        "curves_misfit": {"chi2": curves.chi2, "dof": curves.dof, "p_value": finite(curves.p_value)},
+        "installation": [
+            {
+                "name": name,
+                "estimate": float(installation.installation[i]),
+                "u_stated": float(layout.installation_u[i]),
+                "u": float(left[i]),
+            }
+            for i, name in enumerate(layout.beams.installation)
+        ],
+        "warnings": to_json(curves.calibration.warnings),
+        "notices": [*readings.notices, *notices(motions, curves)],
+        "set_aside": [{"line": note.line, "reason": note.text} for note in readings.set_aside],
+    }
+
+
+def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> str:
+    """The report for a person."""
+    lines = [
+        f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "
+        f"counters zeroed at {layout.reference_mm:g} mm",
+        *texts(curves.calibration.warnings),
+        f"misfit: chi² {motions.chi2:.0f} for {motions.dof} (chance {motions.p_value:.2g})",
+        "",
+        "error motion      range   functions   held out   u, largest   of it installation   reversal",
+    ]
+    for i, letter in enumerate(NAMES):
+        name = f"E_{letter}{motions.axis}"
+        if name not in curves.held_out:
+            continue
+        unit = "µm  " if i < 3 else "µrad"
+        turned = curves.reversal.get(name)
+        lines.append(
+            f"{name}   {np.ptp(motions.values[:, i]):10.3f} {unit}   {curves.orders.get(name, 0):5d}   {curves.held_out[name]:10.4f}"
+            f"   {motions.u[:, i].max():10.4f}   {motions.u_installation[:, i].max():18.4f}   "
+            + ("" if turned is None else f"{turned[0]:+.4f} ± {turned[1]:.4f}")
+        )
+    lines += ["", *(f"note: {text}" for text in (*readings.notices, *notices(motions, curves)))]
+    lines += [f"set aside, {text}" for text in grouped_notes(readings.set_aside)]
+    return "\n".join(lines).rstrip() + "\n"

@@ -1,0 +1,1 @@
+"""The thesis's method, kept as the baseline `twin identify` is compared with."""

@@ -1,0 +1,326 @@
+"""Where the tool really is: forward kinematics with errors, in batches, and its sensitivities.
+
+Positions go in as (poses, axes) arrays in mm and degrees, axes in command order. The one recursion is the expression of
+`twin.machine.chain`; Pinocchio evaluates the same model for whoever wants it (`Machine.model`), and the tests hold the two together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import DEG, MM, URAD
+from twin.compute.batch import BatchFunction
+from twin.display import card, first_rows, fixed, note, pairs, table
+from twin.machine.calibration import Calibration
+from twin.machine.chain import chain_function, error_vector, frame_pose
+from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.effects.empirical import check_ranges
+from twin.machine.machine import Machine
+from twin.machine.machine_file import LONGEST_TOOL_MM
+from twin.numerics.spatial import fused_angles, tilt
+
+
+@final
+@dataclass(frozen=True)
+class Poses:
+    """Poses of the tool in the work frame.
+
+    Attributes:
+        point_mm: (n, 3) the functional point: the tool tip.
+        rotation: (n, 3, 3) tool frame in the work frame; its third column is the tool axis, from tip to spindle.
+    """
+
+    point_mm: np.ndarray
+    rotation: np.ndarray
+
+    @property
+    def axis(self) -> np.ndarray:
+        """(n, 3) tool axis (i, j, k), from tip to spindle."""
+        return self.rotation[:, :, 2]
+
+    def tilt_urad(self, meant: Poses) -> np.ndarray:
+        """How the tool axis leans against where it was meant to point: fused-like angles, order-free (`twin.numerics.spatial.tilt`).
+
+        About x and y of the tool frame as meant: the work frame's where the two are parallel, as on most machines at rotary zero. Not
+        about the work frame's throughout: a tool that lies across its z has no such angles, and close to that they say little.
+        Two numbers, not three: a turn of the tool about its own axis moves nothing.
+
+        Args:
+            meant: as many poses.
+
+        Returns:
+            (n, 2) µrad about x and about y.
+
+        Raises:
+            InputError: another number of poses, an axis a right angle or more off.
+        """
+        if len(meant) != len(self):
+            raise InputError("poses that do not belong together", expected=f"{len(self)} of them", value=len(meant))
+        return locked(tilt(np.einsum("nij,ni->nj", meant.rotation, self.axis)) / URAD)
+
+    def __len__(self) -> int:
+        return len(self.point_mm)
+
+    def _repr_html_(self) -> str:
+        rows, rest = first_rows(
+            len(self), lambda i: [fixed(v, 4) for v in self.point_mm[i]] + [fixed(v, 6) for v in self.axis[i]]
+        )
+        headers = ("x (mm)", "y (mm)", "z (mm)", "i", "j", "k")
+        said = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
+        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, said).text
+
+
+@final
+@dataclass(frozen=True)
+class Sensitivities:
+    """First derivatives of the tool pose in the work frame, metres and radians a metre or radian.
+
+    Attributes:
+        command: (n, 6, axes) of point (3) and rotation (3, as a rotation vector in the work frame), errors following the axes.
+        error: (n, 6, 6·frames) of the same with respect to every component of every error frame.
+    """
+
+    command: np.ndarray
+    error: np.ndarray
+
+
+@final
+class Kinematics:
+    """A machine with a calibration: what its commands really reach.
+
+    Args:
+        machine: the machine.
+        calibration: its errors; the machine file's own if None. `Calibration.zero` gives the machine as drawn.
+        tool_length_mm: the machine file's own if None.
+        conditions: temperatures and time, for the effects that need them.
+
+    Attributes:
+        machine, tool_length_mm, conditions: as given.
+        calibration: as given, the control's own correction taken with this tool.
+        chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.machine.chain.chain_function`.
+        directed: whether the side an axis was come to from matters (a reversal): where an argument ``approach`` is taken, it is
+            (n, axes), from +1 (from below) to −1 (from above), 0 where it is not known, and 0 throughout if None.
+        errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
+
+    Raises:
+        InputError: a tool length that is negative, longer than any tool, or no number; an effect that needs a channel nobody gave; a
+            temperature outside the range of an empirical effect.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        calibration: Calibration | None = None,
+        *,
+        tool_length_mm: float | None = None,
+        conditions: Conditions | None = None,
+    ) -> None:
+        self.machine = machine
+        self.conditions = Conditions() if conditions is None else conditions
+        self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        if not 0.0 <= self.tool_length_mm <= LONGEST_TOOL_MM:
+            raise InputError(
+                "tool length out of range",
+                expected=f"a finite number of mm from the spindle nose to the tool tip, 0 to {LONGEST_TOOL_MM:g}",
+                value=tool_length_mm,
+            )
+        given_errors = Calibration.default(machine) if calibration is None else calibration
+        self.calibration = given_errors.with_tool(self.tool_length_mm)
+        check_ranges(self.calibration.empirical, self.conditions.channels)
+        self.chain = chain_function(machine)
+        q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(machine.axes))
+        sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
+        errors = error_vector(machine, self.calibration.effects, q, sides | self.conditions.channels)
+        self.directed = bool(ca.depends_on(errors, side))
+        given, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
+        self.errors = ca.Function("errors", given, [errors], names, ["e"])
+
+    def _repr_html_(self) -> str:
+        known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
+        sides = "reversals: the side an axis comes from matters" if self.directed else ""
+        rows = [
+            ("errors", "none: the machine as drawn" if self.calibration.empty else self.calibration.source),
+            ("tool length", f"{self.tool_length_mm:g} mm"),
+            ("taken at", known),
+            ("approach", sides),
+        ]
+        small = f"axes {' '.join(self.machine.names)}, mm and degrees"
+        title = f"Kinematics of {self.machine.name}"
+        return card(title, pairs(rows), small=small, illustrative=self.calibration.illustrative).text
+
+    def symbols(self) -> list[Any]:
+        """Fresh symbols of what every pose is a function of: q (metres, radians), and the approach if directed."""
+        names = ("q", "approach") if self.directed else ("q",)
+        return [ca.SX.sym(name, len(self.machine.axes)) for name in names]
+
+    def rows(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, ...]:
+        """Values of `symbols` for (n, axes) q, metres and radians.
+
+        Raises:
+            InputError: an approach of another shape.
+        """
+        if not self.directed:
+            return (q,)
+        if approach is None:
+            return q, np.zeros(q.shape)
+        sides = np.atleast_2d(np.asarray(approach, dtype=float))
+        if sides.shape != q.shape:
+            raise InputError("approach of the wrong shape", expected=str(q.shape), value=sides.shape)
+        return q, sides
+
+    def pose_at(self, *at: Any) -> tuple[Any, Any]:
+        """Rotation and tip as expressions of `symbols`, errors of the calibration included."""
+        rotation, point = self.chain(at[0], self.errors(*at), self.tool_length_mm * MM)
+        return rotation, point
+
+    @cached_property
+    def _forward(self) -> BatchFunction:
+        at = self.symbols()
+        return BatchFunction(ca.Function("forward", at, list(self.pose_at(*at))))
+
+    @cached_property
+    def _sensitivities(self) -> BatchFunction:
+        at = self.symbols()
+        q = at[0]
+        e = ca.SX.sym("e", 6 * len(self.machine.frames))
+        rotation, point = self.chain(q, e, self.tool_length_mm * MM)
+        # Against a rotation held fixed the change is a rotation vector: three rows to differentiate, not nine.
+        held = ca.SX.sym("held", 3, 3)
+        turn = rotation @ held.T
+        pose = ca.vertcat(point, ca.inv_skew(turn - turn.T) / 2.0)
+        errors = self.errors(*at)
+        by_error = ca.jacobian(pose, e)
+        # Errors follow the axes: total derivative.
+        by_command = ca.jacobian(pose, q) + by_error @ ca.jacobian(errors, q)
+        results = ca.substitute([by_command, by_error], [held], [rotation])
+        results = ca.cse(ca.substitute(results, [e], [errors]))
+        return BatchFunction(ca.Function("sensitivities", at, results))
+
+    def reached(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """What `forward` gives, unchecked and in our own units, for a batch that must never raise.
+
+        Args:
+            q: (n, axes) metres and radians.
+            approach: as of `directed`.
+
+        Returns:
+            (n, 9) rotations, column after column, and (n, 3) points in metres.
+        """
+        rotation, point = self._forward(*self.rows(q, approach))
+        return rotation, point
+
+    def forward(self, positions: Any, approach: Any = None) -> Poses:
+        """Poses the machine really reaches.
+
+        Args:
+            positions: (n, axes) or (axes,) commands, mm and degrees, command order.
+            approach: as of `directed`.
+
+        Raises:
+            InputError: wrong shape, a value that is no finite number, or outside the domain of a curve.
+        """
+        q = self.check(positions)
+        rotation, point = self.reached(q * self.machine.scale, approach)
+        return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
+
+    def work_turn_urad(self, positions: Any, approach: Any = None) -> np.ndarray:
+        """How the work frame (the table) is turned from where it was meant to be: fused-like angles.
+
+        Those of `twin.numerics.spatial.fused_angles`. About x, y and z of the base frame: how the table leans about x and y, and how it
+        is turned in its plane; three numbers, a table has a direction within its surface.
+
+        Args:
+            positions: as of `forward`.
+            approach: as of `directed`.
+
+        Returns:
+            (n, 3) µrad about x, y and z.
+
+        Raises:
+            InputError: as `forward`; a table turned over.
+        """
+        q = self.check(positions)
+        at = self.symbols()
+        none = ca.SX.zeros(6 * len(self.machine.frames))
+        turned = [
+            frame_pose(self.machine, self.machine.work_frame, at[0], e).rotation for e in (self.errors(*at), none)
+        ]
+        (turn,) = BatchFunction(ca.Function("turn", at, [turned[0] @ turned[1].T]))(
+            *self.rows(q * self.machine.scale, approach)
+        )
+        return locked(fused_angles(turn.reshape(-1, 3, 3).transpose(0, 2, 1)) / URAD)
+
+    def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
+        """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
+
+        Raises:
+            InputError: as `forward`.
+        """
+        q = self.check(positions)
+        (errors,) = BatchFunction(self.errors)(*self.rows(q * self.machine.scale, approach))
+        return locked(errors.reshape(len(q), -1, 6))
+
+    def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
+        """Derivatives of the pose with respect to commands and to every error motion.
+
+        Raises:
+            InputError: as `forward`.
+        """
+        q = self.check(positions)
+        command, error = self._sensitivities(*self.rows(q * self.machine.scale, approach))
+        shape = (len(q), -1, 6)
+        return Sensitivities(
+            locked(command.reshape(shape).transpose(0, 2, 1)), locked(error.reshape(shape).transpose(0, 2, 1))
+        )
+
+    def check(self, positions: Any) -> np.ndarray:
+        """Positions as an (n, axes) array of finite numbers inside the domain of every curve.
+
+        Raises:
+            InputError: they are not.
+        """
+        q = np.atleast_2d(np.asarray(positions, dtype=float))
+        axes = self.machine.axes
+        if q.ndim != 2 or q.shape[1] != len(axes):
+            raise InputError(
+                "positions of the wrong shape",
+                expected=f"(n, {len(axes)}): {', '.join(self.machine.names)}",
+                value=q.shape,
+            )
+        if not np.all(np.isfinite(q)):
+            raise InputError(
+                "a position that is no number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0]
+            )
+        self.calibration.check(q)
+        return q
+
+    def outside_domain(self, q: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave what the calibration knows (`Calibration.outside`)."""
+        return self.calibration.outside(q)
+
+
+def angle_between_rad(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) angle between unit vectors (n, 3), exact for small angles too."""
+    return np.asarray(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
+
+
+def rms_and_max(tilt_urad: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Of (n, 2) tilts about x and about y: root mean square, and largest amount; zero of none."""
+    if not len(tilt_urad):
+        return (0.0, 0.0), (0.0, 0.0)
+    (a, b), (c, d) = np.sqrt(np.mean(tilt_urad**2, axis=0)), np.abs(tilt_urad).max(axis=0)
+    return (float(a), float(b)), (float(c), float(d))
+
+
+def turned(axis: np.ndarray, vectors: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
+    """(n, 3) ``vectors`` turned about one unit ``axis`` by (n,) angles (Rodrigues)."""
+    angle = (np.asarray(angles_deg) * DEG)[:, None]
+    along = (vectors @ axis)[:, None] * axis
+    return np.asarray(along + np.cos(angle) * (vectors - along) + np.sin(angle) * np.cross(axis, vectors))

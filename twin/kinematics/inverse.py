@@ -1,0 +1,182 @@
+"""The commands that reach a pose on the machine with errors.
+
+The residual is the point (3) and the tool axis across the target axis (2): the spindle turns freely about it. Newton's
+method on all poses at once; the linear axes are eliminated first (their 3×3 block is never singular), what is left is the
+2×2 system of the rotary axes, whose smaller singular value says how near a pose is to singular (`twin.kinematics.newton`).
+`twin.compute.native` runs it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import DEG, MM
+from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Problem, Solver
+from twin.display import card, first_rows, fixed, note, pairs, several, table
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.newton import Steps
+
+POINT_TOLERANCE: Final = 1e-12
+"""Metres (1e-9 mm), and radians for the tool axis."""
+STEPS: Final = 12
+"""Newton steps allowed; from a nominal start two or three are taken."""
+NEAR: Final = 1e-6
+"""Residual from which on a step may use the derivatives of the last: of that it leaves a millionth, more near a singularity."""
+SLACK: Final = 1e-9
+"""mm and degrees beyond a limit that are rounding."""
+DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
+"""How far a rotary axis may move to repair an orientation, when nobody says otherwise."""
+
+
+@final
+class Status(Enum):
+    """What became of a pose."""
+
+    CONVERGED = "converged"
+    OUT_OF_RANGE = "out of range"
+    SINGULAR = "singular"
+
+
+_CODE: Final = {Status.CONVERGED: CONVERGED, Status.OUT_OF_RANGE: OUT_OF_RANGE, Status.SINGULAR: SINGULAR}
+_STATUS: Final = np.array(sorted(_CODE, key=lambda status: _CODE[status]), dtype=object)
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """Commands for a batch of poses.
+
+    Attributes:
+        positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
+        code: (n,) what became of each, as of `twin.compute.native`.
+        point_residual_mm: (n,) distance left at the point.
+        orientation_residual_rad: (n,) angle left between tool axis and target.
+        iterations: most Newton steps taken by any pose.
+    """
+
+    positions: np.ndarray
+    code: np.ndarray
+    point_residual_mm: np.ndarray
+    orientation_residual_rad: np.ndarray
+    iterations: int
+
+    @property
+    def status(self) -> np.ndarray:
+        """(n,) `Status` objects.
+
+        ``singular`` means the point is reached and the orientation is not, within what the rotary axes may move; ``out of range`` that
+        a command leaves an axis's range or a curve's domain, or that nothing was found.
+        """
+        return locked(_STATUS[self.code])
+
+    def where(self, status: Status) -> np.ndarray:
+        """(n,) whether each pose has that status."""
+        return np.asarray(self.code == _CODE[status])
+
+    def _repr_html_(self) -> str:
+        counts = {status: int(self.where(status).sum()) for status in Status}
+        met = counts[Status.CONVERGED] == len(self.code)
+        axes = self.positions.shape[1]
+        rows, rest = first_rows(
+            len(self.code), lambda i: [*(fixed(v, 4) for v in self.positions[i]), str(self.status[i].value)]
+        )
+        left = ""
+        if len(self.code):
+            left = f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
+        told = pairs(
+            [
+                ("status", ", ".join(f"{status.value} {count:,}" for status, count in counts.items() if count)),
+                ("left at most", left),
+                ("Newton steps", str(self.iterations)),
+            ]
+        )
+        headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
+        said = note("commands in command order, mm and degrees")
+        title = f"Solution for {several(len(self.code), 'pose')}"
+        return card(title, told, table(headers, rows, right=range(axes)), rest, said, wrong=not met).text
+
+
+@final
+class Inverse:
+    """Inverse kinematics of one machine with one calibration.
+
+    Args:
+        kinematics: the machine, its errors and tool length.
+        rotary_limit_deg: how far a rotary axis may leave its start to repair an orientation.
+
+    Raises:
+        InputError: the machine has not three linear axes and at most two rotary ones.
+    """
+
+    def __init__(self, kinematics: Kinematics, *, rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG) -> None:
+        machine = kinematics.machine
+        machine.check_programs()
+        self.kinematics = kinematics
+        self.rotary_limit_deg = rotary_limit_deg
+
+    @cached_property
+    def _solver(self) -> Solver:
+        machine, calibration = self.kinematics.machine, self.kinematics.calibration
+        limit = self.rotary_limit_deg * DEG
+        limits, domains = machine.limits / machine.scale[:, None], calibration.domains()
+        lower = np.maximum(limits[:, 0], domains[:, 0]) - SLACK
+        upper = np.minimum(limits[:, 1], domains[:, 1]) + SLACK
+        return Solver(
+            Problem(
+                functions=Steps(self.kinematics, limit),
+                axes=len(machine.axes),
+                rotary=tuple(machine.rotary),
+                directed=self.kinematics.directed,
+                scale=machine.scale,
+                bounds=np.column_stack([lower, upper]),
+                limits=machine.limits[list(machine.rotary)],
+                rotary_limit=limit,
+                tolerance=POINT_TOLERANCE,
+                steps=STEPS,
+                near=NEAR,
+                mm=MM,
+            )
+        )
+
+    def solve(self, targets: Poses, start: Any, *, rotary: bool | np.ndarray = True, approach: Any = None) -> Solution:
+        """Commands that put the tool tip at each target, with its axis along the target's.
+
+        Args:
+            targets: poses in the work frame.
+            start: (n, axes) commands near the solution, mm and degrees; the branch (B, C and its alternative) is the start's.
+            rotary: whether the rotary axes may move (all poses, or (n,) each). Where not, they keep the start's positions
+                and only the point is solved for.
+            approach: (n, axes) sides the axes come from, where the machine is directed (`Kinematics.directed`).
+
+        Raises:
+            InputError: shapes that do not fit. Never for a pose that cannot be solved: it gets its status.
+        """
+        machine = self.kinematics.machine
+        n = len(targets)
+        begin = np.atleast_2d(np.asarray(start, dtype=float))
+        if begin.shape != (n, len(machine.axes)):
+            raise InputError("start of the wrong shape", expected=f"({n}, {len(machine.axes)})", value=begin.shape)
+        sides = self.kinematics.rows(begin, approach)[1:]
+        found = self._solver.solve(
+            Batch(
+                start=begin,
+                point=np.asarray(targets.point_mm, dtype=float),
+                axis=np.asarray(targets.axis, dtype=float),
+                approach=sides[0] if sides else None,
+                loose=np.broadcast_to(np.asarray(rotary, dtype=bool), (n,)),
+            )
+        )
+        return Solution(
+            locked(found.positions),
+            locked(found.code),
+            locked(found.distance),
+            locked(found.apart),
+            found.iterations,
+        )

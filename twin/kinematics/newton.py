@@ -1,0 +1,386 @@
+"""One step of the inverse as expressions: Newton's for all axes, that of the linear axes alone, and the repair near a singularity.
+
+Branch-free, for any chain: the same expressions are evaluated by CasADi, by NumPy and as C++ (`twin.compute.native`).
+
+The derivatives are the chain's twists (Lynch, Park: Modern Robotics, 5.1), errors following the axes: less than half of the work of
+differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only: it
+errs by an angular error times a slope, a millionth where they are a milliradian and a milliradian a radian, far less than Newton's own.
+The repair, which nothing follows, takes two. The residual leaves out nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, NamedTuple, final
+
+import casadi as ca
+import pinocchio as pin
+
+from twin._common.units import MM
+from twin.kinematics.forward import Kinematics
+from twin.machine.chain import Pose, constant_pose, joint_pose, joint_twist
+from twin.machine.machine import Machine
+from twin.numerics.spatial import rotation_exp
+
+LARGEST_STEP: Final = 0.1
+"""Radians a rotary axis may move in one step: a longer one has left the branch."""
+ALIKE: Final = 1e-15
+"""Smaller over larger singular value below which a system of two is taken to have one direction only (that of NumPy's pinv)."""
+
+
+@dataclass(frozen=True)
+class _Residual:
+    point: Any
+    axis: Any
+    """(2,) tool axis along two directions across the target."""
+    point_by: Any
+    """(3, axes)."""
+    axis_by: Any
+    """(2, axes)."""
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """The machine's joints as they stand."""
+
+    machine: Machine
+    q: Any
+    errors: Any
+    """(6·frames,)."""
+    motions: dict[int, Pose]
+    """Of every joint on the way to tool and work."""
+    tool: list[int]
+    """Joints to the tool from where it parts from the work; those before move both."""
+    work: list[int]
+    length: Any
+
+
+@final
+class Steps:
+    """The functions of one machine with one calibration, metres and radians: see `twin.compute.native.Functions`.
+
+    Args:
+        kinematics: the machine.
+        rotary_limit: radians a rotary axis may leave its start to repair an orientation.
+    """
+
+    def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
+        self._kinematics = kinematics
+        self._limit = rotary_limit
+        self._at = kinematics.symbols()
+        self._point, self._axis = ca.SX.sym("point", 3), ca.SX.sym("axis", 3)
+
+    @cached_property
+    def turn(self) -> ca.Function:
+        """One step of all axes, and the matrices of it."""
+        left, machine = self._left, self._kinematics.machine
+        size = _largest(ca.vertcat(left.point, left.axis))
+        if not machine.rotary:
+            return self._function("turn", [self._followed, size])
+        matrices = _matrices(machine, left)
+        return self._function(
+            "turn",
+            [self._at[0] + _turned(machine, matrices, left, longest=True), size, ca.vertcat(*map(ca.vec, matrices))],
+        )
+
+    @cached_property
+    def again(self) -> ca.Function:
+        """What one more step with the same matrices moves."""
+        machine = self._kinematics.machine
+        point, axis, rotary = ca.SX.sym("point", 3), ca.SX.sym("axis", 2), len(machine.rotary)
+        if not rotary:
+            return ca.Function("again", [point, axis], [ca.SX.zeros(len(machine.axes))])
+        shapes = ((3, 3), (3, rotary), (2, 3), (rotary, 2))
+        parts = [ca.SX.sym("matrix", *shape) for shape in shapes]
+        left = _Residual(point, axis, None, None)
+        move = _turned(machine, _Matrices(*parts), left, longest=False)
+        return ca.Function("again", [point, axis, ca.vertcat(*map(ca.vec, parts))], [ca.densify(move)])
+
+    @cached_property
+    def follow(self) -> ca.Function:
+        """One step of the linear axes."""
+        return self._function("follow", [self._followed, _largest(self._left.point)])
+
+    @cached_property
+    def repair(self) -> ca.Function:
+        """The rotary axes moved as far as makes sense."""
+        machine, q = self._kinematics.machine, self._at[0]
+        if not machine.rotary:
+            return self._function("repair", [q])
+        left = _residual(self._chain, self._point, self._axis, terms=2)
+        return self._function("repair", [_repaired(machine, q, left, self._limit)])
+
+    @cached_property
+    def check(self) -> ca.Function:
+        """What is left."""
+        gap, apart, off = _gap(self._chain, self._point, self._axis)
+        return self._function(
+            "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(apart), gap, off]
+        )
+
+    @cached_property
+    def _chain(self) -> _Chain:
+        kinematics, q = self._kinematics, self._at[0]
+        machine = kinematics.machine
+        errors = ca.densify(kinematics.errors(*self._at))
+        tool, work = _apart(machine)
+        moving, erring = _places(machine)
+        motions = {}
+        for joint in tool + work:
+            if joint in erring:
+                i = erring[joint]
+                motions[joint] = Pose(rotation_exp(errors[i + 3 : i + 6]), errors[i : i + 3])
+            else:
+                motions[joint] = joint_pose(machine.model.joints[joint], q[moving[joint]] if joint in moving else 0.0)
+        return _Chain(machine, q, errors, motions, tool, work, kinematics.tool_length_mm * MM)
+
+    @cached_property
+    def _left(self) -> _Residual:
+        return _residual(self._chain, self._point, self._axis, terms=1)
+
+    @property
+    def _followed(self) -> Any:
+        linear = list(self._kinematics.machine.linear)
+        move = -(_inverse(self._left.point_by[:, linear]) @ self._left.point)
+        return self._at[0] + _placed(self._kinematics.machine, linear, move)
+
+    def _function(self, name: str, results: list[Any]) -> ca.Function:
+        return ca.Function(name, [*self._at, self._point, self._axis], [ca.densify(result) for result in results])
+
+
+def _residual(chain: _Chain, point: Any, axis: Any, terms: int) -> _Residual:
+    """Tool less target, both in the frame where the chains to tool and work part."""
+    machine = chain.machine
+    by_position = ca.jacobian(chain.errors, chain.q)
+    tool, tool_twists = _branch(chain, chain.tool, machine.tool_frame, by_position, terms)
+    work, work_twists = _branch(chain, chain.work, machine.work_frame, by_position, terms)
+    tip = tool.rotation @ _sparse(0.0, 0.0, -chain.length) + tool.translation
+    goal = work.rotation @ point + work.translation
+    pointing, target = tool.rotation[:, 2], work.rotation @ axis
+    across = ca.horzcat(*_across(target))
+    moved, turned = [], []
+    for turn, shift in _relative(tool_twists, work_twists, tip):
+        moved.append(shift)
+        turned.append(across.T @ ca.cross(turn, pointing))
+    return _Residual(tip - goal, across.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
+
+
+def _gap(chain: _Chain, point: Any, axis: Any) -> tuple[Any, Any, Any]:
+    """Tip less goal, tool axis less target, and tool axis along the two directions across the target; of `_residual`, for less work.
+
+    Two vectors a side are carried out along the chain, where derivatives need every frame on the way.
+    """
+    machine = chain.machine
+    tip, pointing = _carried(
+        chain, chain.tool, machine.tool_frame, _sparse(0.0, 0.0, -chain.length), _sparse(0.0, 0.0, 1.0)
+    )
+    goal, target = _carried(chain, chain.work, machine.work_frame, point, axis)
+    return tip - goal, pointing - target, ca.horzcat(*_across(target)).T @ pointing
+
+
+def _sparse(*values: float) -> Any:
+    return ca.SX(ca.sparsify(ca.DM(values)))
+
+
+def _carried(chain: _Chain, path: list[int], frame: int, point: Any, axis: Any) -> tuple[Any, Any]:
+    """A point and a direction of a frame, before the joints of ``path``."""
+    model = chain.machine.model
+    outwards = [constant_pose(model.frames[frame].placement)]
+    for joint in reversed(path):
+        outwards += [chain.motions[joint], constant_pose(model.jointPlacements[joint])]
+    for pose in outwards:
+        point, axis = pose.rotation @ point + pose.translation, pose.rotation @ axis
+    return point, axis
+
+
+def _places(machine: Machine) -> tuple[dict[int, int], dict[int, int]]:
+    """Joint → its axis; joint → where its six errors begin."""
+    erring = {frame.joint: 6 * i for i, frame in enumerate(machine.frames)}
+    return {joint: i for i, joint in enumerate(machine.axis_joints)}, erring
+
+
+def _apart(machine: Machine) -> tuple[list[int], list[int]]:
+    """Joints to the tool and to the work from where the two part; those before move both."""
+    tool, work = (_path(machine, frame) for frame in (machine.tool_frame, machine.work_frame))
+    shared = len([None for a, b in zip(tool, work, strict=False) if a == b])
+    return tool[shared:], work[shared:]
+
+
+def _path(machine: Machine, frame: int) -> list[int]:
+    """Joints from the root to a frame."""
+    found, joint = [], machine.model.frames[frame].parentJoint
+    while joint != 0:
+        found.append(joint)
+        joint = machine.model.parents[joint]
+    return found[::-1]
+
+
+Twist = tuple[Any, Any]
+"""Turn, and velocity of the point at the origin."""
+
+
+def _branch(chain: _Chain, path: list[int], frame: int, by_position: Any, terms: int) -> tuple[Pose, list[Twist]]:
+    """Pose of a frame behind the joints of ``path``, and its twist by every axis."""
+    machine, model = chain.machine, chain.machine.model
+    moving, erring = _places(machine)
+    none = ca.SX(3, 1)
+    twists: list[Twist] = [(none, none) for _ in machine.axes]
+    pose = constant_pose(pin.SE3.Identity())
+    for joint in path:
+        pose = pose.then(constant_pose(model.jointPlacements[joint]))
+        after = pose.then(chain.motions[joint])
+        if joint in moving:
+            turn, shift = joint_twist(model.joints[joint])
+            twists[moving[joint]] = _added(twists[moving[joint]], pose, pose.translation, turn, shift)
+        elif joint in erring:
+            i = erring[joint]
+            for axis in range(len(machine.axes)):
+                shift, turn = by_position[i : i + 3, axis], by_position[i + 3 : i + 6, axis]
+                if shift.nnz() + turn.nnz() == 0:
+                    continue
+                if terms > 1:
+                    turn = turn + 0.5 * ca.cross(chain.errors[i + 3 : i + 6], turn)
+                twists[axis] = _added(twists[axis], pose, after.translation, turn, shift)
+        pose = after
+    return pose.then(constant_pose(model.frames[frame].placement)), twists
+
+
+def _added(twist: Twist, pose: Pose, centre: Any, turn: Any, shift: Any) -> Twist:
+    """A twist, and another one given in the frame of ``pose`` about ``centre``."""
+    about = pose.rotation @ turn
+    return twist[0] + about, twist[1] + pose.rotation @ shift + ca.cross(centre, about)
+
+
+def _relative(tool: list[Twist], work: list[Twist], tip: Any) -> list[Twist]:
+    """Turn of the tool against the work by every axis, and velocity of the tip, both as one who stands on the work sees them."""
+    found = []
+    for a, b in zip(tool, work, strict=True):
+        turn = a[0] - b[0]
+        found.append((turn, a[1] - b[1] + ca.cross(turn, tip)))
+    return found
+
+
+def _across(z: Any) -> tuple[Any, Any]:
+    """Two unit vectors across a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
+    sign = ca.if_else(z[2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + z[2])
+    b = z[0] * z[1] * a
+    first = ca.vertcat(1.0 + sign * z[0] * z[0] * a, sign * b, -sign * z[0])
+    return first, ca.vertcat(b, sign + z[1] * z[1] * a, -z[1])
+
+
+def _largest(vector: Any) -> Any:
+    found = ca.fabs(vector[0])
+    for i in range(1, vector.numel()):
+        found = ca.fmax(found, ca.fabs(vector[i]))
+    return found
+
+
+def _placed(machine: Machine, which: list[int], values: Any) -> Any:
+    """(axes,) with ``values`` at some axes."""
+    found = ca.SX(len(machine.axes), 1)
+    for k, i in enumerate(which):
+        found[i] = values[k]
+    return found
+
+
+def _inverse(matrix: Any) -> Any:
+    """Of a matrix of three, by cofactors: its columns are the linear axes, nearly at right angles."""
+    a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
+    rows = ca.vertcat(ca.cross(b, c).T, ca.cross(c, a).T, ca.cross(a, b).T)
+    return rows * (1.0 / ca.dot(a, rows[0, :].T))
+
+
+class _Matrices(NamedTuple):
+    """What a step is made of: the linear axes follow the point, what is left is the tool axis's system in the rotary axes."""
+
+    linear: Any
+    """(3, 3) linear axes by the point."""
+    slope: Any
+    """(3, rotary) how the linear axes follow the rotary ones."""
+    coupling: Any
+    """(2, 3) tool axis by the linear axes."""
+    rotary: Any
+    """(rotary, 2) rotary axes by the tool axis, the linear ones following."""
+
+
+def _reduced(machine: Machine, left: _Residual) -> tuple[Any, Any, Any, Any]:
+    """The first three of `_Matrices`, and what the fourth is the inverse of."""
+    linear, rotary = list(machine.linear), list(machine.rotary)
+    inverse, coupling = _inverse(left.point_by[:, linear]), left.axis_by[:, linear]
+    slope = inverse @ left.point_by[:, rotary]
+    return inverse, slope, coupling, left.axis_by[:, rotary] - coupling @ slope
+
+
+def _matrices(machine: Machine, left: _Residual) -> _Matrices:
+    inverse, slope, coupling, system = _reduced(machine, left)
+    return _Matrices(inverse, slope, coupling, _pseudo_inverse(system))
+
+
+def _turned(machine: Machine, by: _Matrices, left: _Residual, *, longest: bool) -> Any:
+    """What one step of Newton's moves; if ``longest``, no rotary axis further than `LARGEST_STEP`."""
+    alone = by.linear @ left.point
+    move = -(by.rotary @ (left.axis - by.coupling @ alone))
+    if longest:
+        move = move * ca.fmin(1.0, LARGEST_STEP / ca.fmax(_largest(move), 1e-300))
+    follow = -(alone + by.slope @ move)
+    return _placed(machine, list(machine.rotary), move) + _placed(machine, list(machine.linear), follow)
+
+
+def _repaired(machine: Machine, q: Any, left: _Residual, limit: float) -> Any:
+    """The rotary axes moved as far as makes sense."""
+    inverse, _, coupling, matrix = _reduced(machine, left)
+    right = left.axis - coupling @ (inverse @ left.point)
+    rotary = list(machine.rotary)
+    lower, upper = machine.limits[rotary].T
+    reach = q[rotary] + _bounded_move(matrix, right, limit)
+    # A start beyond its range stays where it is (and is reported); others stop at the limit.
+    reach = ca.fmin(ca.fmax(reach, ca.fmin(lower, q[rotary])), ca.fmax(upper, q[rotary]))
+    return q + _placed(machine, rotary, reach - q[rotary])
+
+
+def _pseudo_inverse(a: Any) -> Any:
+    """A⁺ of (2, 2) and (2, 1)."""
+    squares = ca.sumsqr(a)
+    flat = ca.if_else(squares > 0.0, 1.0 / squares, 0.0)
+    if a.shape[1] == 1:
+        return a.T * flat
+    determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
+    whole = ca.fabs(determinant) > ALIKE * squares
+    return ca.if_else(whole, adjugate, a.T) * ca.if_else(whole, 1.0 / determinant, flat)
+
+
+def _bounded_move(a: Any, b: Any, limit: float) -> Any:
+    """How far the rotary axes are moved where they cannot repair the whole orientation.
+
+    Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β·(β/t)³: continuous at
+    the limit, and soon gone towards the singularity, where turning C repairs nothing: C stays continuous through it, and
+    a program that stands at B = 0 does not have its C moved for nothing.
+    """
+    if a.shape[1] == 1:
+        return _along(a, -b, ca.SX.ones(1, 1), limit)
+    # One Jacobi rotation makes the columns orthogonal (Golub, Van Loan: Matrix Computations, 8.6.4): they are σ u, it is v.
+    first, second = a[:, 0], a[:, 1]
+    dot, gap = ca.dot(first, second), ca.dot(second, second) - ca.dot(first, first)
+    length = ca.sqrt(gap * gap + 4.0 * dot * dot)
+    sign = ca.if_else(gap < 0.0, -1.0, 1.0)
+    below = ca.fabs(gap) + length
+    tangent = ca.if_else(below > 0.0, sign * 2.0 * dot / ca.if_else(below > 0.0, below, 1.0), 0.0)
+    cosine = 1.0 / ca.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    one, two = ca.vertcat(cosine, -sine), ca.vertcat(sine, cosine)
+    return _along(a @ one, -b, one, limit) + _along(a @ two, -b, two, limit)
+
+
+def _along(column: Any, right: Any, direction: Any, limit: float) -> Any:
+    """The share of one singular direction: ``column`` is σ u."""
+    squares = ca.sumsqr(column)
+    sigma = ca.sqrt(squares)
+    delta = ca.dot(column, right)  # σ δ
+    within = ca.fabs(delta) <= limit * squares
+    safe = ca.if_else(squares > 0.0, squares, 1.0)
+    reach = ca.if_else(within, 0.0, limit * squares / ca.if_else(within, 1.0, delta))  # β/t, signed
+    wanted = ca.if_else(within, delta / safe, limit * reach * reach * reach)
+    return direction * ca.if_else(sigma > 0.0, wanted, 0.0)

@@ -1,0 +1,563 @@
+"""A calibration: the error motions, squareness and locations identified for one machine, under their ISO 230-1 names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, final
+
+import numpy as np
+import yaml
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError, nearest
+from twin._common.files import write_whole
+from twin._common.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, texts
+from twin._common.yaml_files import LARGEST, Place, line_of, load_yaml
+from twin.display import card, note
+from twin.machine.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
+from twin.machine.control import ControlSection, TableEntry, read_tables
+from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
+from twin.machine.display import about_html, errors_html
+from twin.machine.effects import (
+    AxisLocation,
+    ControlCorrection,
+    Effect,
+    Empirical,
+    ErrorMotion,
+    Squareness,
+    split_name,
+)
+from twin.machine.effects.empirical import check_ranges, state_name
+from twin.machine.effects.registry import entry_of, payload_entries
+from twin.machine.empirical_entry import entry_of_empirical
+from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve, added, basis_of, conversion_of, known_bases
+from twin.numerics.covariance import Covariance, not_a_covariance
+from twin.numerics.curves import BASES, basis_named
+
+SCHEMA = "twin.calibration/1"
+LARGEST_ANGLE_URAD = 1e5
+"""Beyond this an angle is no error motion but a mistake in the file; the rotation series is exact well past it."""
+
+
+@final
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of one machine's errors; a curve, squareness or location not named is zero.
+
+    Attributes:
+        machine: the machine it belongs to.
+        source: where the numbers come from, in words.
+        curves: error motions by name.
+        squareness: µrad by name.
+        location: µm and µrad by name.
+        extra: effects a diagnosis added, beside those the names above stand for.
+        joint: covariance of all identified parameters together, or None where only curves have their own.
+        path: the file it was read from, or None.
+        control: what it says of the machine's control; None: nothing, as of a control that corrects nothing.
+        corrections: what the control takes out of these errors by itself; nothing where they are what it leaves.
+        settled: whether the estimate it comes from did; if not, no program and no table is made of it.
+        simulated: whether readings it comes from were simulated, not measured on a machine.
+    """
+
+    machine: Machine
+    source: str
+    curves: Mapping[str, Curve]
+    squareness: Mapping[str, float]
+    location: Mapping[str, float]
+    joint: Covariance | None = None
+    extra: tuple[Effect, ...] = ()
+    path: Path | None = None
+    control: ControlSection | None = None
+    corrections: tuple[ControlCorrection, ...] = ()
+    settled: bool = True
+    simulated: bool = False
+
+    @classmethod
+    def zero(cls, machine: Machine) -> Calibration:
+        """The machine as drawn."""
+        nothing: Mapping[str, Any] = MappingProxyType({})
+        return cls(machine, "nominal: no errors", nothing, nothing, nothing)
+
+    @classmethod
+    def load(cls, path: str | Path, machine: Machine) -> Calibration:
+        """Read and check a calibration file.
+
+        Raises:
+            InputError: with file, line, value and what was expected.
+        """
+        path = Path(path)
+        entries, lines = load_yaml(path, CalibrationFile, SCHEMA)
+        if entries.machine != machine.name:
+            raise InputError(
+                "a calibration for another machine",
+                expected=f"machine: {machine.name}",
+                file=path,
+                line=line_of(("machine",), lines),
+                value=entries.machine,
+            )
+        check = _Check(path, lines, machine)
+        extra = effects_of(entries.effects, machine, check.fail)
+        curves = {name: check.curve(name, entry) for name, entry in entries.curves.items()}
+        for kind, given, allowed in (
+            ("squareness", entries.squareness, machine.squareness_names),
+            ("location", entries.location, machine.location_names),
+        ):
+            for name, value in given.items():
+                check.name((kind, name), name, allowed)
+                if (split_name(name)[0] >= 3) and abs(value) > LARGEST_ANGLE_URAD:
+                    raise check.fail((kind, name), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", value)
+        loaded = cls(
+            machine=machine,
+            source=entries.source,
+            curves=MappingProxyType(curves),
+            squareness=MappingProxyType(dict(entries.squareness)),
+            location=MappingProxyType(dict(entries.location)),
+            extra=extra,
+            path=path,
+            settled=entries.settled,
+            simulated=entries.simulated,
+        )
+        check.datum(entries.datum, loaded)
+        if entries.covariance is not None:
+            loaded = replace(loaded, joint=check.joint(entries.covariance, loaded))
+        return loaded if entries.control is None else loaded.with_control(check.control(entries.control))
+
+    @classmethod
+    def default(cls, machine: Machine) -> Calibration:
+        """The machine file's own calibration; the machine as drawn if it names none."""
+        return (
+            cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the file, whole or not at all."""
+        write_whole(Path(path), self.to_yaml(Path(path).parent))
+
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The file's text; reading it gives the same calibration.
+
+        Args:
+            folder: where it will stand: files of the control are named as seen from there, else by their full path.
+        """
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "source": self.source,
+            "datum": self.datum,
+            **({} if self.settled else {"settled": False}),
+            **({"simulated": True} if self.simulated else {}),
+            "curves": {name: _entry(curve) for name, curve in self.curves.items()},
+            "squareness": {name: float(value) for name, value in self.squareness.items()},
+            "location": {name: float(value) for name, value in self.location.items()},
+        }
+        if self.extra:
+            data["effects"] = [
+                *payload_entries(self.extra),
+                *(
+                    entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
+                    for effect in self.extra
+                ),
+            ]
+        if self.control is not None:
+            data["control"] = self.control.to_entry(folder)
+        text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+        if self.joint is not None and self.joint.names:
+            names = (
+                yaml.dump(list(self.joint.names), default_flow_style=True, width=120).replace("\n", "\n    ").rstrip()
+            )
+            rows = "".join(f"    {row}\n" for row in self.joint.to_text().splitlines())
+            text += f"covariance:\n  parameters: {names}\n  lower: |\n{rows}"
+        return text
+
+    @cached_property
+    def datum(self) -> Datum:
+        """The datum that its numbers fulfil (`twin.machine.datum`)."""
+        return datum_of(self._numbers)
+
+    def in_datum(self, datum: Datum, names: Collection[str] | None = None) -> Calibration:
+        """The same machine in a datum, with its covariance; itself if it is in that datum already.
+
+        Args:
+            datum: the rule.
+            names: errors that may change; all of the machine if None (`twin.machine.datum.convert`).
+
+        Raises:
+            InputError: ``as given``, which is no rule; a curve that its basis cannot hold in that datum.
+        """
+        if violation(self._numbers, datum) is None and datum != AS_GIVEN:
+            return self
+        found = convert(self._numbers, datum, names)
+        if found.numbers == self._numbers:
+            return self
+        joint = found.covariance(self.covariance)
+        names = set(joint.names)
+        curves = {}
+        for name, curve in found.numbers.curves.items():
+            own = [f"{name}[{k}]" for k in range(len(curve.coefficients))]
+            curves[name] = replace(curve, covariance=joint.of(own).matrix if own[0] in names else None)
+        return replace(
+            self,
+            source=f"{self.source} Datum changed to {datum}.",
+            curves=MappingProxyType(curves),
+            squareness=found.numbers.squareness,
+            location=found.numbers.location,
+            joint=joint if names else None,
+            path=None,
+        )
+
+    @property
+    def _numbers(self) -> Numbers:
+        return Numbers(self.machine, self.curves, self.squareness, self.location)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The model these numbers are: one effect an entry, in the order of the file."""
+        found: list[Effect] = []
+        for curve in self.curves.values():
+            axis = self.machine.by_name[split_name(curve.name)[2]]
+            found.append(
+                ErrorMotion(
+                    curve.name, basis_of(curve.basis), curve.domain, curve.coefficients, wrapped=axis.lower is None
+                )
+            )
+        for name, angle in self.squareness.items():
+            found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]]))
+        found += [AxisLocation(name, offset) for name, offset in self.location.items()]
+        return (*found, *self.extra, *self.corrections)
+
+    def with_control(self, control: ControlSection | None) -> Calibration:
+        """The same errors under another control, whose tables are read and become part of the model; None: one that corrects nothing.
+
+        Raises:
+            InputError: a table cannot be read, is not the file that was entered, or moves an axis the machine has not.
+        """
+        corrections: list[ControlCorrection] = []
+        for kind in control.formats if control is not None and control.errors_are == "uncorrected" else ():
+            entries = control.of(kind) if control is not None else ()
+            for entry in entries:
+                entry.check()
+            classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
+            table = read_tables(kind, [entry.file for entry in entries], self.machine)
+            corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
+        return replace(self, control=control, corrections=tuple(corrections))
+
+    def check_settled(self) -> None:
+        """That it may be used at a machine.
+
+        Raises:
+            InputError: the estimate did not settle.
+        """
+        if not self.settled:
+            raise InputError(
+                "the estimate this calibration comes from did not settle",
+                expected="one that did: identify again with more readings, other poses, or the places of targets and stations given",
+                file=self.path,
+                value="settled: false",
+            )
+
+    def with_tool(self, tool_length_mm: float) -> Calibration:
+        """The same errors under a control that moves a tool of that length, where it counts the tool in."""
+        corrections = tuple(one.with_tool(tool_length_mm) for one in self.corrections)
+        same = all(one is before for one, before in zip(corrections, self.corrections, strict=True))
+        return self if same else replace(self, corrections=corrections)
+
+    def where(self, keep: Callable[[str], bool]) -> Calibration:
+        """The same calibration with only the effects (error motions, squareness, locations and others) whose name is kept."""
+        numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}
+        return replace(
+            self,
+            curves=MappingProxyType({name: curve for name, curve in self.curves.items() if keep(name)}),
+            squareness=MappingProxyType({name: value for name, value in self.squareness.items() if keep(name)}),
+            location=MappingProxyType({name: value for name, value in self.location.items() if keep(name)}),
+            joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
+            extra=tuple(effect for effect in self.extra if keep(effect.name)),
+            corrections=tuple(effect for effect in self.corrections if keep(effect.name)),
+        )
+
+    @property
+    def covariance(self) -> Covariance:
+        """What is known of the parameters' uncertainty: the joint covariance, or each curve's own, independent."""
+        if self.joint is not None:
+            return self.joint
+        blocks = []
+        for curve in self.curves.values():
+            if curve.covariance is not None:
+                names = tuple(f"{curve.name}[{k}]" for k in range(len(curve.coefficients)))
+                blocks.append(Covariance(names, curve.covariance))
+        return Covariance.of_blocks(blocks) if blocks else Covariance.none()
+
+    @property
+    def without_uncertainty(self) -> tuple[str, ...]:
+        """Names of what this calibration gives a value but no uncertainty."""
+        known = {name.partition("[")[0] for name in self.covariance.names}
+        return tuple(name for name in (*self.curves, *self.squareness, *self.location) if name not in known)
+
+    def extended(
+        self, effects: Sequence[Effect], covariance: Covariance, source: str, *, simulated: bool = False
+    ) -> Calibration:
+        """This calibration with effects added: to the curves, squareness and locations they belong to, or beside them.
+
+        Args:
+            effects: what a diagnosis found.
+            covariance: of their parameters.
+            source: said after this calibration's own.
+            simulated: whether the readings they were found in were simulated.
+        """
+        curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
+        extra = list(self.extra)
+        own, found = self.covariance, covariance
+        motions: dict[str, list[ErrorMotion]] = {}
+        for effect in effects:
+            if isinstance(effect, ErrorMotion):
+                motions.setdefault(effect.name, []).append(effect)
+                curves[effect.name] = added(curves.get(effect.name), effect)
+            elif isinstance(effect, Squareness):
+                squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
+            elif isinstance(effect, AxisLocation):
+                location[effect.name] = location.get(effect.name, 0.0) + effect.offset
+            else:
+                extra.append(effect)
+        for name in [name for name in motions if name in self.curves]:
+            basis, count = basis_of(curves[name].basis), len(curves[name].coefficients)
+            widest = max(motions[name], key=lambda motion: len(motion.coefficients))
+            own = own.rewritten(name, conversion_of(name, basis, basis, len(self.curves[name].coefficients), count))
+            found = found.rewritten(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
+        whole = replace(
+            self,
+            source=f"{self.source}; {source}",
+            curves=MappingProxyType(curves),
+            squareness=MappingProxyType(squareness),
+            location=MappingProxyType(location),
+            extra=tuple(extra),
+            joint=None,
+            path=None,
+            simulated=self.simulated or simulated,
+        )
+        return replace(whole, joint=own.plus(found))
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is named: the machine as drawn."""
+        return not (self.curves or self.squareness or self.location or self.extra or self.corrections)
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether any of its error motions is drawn, not measured."""
+        return any(curve.illustrative for curve in self.curves.values())
+
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings of where the numbers come from; every file made from them carries these."""
+        found = [ILLUSTRATIVE] if self.illustrative else []
+        found += [SIMULATED] if self.simulated else []
+        found += [] if self.settled else [UNSETTLED]
+        numbers = {parameter.name for effect in self.effects for parameter in effect.parameters}
+        known = numbers.intersection(self.covariance.names)
+        if known != numbers:
+            found.append(PARTLY_UNKNOWN if known else UNKNOWN)
+        return tuple(found)
+
+    def _repr_html_(self) -> str:
+        drawn = tuple(curve.name for curve in self.curves.values() if curve.illustrative)
+        errors = errors_html(self.machine, self.effects, self.covariance, drawn)
+        unknown = self.without_uncertainty if self.covariance.names or self.empty else ("all of it",)
+        about = about_html(self.source, self.path, self.control, drawn, unknown)
+        small = "no errors: the machine as drawn" if self.empty else ""
+        title = f"Calibration of {self.machine.name}"
+        # The card itself shows the first, and `about` lists what has no uncertainty.
+        said = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
+        return card(title, *said, errors, about, small=small, illustrative=self.illustrative).text
+
+    @cached_property
+    def empirical(self) -> tuple[Empirical, ...]:
+        """The effects without a known cause, each valid within its ranges only."""
+        return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
+
+    def outside(self, positions: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave the domain of a curve or the range of an empirical effect, not by rounding."""
+        found = self.outside_domains(positions)
+        for effect in self.empirical:
+            for column, outside in effect.outside(self.state(positions)).items():
+                found[:, self.machine.names.index(state_name(column))] |= outside
+        return found
+
+    def outside_domains(self, positions: np.ndarray) -> np.ndarray:
+        """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
+        bounds = self.domains()
+        slack = 1e-9
+        return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
+
+    def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """(n,) positions of every axis by name, of (n, axes) of them."""
+        return dict(zip(self.machine.names, np.asarray(positions, dtype=float).T, strict=True))
+
+    def check(self, positions: np.ndarray) -> None:
+        """Check that every curve and every empirical effect covers (n, axes) positions.
+
+        Raises:
+            InputError: one does not.
+        """
+        outside = self.outside_domains(positions)
+        if np.any(outside):
+            row, column = np.argwhere(outside)[0]
+            lo, hi = self.domains()[column]
+            axis = self.machine.axes[column]
+            raise InputError(
+                f"{axis.name} outside the domain of its error motions",
+                expected=f"{lo:g} to {hi:g} {axis.unit}",
+                value=float(positions[row, column]),
+            )
+        check_ranges(self.empirical, self.state(positions))
+
+    def domains(self) -> np.ndarray:
+        """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
+        bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))
+        for curve in self.curves.values():
+            axis = self.machine.by_name[split_name(curve.name)[2]]
+            if axis.lower is not None:
+                row = bounds[self.machine.axes.index(axis)]
+                row[:] = max(row[0], curve.domain[0]), min(row[1], curve.domain[1])
+        return bounds
+
+
+@final
+@dataclass(frozen=True)
+class _Check:
+    """Checks of a calibration file that need the machine."""
+
+    path: Path
+    lines: Mapping[Place, int]
+    machine: Machine
+
+    def fail(self, place: Place, what: str, expected: str, value: object, meant: str | None = None) -> InputError:
+        line = line_of(place, self.lines)
+        return InputError(what, expected=expected, file=self.path, line=line, value=value, nearest=meant)
+
+    def name(self, place: Place, name: str, allowed: tuple[str, ...]) -> None:
+        if name not in allowed:
+            what = f"{self.machine.name} has no such entry under {place[0]}"
+            raise self.fail(place, what, f"one of {', '.join(allowed)}", name, nearest(name, allowed))
+
+    def datum(self, stated: str | None, calibration: Calibration) -> None:
+        if stated is None:
+            return
+        known = next((datum for datum in DATUMS if datum == stated), None)
+        if known is None:
+            raise self.fail(("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, nearest(stated, DATUMS))
+        against = violation(calibration._numbers, known)
+        if against is not None:
+            curve, what, amount = against
+            unit = "µm" if split_name(curve)[0] < 3 else "µrad"
+            wrong = f"the numbers contradict the datum '{known}': {curve} has a {what}"
+            expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
+            raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
+
+    def curve(self, name: str, entry: CurveEntry) -> Curve:
+        place: Place = ("curves", name)
+        self.name(place, name, self.machine.motion_names)
+        component, _, axis_name = split_name(name)
+        axis = self.machine.by_name[axis_name]
+        unit = "um" if component < 3 else "urad"
+        if entry.unit != unit:
+            raise self.fail((*place, "unit"), f"wrong unit for {name}", unit, entry.unit)
+        lo, hi = entry.domain
+        if not lo < hi:
+            raise self.fail((*place, "domain"), "an empty domain", "[lo, hi] with lo < hi", list(entry.domain))
+        if axis.lower is None and abs(hi - lo - 360.0) > 1e-9:
+            raise self.fail(
+                (*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain)
+            )
+        basis = basis_named(entry.basis)
+        if basis is None:
+            known = [one.name for one in BASES]
+            raise self.fail((*place, "basis"), "no such basis", known_bases(), entry.basis, nearest(entry.basis, known))
+        misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
+        if misfit is not None:
+            raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
+        peak = np.abs(basis.value(np.linspace(lo, hi, 201), entry.domain, entry.coefficients)).max()
+        if unit == "urad" and peak > LARGEST_ANGLE_URAD:
+            raise self.fail(
+                (*place, "coefficients"), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", float(peak)
+            )
+        return Curve(
+            name=name,
+            unit=entry.unit,
+            domain=entry.domain,
+            basis=entry.basis,
+            coefficients=entry.coefficients,
+            covariance=self.covariance((*place, "covariance"), entry),
+            source=entry.source,
+            illustrative=entry.illustrative,
+        )
+
+    def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
+        if entry.covariance is None:
+            return None
+        count = len(entry.coefficients)
+        if len(entry.covariance) != count or any(len(row) != count for row in entry.covariance):
+            raise self.fail(place, "covariance of the wrong shape", f"{count} rows of {count}", entry.covariance)
+        matrix = np.array(entry.covariance)
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise self.fail(place, "covariance is not symmetric", "a symmetric matrix", entry.covariance)
+        problem = not_a_covariance(matrix)
+        if problem is not None:
+            raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
+        return locked(matrix)
+
+    def control(self, entry: ControlEntry) -> ControlSection:
+        folder = self.path.parent
+        return ControlSection(
+            entry.errors_are,
+            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in entry.tables),
+        )
+
+    def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
+        known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
+        for name in entry.parameters:
+            if name not in known:
+                what = "a covariance of something not in this file"
+                raise self.fail(("covariance",), what, "its parameters", name, nearest(name, known))
+            if entry.parameters.count(name) > 1:
+                raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
+        try:
+            found = Covariance.from_text(entry.parameters, entry.lower)
+        except ValueError as error:
+            raise self.fail(
+                ("covariance", "lower"), "not a covariance", "the lower triangle, one row a line", error
+            ) from None
+        if np.any(np.abs(found.matrix) > LARGEST):
+            raise self.fail(("covariance", "lower"), "too large a number", f"at most {LARGEST:g}", "")
+        for curve in calibration.curves.values():
+            names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
+            whole = set(names) <= set(entry.parameters)
+            if curve.covariance is not None and not (
+                whole and np.allclose(found.of(names).matrix, curve.covariance, rtol=1e-9, atol=0.0)
+            ):
+                raise self.fail(
+                    ("curves", curve.name, "covariance"),
+                    "differs from the joint covariance",
+                    "the same numbers",
+                    curve.name,
+                )
+        return found
+
+
+def _entry(curve: Curve) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "unit": curve.unit,
+        "domain": [float(bound) for bound in curve.domain],
+        "basis": curve.basis,
+        "coefficients": [float(c) for c in curve.coefficients],
+    }
+    if curve.covariance is not None:
+        entry["covariance"] = [[float(value) for value in row] for row in curve.covariance]
+    if curve.illustrative:
+        entry["illustrative"] = True
+    if curve.source:
+        entry["source"] = curve.source
+    return entry

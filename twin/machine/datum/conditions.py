@@ -1,0 +1,161 @@
+"""What a datum asks of the curves: linear conditions, in the order in which they are fulfilled.
+
+An earlier group is never given up for a later one; within a group that cannot be fulfilled whole, the sum of squares is the least.
+
+1. No mean angle and no slope where a neighbour or a squareness always takes it over: angular error motions of a linear axis that is not
+   next to the tool or the workpiece, the tilt of a rotary axis, fixed tilts, and slopes that are no common turn of all lines.
+2. A common turn of all lines: the direction of the machine frame.
+3. The same for shifts: the mean of a straightness, of a rotary axis across its line, and fixed shifts.
+4. The mean of a straightness of an axis next to the tool or the workpiece.
+5. The mean of a positioning error: the zero of the scale.
+6. What only the workpiece or the tool could take over: the mean tilt of the spindle, the pattern of the last rotary axis.
+7. Of two locations that stand for the same shift, the smallest ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin.machine.datum.links import Link
+from twin.machine.machine import DIRECTIONS, Axis
+
+Datum = Literal["mean lines", "end points", "as given"]
+MEAN_LINES: Final = "mean lines"
+END_POINTS: Final = "end points"
+AS_GIVEN: Final = "as given"
+DATUMS: Final[tuple[Datum, ...]] = (MEAN_LINES, END_POINTS, AS_GIVEN)
+MEANING: Final[Mapping[Datum, str]] = {
+    "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, where squareness or a location takes it over "
+    "(twin doc datum)",
+    "end points": "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)",
+    "as given": "datum as given: means and slopes of the curves act like squareness and locations; convert to mean lines before "
+    "numbers are compared (twin doc datum)",
+}
+"""One line about each, for below a table of errors."""
+LAST: Final = 6
+"""The group of what stays in the last axes."""
+Weights = tuple[tuple[int, int, np.ndarray], ...]
+"""Link, component and (n,) weights at its nodes: a sum of curve values, µm or µrad."""
+
+
+@final
+@dataclass(frozen=True)
+class Condition:
+    """A combination of curve values that the datum wants to be zero.
+
+    Attributes:
+        curve: name of the curve it is about; of a pair of curves the first.
+        what: ``mean``, ``slope`` (over half the range), ``fixed shift``, ``fixed tilt``.
+        group: place in the order of this module's text, 1 to 6.
+        weights: what is summed.
+    """
+
+    curve: str
+    what: str
+    group: int
+    weights: Weights
+
+
+def conditions_of(links: Sequence[Link], datum: Datum) -> tuple[Condition, ...]:
+    """Every condition of a datum on the axes of a machine."""
+    found: list[Condition] = []
+    slopes: list[Condition] = []
+    tilts: list[np.ndarray] = []
+    for i, link in enumerate(links):
+        name = link.axis.name
+        if not link.axis.linear:
+            found += _of_rotary(i, link)
+            continue
+        for c, letter in enumerate(DIRECTIONS):
+            curve, mean = f"E_{letter}{name}", link.weights
+            if c >= 3:
+                found.append(Condition(curve, "mean", LAST if link.last else 1, ((i, c, mean),)))
+            elif along(link.axis, letter):
+                found.append(Condition(curve, "mean", 5, ((i, c, mean),)))
+            else:
+                mean, slope = _line(link, datum)
+                found.append(Condition(curve, "mean", 4 if link.last else 3, ((i, c, mean),)))
+                slopes.append(Condition(curve, "slope", 2, ((i, c, slope),)))
+                tilts.append(_tilt_of_turn(link, c))
+    return (*found, *_intrinsic(slopes, np.array(tilts).reshape(-1, 3)), *slopes)
+
+
+def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray], ...]]:
+    """What a fixed vector on the turning side is, component by component, in the fixed frame: two patterns, θ in degrees.
+
+    For u across the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
+    """
+    d = np.array(axis.direction)
+    found = []
+    for i, letter in enumerate(DIRECTIONS[:3]):
+        if along(axis, letter):
+            continue
+        u = np.eye(3)[i] - d[i] * d
+        v = np.cross(d, u)
+        found.append(tuple(_wave(float(a), float(b)) for a, b in zip(u, v, strict=True)))
+    return found
+
+
+def along(axis: Axis, letter: str) -> bool:
+    """Whether a component is the one along the axis, or about it."""
+    return "XYZ".index(letter) == int(np.argmax(np.abs(axis.direction)))
+
+
+def _of_rotary(i: int, link: Link) -> list[Condition]:
+    name = link.axis.name
+    shift, tilt = (LAST, LAST) if link.last else (3, 1)
+    found = []
+    for c, letter in enumerate(DIRECTIONS):
+        own = along(link.axis, DIRECTIONS[c % 3])
+        group = (shift if own else 3) if c < 3 else (tilt if own else 1)
+        found.append(Condition(f"E_{letter}{name}", "mean", group, ((i, c, link.weights),)))
+    for first, what, group in ((0, "fixed shift", shift), (3, "fixed tilt", tilt)):
+        for k, pattern in enumerate(turning_patterns(link.axis)):
+            weights = [(i, first + c, locked(link.weights * part(link.nodes))) for c, part in enumerate(pattern)]
+            across = [c for c in range(3) if not along(link.axis, DIRECTIONS[c])]
+            found.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, group, tuple(weights)))
+    return found
+
+
+def _line(link: Link, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) weights of the height and of the slope, over half the range, of a curve's reference line."""
+    if datum != END_POINTS:
+        return link.weights, locked(3.0 * link.weights * link.u)
+    ends = np.zeros((2, len(link.nodes)))
+    ends[:, 0], ends[:, -1] = (0.5, -0.5), (0.5, 0.5)
+    return locked(ends[0]), locked(ends[1])
+
+
+def _tilt_of_turn(link: Link, component: int) -> np.ndarray:
+    """(3,) slope, over half the range, that a turn of all lines about x, y and z of the machine frame gives a straightness; µm/µrad."""
+    turns = np.array(link.axis.machine_axes)
+    half = (link.domain[1] - link.domain[0]) / 2.0 * link.axis.scale
+    return np.asarray(np.cross(turns, np.array(link.axis.direction))[:, component] * half)
+
+
+def _intrinsic(slopes: Sequence[Condition], tilts: np.ndarray) -> list[Condition]:
+    """Group 1: the slopes less the common turn of all lines nearest to them. It is what squareness takes over."""
+    if not slopes:
+        return []
+    # In angles, so that long and short axes count alike.
+    size = np.linalg.norm(tilts, axis=1)
+    directions = tilts / size[:, None]
+    rest = np.eye(len(slopes)) - directions @ np.linalg.pinv(directions)
+    found = []
+    for row, own in zip(rest, slopes, strict=True):
+        weights = tuple(
+            (i, c, share / scale * values)
+            for share, scale, one in zip(row, size, slopes, strict=True)
+            for i, c, values in one.weights
+        )
+        found.append(Condition(own.curve, "slope", 1, weights))
+    return found
+
+
+def _wave(a: float, b: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda theta: a * np.cos(np.radians(theta)) + b * np.sin(np.radians(theta))

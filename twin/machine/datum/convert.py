@@ -1,0 +1,352 @@
+"""The numbers of a calibration in another datum: the same poses of the tool, other curves, squareness and locations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.machine.datum.conditions import (
+    AS_GIVEN,
+    DATUMS,
+    END_POINTS,
+    LAST,
+    MEAN_LINES,
+    Condition,
+    Datum,
+    conditions_of,
+)
+from twin.machine.datum.fit import FITTED, fit, fitted, functions
+from twin.machine.datum.links import Link, Numbers, links_of
+from twin.machine.effects import split_name
+from twin.machine.machine import DIRECTIONS
+from twin.machine.motion_curve import basis_of, conversion_of
+from twin.numerics.covariance import Covariance
+
+KEPT: Final = 1e-3
+"""µm or µrad: what rounded coefficients may differ from a datum that a file states."""
+SETTLED: Final = 1e-7
+"""µm or µrad: a step of this size ends the iteration."""
+STEPS: Final = 20
+RANK: Final = 1e-9
+"""Singular values below this part of the largest are zero."""
+
+
+@final
+@dataclass(frozen=True)
+class Converted:
+    """A calibration's numbers in a datum.
+
+    Attributes:
+        numbers: curves without covariance, squareness, locations.
+        names: of the new parameters.
+        matrix: (new, old) first derivative of the new parameters by the old ones.
+        old: names of the old parameters.
+    """
+
+    numbers: Numbers
+    names: tuple[str, ...]
+    matrix: np.ndarray
+    old: tuple[str, ...]
+
+    def covariance(self, known: Covariance) -> Covariance:
+        """The covariance of the new parameters.
+
+        Without those that depend on an old one of unknown uncertainty, and without errors that only the conversion named: the
+        calibration did not say that they are zero.
+        """
+        index = {name: i for i, name in enumerate(known.names)}
+        others = [name for name in known.names if name not in self.old]  # of effects: they stay as they are
+        names = (*self.names, *others)
+        through = np.zeros((len(names), len(index)))
+        through[range(len(self.names), len(names)), [index[name] for name in others]] = 1.0
+        open_ = np.zeros(len(names), dtype=bool)
+        for column, name in enumerate(self.old):
+            if name in index:
+                through[: len(self.names), index[name]] = self.matrix[:, column]
+            else:
+                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK
+        entity = np.array([name.partition("[")[0] for name in names])
+        without = set(entity[open_]) | set(entity) - {name.partition("[")[0] for name in (*self.old, *others)}
+        keep = [i for i, name in enumerate(entity) if name not in without]
+        # By a root of the matrix: a variance cannot become negative by rounding.
+        values, vectors = np.linalg.eigh(known.matrix)
+        root = through[keep] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        return Covariance(tuple(names[i] for i in keep), locked(root @ root.T))
+
+
+def datum_of(numbers: Numbers) -> Datum:
+    """The datum that the numbers fulfil: mean lines before end points; as given if neither."""
+    return next((datum for datum in (MEAN_LINES, END_POINTS) if violation(numbers, datum) is None), AS_GIVEN)
+
+
+def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
+    """The curve, what it has against a datum (``mean``, ``slope``, …) and how much, µm or µrad; None if nothing beyond rounding."""
+    if datum == AS_GIVEN:
+        return None
+    gauge = _Gauge(numbers, datum)
+    change = gauge.change(gauge.amounts(numbers))
+    if not len(change) or np.abs(change).max() <= KEPT:
+        return None
+    worst = int(np.argmax(np.abs(change)))
+    condition = gauge.conditions[worst]
+    return condition.curve, condition.what, -float(change[worst])
+
+
+def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> Converted:
+    """The same machine in a datum.
+
+    Args:
+        numbers: a calibration's.
+        datum: the rule.
+        names: errors that may change; all of the machine if None. The rule then holds as far as these can take anything over, and poses
+            agree to first order: to the product of two errors, some nanometres.
+
+    Raises:
+        InputError: ``as given``, which is no rule; a curve that its basis cannot hold in the other datum.
+    """
+    if datum not in (MEAN_LINES, END_POINTS):
+        raise InputError("no datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
+    gauge = _Gauge(numbers, datum, names)
+    new = _settled(gauge, numbers)
+    return _linear(gauge, numbers, new)
+
+
+def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
+    """The converted numbers: steps of first order, each carried out exactly, until nothing is left to do."""
+    values = [link.values(numbers) for link in gauge.links]
+    start = [np.array(one) for one in values]
+    constants = gauge.constants(numbers)
+    for _ in range(STEPS):
+        step = gauge.step @ np.concatenate([gauge.measured(values), constants])
+        if np.abs(step).max(initial=0.0) <= SETTLED:
+            break
+        inserted, changed = step[: 6 * gauge.gaps], constants + step[6 * gauge.gaps :]
+        values = [
+            gauge.moved(i, one, inserted, constants, changed)
+            for i, one in enumerate(values)
+        ]  # fmt: skip
+        constants = changed
+    else:
+        raise InputError(
+            "a calibration that cannot be converted to another datum",
+            expected="error motions small enough for the conversion to converge",
+            value=f"a step of {np.abs(step).max():.2g} µm or µrad",
+        )
+    curves = dict(numbers.curves)
+    for link, before, after in zip(gauge.links, start, values, strict=True):
+        for c, letter in enumerate(DIRECTIONS):
+            name = f"E_{letter}{link.axis.name}"
+            difference = after[c] - before[c]
+            if np.any(difference) and gauge.may_change(name):
+                curve = fitted(numbers.curves.get(name), name, link, difference, numbers)
+                if curve is not None:
+                    curves[name] = curve
+    ordered = {name: curves[name] for name in sorted(curves, key=numbers.machine.motion_names.index)}
+    named = dict(zip(gauge.names, (float(v) for v in constants), strict=True))
+    groups = []
+    for given, allowed in (
+        (numbers.squareness, numbers.machine.squareness_names),
+        (numbers.location, numbers.machine.location_names),
+    ):
+        kept = {name: named.get(name, given.get(name, 0.0)) for name in allowed}
+        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FITTED})
+    return Numbers(numbers.machine, MappingProxyType(ordered), *(MappingProxyType(group) for group in groups))
+
+
+def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
+    """The first derivative of the new parameters by the old ones."""
+    names = [f"{name}[{k}]" for name, c in old.curves.items() for k in range(len(c.coefficients))]
+    names += [*old.squareness, *old.location]
+    column = {name: i for i, name in enumerate(names)}
+    steps = gauge.step @ _amounts(gauge, old, column)
+    link_of = {link.axis.name: i for i, link in enumerate(gauge.links)}
+    rows, into = [], []
+    for name, curve in new.curves.items():
+        component, _, axis = split_name(name)
+        own = _kept(old, new, name, gauge.links[link_of[axis]] if axis in link_of else None)
+        block = np.zeros((len(curve.coefficients), len(names)))
+        if own is not None:
+            start = column[f"{name}[0]"]
+            block[:, start : start + own.shape[1]] = own
+        if axis in link_of and gauge.may_change(name):
+            i = link_of[axis]
+            into_curve = fit(basis_of(curve.basis), curve.domain, gauge.links[i], len(curve.coefficients))
+            block += into_curve @ (gauge.rates[i][component] @ steps)
+        rows.append(block)
+        into += [f"{name}[{k}]" for k in range(len(block))]
+    for name in (*new.squareness, *new.location):
+        row = np.zeros((1, len(names)))
+        if name in gauge.names:
+            row += steps[6 * gauge.gaps + gauge.names.index(name)]
+        if name in column:
+            row[0, column[name]] += 1.0
+        rows.append(row)
+        into.append(name)
+    return Converted(
+        new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names)
+    )
+
+
+def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.ndarray:
+    """(conditions + constants, parameters) first derivative of the amounts by the parameters, one column each."""
+    conditions = len(gauge.conditions)
+    found = np.zeros((conditions + len(gauge.names), len(column)))
+    for i, link in enumerate(gauge.links):
+        for c, letter in enumerate(DIRECTIONS):
+            curve = numbers.curves.get(f"E_{letter}{link.axis.name}")
+            if curve is not None:
+                count, start = len(curve.coefficients), column[f"{curve.name}[0]"]
+                values = functions(basis_of(curve.basis), curve.domain, link, count)
+                found[:conditions, start : start + count] = gauge.weights[i][:, c] @ values
+    for k, name in enumerate(gauge.names):
+        if name in column:
+            found[conditions + k, column[name]] = 1.0
+    return found
+
+
+def _kept(old: Numbers, new: Numbers, name: str, link: Link | None) -> np.ndarray | None:
+    """(new, old) the old coefficients of a curve as new ones; None where there was no curve."""
+    was, curve = old.curves.get(name), new.curves[name]
+    if was is None:
+        return None
+    basis, size, count = basis_of(curve.basis), len(was.coefficients), len(curve.coefficients)
+    if was.domain == curve.domain or link is None:
+        return conversion_of(name, basis, basis, size, count)
+    return fit(basis, curve.domain, link, count) @ functions(basis, was.domain, link, size)
+
+
+@final
+class _Gauge:
+    """What can be moved without changing a pose, and the step that moves it to a datum.
+
+    Args:
+        numbers: a calibration's.
+        datum: the rule.
+        names: errors that may change; all if None.
+    """
+
+    def __init__(self, numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> None:
+        self._allowed = names
+        self.links, self.gaps = links_of(numbers)
+        self.conditions: tuple[Condition, ...] = conditions_of(self.links, datum)
+        own = {link.axis.name for link in self.links}
+        machine = numbers.machine
+        self.names = tuple(
+            name for name in (*machine.squareness_names, *machine.location_names) if split_name(name)[2] in own
+        )
+
+    def may_change(self, name: str) -> bool:
+        """Whether an error may change."""
+        return self._allowed is None or name in self._allowed
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(unknowns, f) orthonormal directions that leave every error as it is that may not change."""
+        size = 6 * self.gaps + len(self.names)
+        fixed = [np.eye(size)[6 * self.gaps + k] for k, name in enumerate(self.names) if not self.may_change(name)]
+        for link, rates in zip(self.links, self.rates, strict=True):
+            for c, letter in enumerate(DIRECTIONS):
+                if not self.may_change(f"E_{letter}{link.axis.name}"):
+                    fixed += list(rates[c])
+        if not fixed:
+            return np.eye(size)
+        _, values, right = np.linalg.svd(np.array(fixed), full_matrices=True)
+        return np.asarray(right[int(np.count_nonzero(values > RANK * max(values[0], 1e-3))) :].T)
+
+    @cached_property
+    def weights(self) -> list[np.ndarray]:
+        """By link (conditions, 6, n): the conditions' weights."""
+        found = [np.zeros((len(self.conditions), 6, len(link.nodes))) for link in self.links]
+        for row, condition in enumerate(self.conditions):
+            for i, c, values in condition.weights:
+                found[i][row, c] += values
+        return found
+
+    @cached_property
+    def rates(self) -> list[np.ndarray]:
+        """By link (6, n, unknowns): change of its curves by the motions at the gaps and by the constants, to first order."""
+        found = []
+        for link in self.links:
+            own = np.zeros((6, len(link.nodes), len(self.names)))
+            for k, name in enumerate(self.names):
+                if split_name(name)[2] == link.axis.name:
+                    own[:, :, k] = -link.shape(name)
+            found.append(np.concatenate([link.rates(self.gaps), own], axis=2))
+        return found
+
+    @cached_property
+    def derivative(self) -> np.ndarray:
+        """(conditions, unknowns)."""
+        size = 6 * self.gaps + len(self.names)
+        total = np.zeros((len(self.conditions), size))
+        for weights, rates in zip(self.weights, self.rates, strict=True):
+            total += np.tensordot(weights, rates, axes=([1, 2], [0, 1]))
+        return total
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """(unknowns, conditions + constants) what to move for each amount that is not zero; group after group."""
+        size, count = self.derivative.shape[1], len(self.conditions)
+        amounts = np.eye(count + len(self.names))
+        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST + 1)]
+        whole = np.concatenate([self.derivative, np.eye(size)[6 * self.gaps :]])
+        step, free = np.zeros((size, count + len(self.names))), self.free
+        for rows in (*groups, list(range(count, count + len(self.names)))):
+            if not rows or not free.shape[1]:
+                continue
+            left, values, right = np.linalg.svd(whole[rows] @ free, full_matrices=True)
+            rank = int(np.count_nonzero(values > RANK * max(values.max(initial=0.0), 1e-3)))
+            want = amounts[rows] + whole[rows] @ step
+            step = step - free @ (right[:rank].T / values[:rank]) @ left[:, :rank].T @ want
+            free = free @ right[rank:].T
+        return step
+
+    def measured(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """(conditions,) the amounts that curves at the nodes have, µm and µrad."""
+        total = np.zeros(len(self.conditions))
+        for weights, one in zip(self.weights, values, strict=True):
+            total += np.tensordot(weights, one, axes=([1, 2], [0, 1]))
+        return total
+
+    def amounts(self, numbers: Numbers) -> np.ndarray:
+        """(conditions + constants,) the amounts of a calibration."""
+        values = [link.values(numbers) for link in self.links]
+        return np.concatenate([self.measured(values), self.constants(numbers)])
+
+    def constants(self, numbers: Numbers) -> np.ndarray:
+        """(names,) squareness and locations, zero where a calibration has none."""
+        named: Mapping[str, float] = {**numbers.squareness, **numbers.location}
+        return np.array([named.get(name, 0.0) for name in self.names])
+
+    def change(self, amounts: np.ndarray) -> np.ndarray:
+        """(conditions,) how the datum changes the amounts of the curves."""
+        if not self.derivative.size:
+            return np.zeros(len(self.conditions))
+        # Which of two locations has a shift is no matter of the lines: their own amounts are left out.
+        only = np.concatenate([amounts[: len(self.conditions)], np.zeros(len(self.names))])
+        return np.asarray(self.derivative @ (self.step @ only))
+
+    def moved(
+        self, i: int, values: np.ndarray, inserted: np.ndarray, before: np.ndarray, after: np.ndarray
+    ) -> np.ndarray:
+        """(6, n) the curves of a link after a step: constants ``before`` and ``after``, motions inserted at the gaps."""
+        link = self.links[i]
+        was, shall = self._acting(link, before), self._acting(link, after)
+        if link.axis.linear:
+            return link.moved(values + was, np.zeros(6), np.zeros(6), inserted) - shall
+        return link.moved(values, was[:, 0], shall[:, 0], inserted)
+
+    def _acting(self, link: Link, constants: np.ndarray) -> np.ndarray:
+        """(6, n) what squareness and locations do to a link's error frame, µm and µrad."""
+        total = np.zeros((6, len(link.nodes)))
+        for name, amount in zip(self.names, constants, strict=True):
+            if split_name(name)[2] == link.axis.name:
+                total += amount * link.shape(name)
+        return total

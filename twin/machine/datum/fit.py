@@ -1,0 +1,81 @@
+"""Curves in their own basis that take up values at the points of a link."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.machine.datum.links import Link, Numbers
+from twin.machine.effects import unit_of
+from twin.machine.motion_curve import Curve, basis_of, conversion_of
+from twin.numerics.curves import FOURIER, POWER, Basis, of_legendre
+
+FITTED: Final = 3e-5
+"""µm or µrad: what the curve of a converted error may differ from it, 0.03 nm."""
+MOST: Final = 60
+"""Coefficients of a converted curve at most."""
+
+
+def fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, numbers: Numbers) -> Curve | None:
+    """A curve with values at the nodes added, in as few coefficients as hold them; None for a new curve of nothing.
+
+    Raises:
+        InputError: no number of coefficients holds them.
+    """
+    if curve is None:
+        if np.abs(difference).max() <= FITTED:
+            return None
+        basis: Basis = FOURIER if link.axis.lower is None else POWER
+        drawn = any(one.illustrative for one in numbers.curves.values())
+        curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
+    if curve.domain != link.domain and link.axis.lower is not None:
+        curve = _over(curve, link)
+    basis, own = basis_of(curve.basis), len(curve.coefficients)
+    for count in range(own, max(MOST, own) + 1):
+        if basis.misfit(count, rotary=not link.axis.linear) is not None:
+            continue
+        added = fit(basis, curve.domain, link, count) @ difference
+        if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
+            total = conversion_of(name, basis, basis, own, count) @ curve.coefficients + added
+            return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
+    raise InputError(
+        f"{name} cannot be written in this datum in basis {basis.name}",
+        expected="a curve over the whole range of its axis, in a basis that holds the constants and waves of the datum",
+        value=f"domain {curve.domain[0]:g} to {curve.domain[1]:g}",
+    )
+
+
+def _over(curve: Curve, link: Link) -> Curve:
+    """The same curve over the range that all curves of its axis cover.
+
+    Raises:
+        InputError: the basis cannot hold it.
+    """
+    basis, count = basis_of(curve.basis), len(curve.coefficients)
+    values = functions(basis, curve.domain, link, count) @ curve.coefficients
+    found = fit(basis, link.domain, link, count) @ values
+    return replace(curve, domain=link.domain, coefficients=tuple(float(v) for v in found), covariance=None)
+
+
+def functions(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+    """(n, count) the functions of a basis at a link's nodes, an axis without limits wrapped."""
+    lo, hi = domain
+    q = link.nodes
+    if link.axis.lower is None and not basis.periodic:
+        q = np.where(q == link.nodes[-1], hi, lo + np.mod(q - lo, hi - lo)) if domain == link.domain else (
+            lo + np.mod(q - lo, hi - lo)
+        )  # fmt: skip
+    return np.stack(basis.functions(q, domain, count), axis=1)
+
+
+def fit(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+    """(count, n) what makes coefficients of values at the nodes, least squares over the range."""
+    legendre = of_legendre(basis, count) if domain == link.domain else None
+    if legendre is not None:
+        polynomials = np.polynomial.legendre.legvander(link.u, count - 1) * (2.0 * np.arange(count) + 1.0)
+        return np.asarray(legendre @ (polynomials * link.weights[:, None]).T)
+    root = np.sqrt(link.weights)
+    return np.asarray(np.linalg.pinv(functions(basis, domain, link, count) * root[:, None], rcond=1e-13) * root)

@@ -1,0 +1,245 @@
+"""The chain of a machine as links, one an axis, and what a fixed motion inserted between two of them does to their errors.
+
+Between neighbouring axes is a gap, a frame that is fixed to the body between them. Inserting G · G⁻¹ there leaves every pose as it is:
+the axis before the gap ends with G, the axis after it begins with G⁻¹. At the ends of the chain, the tool and the workpiece, nothing
+can be inserted; nor at the base, where one of the two sides has no axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, final
+
+import numpy as np
+import pinocchio as pin
+
+from twin._common.arrays import locked
+from twin._common.units import UM, URAD
+from twin.machine.effects import AxisLocation, ErrorMotion, Squareness, split_name
+from twin.machine.effects.base import Effect
+from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.machine.motion_curve import Curve, basis_of
+from twin.numerics.spatial import cross_matrix, rotation_exp, rotation_log
+
+NODES: Final = 80
+"""Points of the Gauss-Legendre rule over an axis's range: exact beyond any order of a curve."""
+SI: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
+
+
+@final
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of a calibration that depend on the datum.
+
+    Attributes:
+        machine: the machine.
+        curves: error motions by name.
+        squareness: µrad by name.
+        location: µm and µrad by name.
+    """
+
+    machine: Machine
+    curves: Mapping[str, Curve]
+    squareness: Mapping[str, float]
+    location: Mapping[str, float]
+
+    def domain(self, axis: Axis) -> tuple[float, float]:
+        """The range of an axis that all its curves cover, mm or degrees; one turn of an axis without limits."""
+        domains = [curve.domain for name, curve in self.curves.items() if split_name(name)[2] == axis.name]
+        if not domains:
+            return axis.domain
+        return domains[0] if axis.lower is None else (max(d[0] for d in domains), min(d[1] for d in domains))
+
+
+@final
+@dataclass(frozen=True)
+class Link:
+    """One axis between its two gaps.
+
+    Attributes:
+        axis: the axis.
+        before, after: numbers of the gaps; None where nothing can be inserted.
+        rotation, translation_m: of the axis's error frame at position zero in the frame of the gap before, without errors.
+        last: whether the axis is next to the tool or to the workpiece.
+        domain: the range that its curves cover, mm or degrees.
+        nodes: (n,) positions: the lower end, the points of a Gauss-Legendre rule, the upper end.
+        weights: (n,) of a mean over the range; zero for the ends.
+    """
+
+    axis: Axis
+    before: int | None
+    after: int | None
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    last: bool
+    domain: tuple[float, float]
+    nodes: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def u(self) -> np.ndarray:
+        """(n,) the nodes, from −1 to 1 over the range."""
+        lo, hi = self.domain
+        return np.asarray((2.0 * self.nodes - lo - hi) / (hi - lo))
+
+    def motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (n, 3, 3) and translations (n, 3), metres, of the axis's nominal motion at the nodes, in its error frame."""
+        direction = np.array(self.axis.direction)
+        travel = (self.nodes * self.axis.scale)[:, None] * direction
+        if self.axis.linear:
+            return np.broadcast_to(np.eye(3), (len(travel), 3, 3)), travel
+        return rotation_exp(travel), np.zeros_like(travel)
+
+    def values(self, numbers: Numbers) -> np.ndarray:
+        """(6, n) the axis's curves at the nodes, µm and µrad."""
+        found = np.zeros((6, len(self.nodes)))
+        for i, letter in enumerate(DIRECTIONS):
+            curve = numbers.curves.get(f"E_{letter}{self.axis.name}")
+            if curve is not None:
+                motion = ErrorMotion(
+                    curve.name,
+                    basis_of(curve.basis),
+                    curve.domain,
+                    curve.coefficients,
+                    wrapped=self.axis.lower is None,
+                )
+                found[i] = motion.components({self.axis.name: self.nodes})[i]
+        return found
+
+    def shape(self, name: str) -> np.ndarray:
+        """(6, n) what a unit of a squareness of this axis or of its location does to its error frame."""
+        effect: Effect = Squareness(name, 1.0, self.axis) if self.axis.linear else AxisLocation(name, 1.0)
+        found = np.zeros((6, len(self.nodes)))
+        for i, values in effect.components({self.axis.name: self.nodes}).items():
+            found[i] = values
+        return found
+
+    def rates(self, gaps: int) -> np.ndarray:
+        """(6, n, 6·gaps) first derivative of the error frame at the nodes by the motions inserted at the gaps; µm and µrad."""
+        found = np.zeros((6, len(self.nodes), 6 * gaps))
+        turns, travel = self.motion()
+        if self.before is not None:
+            at = travel if self.axis.linear else np.zeros_like(travel)
+            inverse = self.rotation.T
+            # The motion at the gap before, seen from where the axis stands.
+            found[:, :, 6 * self.before : 6 * self.before + 6] -= _adjoint(
+                np.broadcast_to(inverse, (len(at), 3, 3)), -(self.translation_m @ self.rotation) - at
+            )
+        if self.after is not None:
+            found[:, :, 6 * self.after : 6 * self.after + 6] += _adjoint(turns, np.zeros_like(travel))
+        return found
+
+    def moved(self, values: np.ndarray, before: np.ndarray, after: np.ndarray, inserted: np.ndarray) -> np.ndarray:
+        """The error frame with motions inserted at the gaps, exactly.
+
+        Args:
+            values: (6, n) all that acts in the motion frame at the nodes, µm and µrad.
+            before: (6,) the location so far, µm and µrad; zero of a linear axis.
+            after: (6,) the location that shall be.
+            inserted: (6·gaps,) the motions: µm, and a rotation vector in µrad.
+
+        Returns:
+            (6, n) what acts in the motion frame then.
+        """
+        turns, travel = self.motion()
+        frames = _frames(values.T)
+        if self.before is not None:
+            back = _inverse(_frames(inserted[6 * self.before : 6 * self.before + 6][None]))
+            place = _matrices(self.rotation[None], self.translation_m[None])
+            if self.axis.linear:
+                place = place @ _matrices(np.eye(3)[None], travel)
+            frames = _inverse(place @ _frames(after[None])) @ back @ place @ _frames(before[None]) @ frames
+        else:
+            frames = _inverse(_frames(after[None])) @ _frames(before[None]) @ frames
+        if self.after is not None:
+            turn = _matrices(turns, np.zeros_like(travel))
+            frames = frames @ turn @ _frames(inserted[6 * self.after : 6 * self.after + 6][None]) @ _inverse(turn)
+        found = np.concatenate([frames[:, :3, 3], rotation_log(frames[:, :3, :3])], axis=1)
+        return np.asarray(found.T / SI[:, None])
+
+
+def links_of(numbers: Numbers) -> tuple[tuple[Link, ...], int]:
+    """The links of both sides, those of the tool's first, each from the base outwards; and the number of gaps."""
+    machine, model = numbers.machine, numbers.machine.model
+    sides = [model.supports[model.frames[f].parentJoint].tolist() for f in (machine.tool_frame, machine.work_frame)]
+    root = max(set(sides[0]) & set(sides[1]), key=sides[0].index)
+    on_side = [
+        [axis for _, axis in sorted(zip(machine.axis_joints, machine.axes, strict=True), key=lambda one: one[0])
+         if axis.side == side]
+        for side in ("tool", "work")
+    ]  # fmt: skip
+    gaps = int(all(on_side))
+    found = []
+    for axes, joints in zip(on_side, sides, strict=True):
+        gap: int | None = 0 if all(on_side) else None
+        previous, orientation = root, np.eye(3)
+        for axis in axes:
+            mark = "location" if not axis.linear else "motion"
+            start = next(f.joint for f in machine.frames if f.axis == axis.name and f.role == mark)
+            place = _path(model, joints, previous, start)
+            last = axis is axes[-1]
+            after = None if last else gaps
+            gaps += 0 if last else 1
+            found.append(
+                _link(numbers, axis, (gap, after), orientation.T @ place.rotation, orientation.T @ place.translation)
+            )
+            gap = after
+            previous = machine.axis_joints[machine.names.index(axis.name)]
+            if axis.linear:
+                previous, orientation = start, np.eye(3)
+            else:
+                # The gap's frame turns with the axis and has the directions of the axis's error frame.
+                orientation = np.asarray(model.jointPlacements[previous].rotation).T
+    return tuple(found), gaps
+
+
+def _link(
+    numbers: Numbers, axis: Axis, gaps: tuple[int | None, int | None], rotation: np.ndarray, translation: np.ndarray
+) -> Link:
+    lo, hi = numbers.domain(axis)
+    x, w = _rule()
+    nodes = np.concatenate([[lo], (lo + hi) / 2.0 + x * (hi - lo) / 2.0, [hi]])
+    weights = np.concatenate([[0.0], w / 2.0, [0.0]])
+    return Link(axis, *gaps, rotation, translation, gaps[1] is None, (lo, hi), nodes, weights)
+
+
+@cache
+def _rule() -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights of the Gauss-Legendre rule from −1 to 1."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return locked(x), locked(w)
+
+
+def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:
+    """Placement of a joint's frame in the frame of one before it, all axes at zero."""
+    place = pin.SE3.Identity()
+    for joint in joints[joints.index(start) + 1 : joints.index(end) + 1]:
+        place = place * model.jointPlacements[joint]
+    return place
+
+
+def _adjoint(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(6, n, 6) motions seen from other frames, (n, 3, 3) and (n, 3) in metres; µm and µrad have one scale."""
+    found = np.zeros((len(translation), 6, 6))
+    found[:, :3, :3] = found[:, 3:, 3:] = rotation
+    found[:, :3, 3:] = cross_matrix(translation) @ rotation
+    return np.asarray(found.transpose(1, 0, 2))
+
+
+def _frames(values: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) frames of (n, 6) µm and µrad: translation, then rotation vector."""
+    metres = values * SI
+    return _matrices(rotation_exp(metres[:, 3:]), metres[:, :3])
+
+
+def _matrices(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    found = np.zeros((max(len(rotation), len(translation)), 4, 4))
+    found[:, :3, :3], found[:, :3, 3], found[:, 3, 3] = rotation, translation, 1.0
+    return found
+
+
+def _inverse(frames: np.ndarray) -> np.ndarray:
+    turned = frames[:, :3, :3].transpose(0, 2, 1)
+    return _matrices(turned, -np.einsum("nij,nj->ni", turned, frames[:, :3, 3]))

@@ -1,0 +1,238 @@
+"""The `effects:` entry of an empirical effect in a calibration file, to and from `Empirical`.
+
+    effects:
+    - effect: empirical
+      where: tool by X_mm, Y_mm
+      cause: unknown
+      note: …
+      along: base
+      columns:
+      - {column: X_mm, functions: half_waves, order: 8, range: [0.0, 500.0]}
+      - {column: Y_mm, functions: half_waves, order: 8, range: [0.0, 450.0]}
+      parameters: {'x[1,0]': 0.42, 'x[1,3]': -1.7}
+
+The shift of that side along x, y, z of `along` in µm is the sum of the parameters times their functions. `x[1,3]` belongs to function 1
+of the first column times function 3 of the second. 0 is a constant; `c2` and `s2` are the cosine and the sine of two waves a turn.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Any, Final, Literal, final
+
+import numpy as np
+import pinocchio as pin
+
+from twin._common.errors import InputError, nearest
+from twin.machine.effects import Empirical, Frame
+from twin.machine.effects.empirical import Turning, state_name
+from twin.machine.effects.registry import at_rest
+from twin.machine.effects.waves import APPROACH, Kind, Waves
+from twin.machine.machine import ErrorFrame, Machine
+
+NAME: Final = "empirical"
+NOTE: Final = (
+    "Measured, cause unknown. Corrects what was measured, inside these ranges; says nothing outside. "
+    "x[j,k] is um along x, times function j of the first column, times function k of the second; 0 means 1. "
+    "half_waves k: cos(k pi (value - low)/(high - low)); whole_turns ck, sk: cos, sin of k times the angle; direction: +1 or -1."
+)
+"""What somebody who opens the file needs to know; not read."""
+LARGEST_UM: Final = 20_000.0
+MOST_ORDERS: Final = 64
+Along = Literal["base", "tool", "work"]
+
+
+@final
+@dataclass(frozen=True)
+class ColumnSpec:
+    """One column as a file has it.
+
+    Attributes:
+        column: of the table.
+        functions: which.
+        order: highest; None for a direction.
+        range: of the values measured; None where the functions need none.
+    """
+
+    column: str
+    functions: Kind
+    order: int | None
+    range: tuple[float, float] | None
+
+
+def empirical_named(
+    where: str, along: Along, columns: Sequence[ColumnSpec], numbers: Mapping[str, float], machine: Machine
+) -> Empirical:
+    """An empirical effect as a calibration file has it.
+
+    Args:
+        where: its place: ``tool by X_mm, Y_mm``.
+        along: axes of which frame.
+        columns: one or two.
+        numbers: coefficients, µm.
+        machine: the machine.
+
+    Raises:
+        InputError: anything that does not fit the machine or together.
+    """
+    match = re.fullmatch(r"(tool|work) by (.+?)( \(\d+\))?", where)
+    named = ", ".join(one.column for one in columns)
+    if match is None or match[2] != named:
+        raise InputError(f"no such place for {NAME}", expected=f"tool or work by the columns: {named}", value=where)
+    side = match[1]
+    if along not in ("base", side):
+        raise InputError(f"{NAME} {where} along the axes of the other side", expected=f"base or {side}", value=along)
+    if len(columns) not in (1, 2) or len({one.column for one in columns}) < len(columns):
+        raise InputError(f"columns of {NAME} {where}", expected="one column, or two", value=named)
+    waves = [_waves(where, one, machine) for one in columns]
+    known = [name for own in Empirical.names(waves) for name in own]
+    for name, value in numbers.items():
+        if name not in known:
+            expected = f"{known[0]} … {known[-1]}"
+            raise InputError(
+                f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=nearest(name, known)
+            )
+        if abs(value) > LARGEST_UM:
+            expected = f"at most {LARGEST_UM:g} µm"
+            raise InputError(f"{name} of {NAME} {where} is no error of a machine", expected=expected, value=value)
+    if not numbers:
+        raise InputError(f"{NAME} {where} has no parameters", expected=f"some of {known[0]} … {known[-1]}")
+    frame, turning = acting_frame(side, along, machine)
+    return Empirical(where, along, waves, numbers, frame, turning)
+
+
+def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Turning]:
+    """The error frame a shift of one side acts in, and the rotation from the axes it is given along to that frame.
+
+    Args:
+        side: ``tool`` or ``work``.
+        along: ``base``: the frame nearest the base, which does not turn; else the last one before what carries the targets.
+        machine: the machine.
+
+    Raises:
+        InputError: no axis moves that side; nearer to the base an axis turns both sides.
+    """
+    target = machine.tool_frame if side == "tool" else machine.work_frame
+    supports = machine.model.supports[machine.model.frames[target].parentJoint].tolist()
+    frames = [frame for frame in machine.frames if machine.by_name[frame.axis].side == side]
+    if not frames:
+        raise InputError(f"no axis of {machine.name} moves the {side}", expected="an error frame on that side")
+    order = [supports.index(frame.joint) for frame in frames]
+    if along == "base":
+        first = frames[int(np.argmin(order))]
+        turns = [a.name for a in machine.axes if not a.linear and a.side == "both"]
+        if turns:
+            raise InputError(
+                f"{', '.join(turns)} turns both sides of {machine.name}",
+                expected="directions that stay those of the base",
+            )
+        none = np.zeros((3, 3))
+        return Frame(first.axis, first.role), Turning(at_rest(machine, first.joint).T, None, none, none)
+    last = frames[int(np.argmax(order))]
+    axis = machine.by_name[last.axis]
+    start, half, quarter = (_seen_from(machine, last, target, angle) for angle in (0.0, pi, pi / 2.0))
+    constant = 0.5 * (start + half)
+    if axis.linear:
+        return Frame(last.axis, last.role), Turning(start, None, np.zeros((3, 3)), np.zeros((3, 3)))
+    return Frame(last.axis, last.role), Turning(constant, axis.name, 0.5 * (start - half), quarter - constant)
+
+
+def where_of(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
+    """The place of a new effect: numbered where there is one of the same columns already.
+
+    Args:
+        side: ``tool`` or ``work``.
+        columns: one or two.
+        taken: names of effects that exist.
+    """
+    where = f"{side} by {', '.join(one.column for one in columns)}"
+    number, found = 1, where
+    while f"{NAME}:{found}" in taken:
+        number += 1
+        found = f"{where} ({number})"
+    return found
+
+
+def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
+    """The entry that `empirical_named` reads back."""
+    columns: list[dict[str, Any]] = []
+    for one in effect.columns:
+        entry: dict[str, Any] = {"column": one.column, "functions": one.kind}
+        if one.kind != "direction":
+            entry["order"] = one.order
+        if one.range is not None:
+            entry["range"] = [float(bound) for bound in one.range]
+        columns.append(entry)
+    return {
+        "effect": NAME,
+        "where": effect.where,
+        "cause": "unknown",
+        "note": NOTE,
+        "along": effect.along,
+        "columns": columns,
+        "parameters": {name: float(value) for name, value in effect.coefficients.items()},
+    }
+
+
+def usable(column: str, machine: Machine) -> bool:
+    """Whether a later program knows a column: positions, directions of approach and temperatures, not time."""
+    axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
+    return column in axes or column.removeprefix(APPROACH) in machine.names or _temperature(column)
+
+
+def _temperature(column: str) -> bool:
+    return re.fullmatch(r"T_.+_degC", column) is not None
+
+
+def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
+    """One column, checked."""
+    name, what = given.column, f"{given.column} of {NAME} {where}"
+    axis = machine.by_name.get(state_name(name))
+    if not usable(name, machine):
+        columns = [f"{one.name}_{one.unit}" for one in machine.axes]
+        columns += [f"{APPROACH}{one}" for one in machine.names]
+        raise InputError(
+            f"no such column for {NAME} {where}",
+            expected=f"{', '.join(columns)} or T_<sensor>_degC",
+            value=name,
+            nearest=nearest(name, columns),
+        )
+    allowed: tuple[Kind, ...] = ("half_waves",)
+    if name.startswith(APPROACH):
+        allowed = ("direction",)
+    elif axis is not None and not axis.linear:
+        allowed = ("half_waves", "whole_turns")
+    if given.functions not in allowed:
+        raise InputError(f"functions of {what}", expected=" or ".join(allowed), value=given.functions)
+    if given.functions == "direction":
+        if given.order is not None or given.range is not None:
+            raise InputError(
+                f"{what} is a direction", expected="neither order nor range", value=given.order or given.range
+            )
+        return Waves(name, "direction", 1)
+    if given.order is None or not 1 <= given.order <= MOST_ORDERS:
+        raise InputError(f"order of {what}", expected=f"1 to {MOST_ORDERS}", value=given.order)
+    if given.functions == "whole_turns":
+        if given.range is not None:
+            raise InputError(f"{what} is periodic", expected="no range", value=list(given.range))
+        return Waves(name, "whole_turns", given.order)
+    if given.range is None or not given.range[0] < given.range[1]:
+        value = None if given.range is None else list(given.range)
+        raise InputError(f"range of {what}", expected="[low, high] with low < high", value=value)
+    wrapped = axis is not None and axis.lower is None
+    if wrapped and given.range[1] - given.range[0] >= 360.0:
+        raise InputError(f"range of {what}", expected="less than a turn, or whole_turns", value=list(given.range))
+    return Waves(name, "half_waves", given.order, given.range, wrapped)
+
+
+def _seen_from(machine: Machine, frame: ErrorFrame, target: int, angle: float) -> np.ndarray:
+    """(3, 3) orientation of a frame of the model in an error frame, the axis of that error frame at an angle, all others at zero."""
+    q = np.zeros(len(machine.axes))
+    if not machine.by_name[frame.axis].linear:
+        q[machine.names.index(frame.axis)] = angle
+    data = machine.model.createData()
+    pin.framesForwardKinematics(machine.model, data, machine.configuration(q))
+    return np.asarray(data.oMi[frame.joint].rotation.T @ data.oMf[target].rotation)

@@ -1,0 +1,500 @@
+"""A machine: its URDF and machine file, as one Pinocchio model with an error frame at every axis joint.
+
+The contract's chain (§1), for every axis wherever it stands:
+
+- a linear axis: motion, then error: ``T_a(q) · E_a``;
+- a rotary axis: location, error in the frame that does not turn, then motion: ``L_a · E_a · R_a(q)``.
+
+Each ``E`` and ``L`` is a free-flyer joint of the model, so that Pinocchio's own Jacobian columns are the sensitivities
+to the six error motions. Nothing here knows one machine from another: axes, ranges and frames come from the files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, Literal, final
+
+import numpy as np
+import pinocchio as pin
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError, nearest
+from twin._common.units import DEG, MM
+from twin._common.yaml_files import Place, line_of, load_yaml
+from twin.display import Cell, card, chain, pairs, span, table
+from twin.machine.machine_file import (
+    SCHEMA,
+    AxisEntry,
+    MachineFile,
+    check_entries,
+    error_frame,
+    load_urdf,
+    turns_in_machine_frame,
+)
+
+DIRECTIONS = "XYZABC"
+"""Components of an error frame in order: translations along, rotations about x, y, z (ISO 230-1, 3.4)."""
+Vector = tuple[float, float, float]
+AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in the URDF")
+
+PARALLEL: Final = 0.1
+"""Sine of the angle below which two linear axes span no datum plane."""
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a machine.
+
+    Attributes:
+        name: its name in programs and data (``X``, ``B``, ``J1``).
+        joint: its joint in the URDF.
+        linear: whether it translates (mm) or turns (degrees).
+        lower, upper: range in mm or degrees; None, None for an unlimited rotary axis.
+        increment: least increment in mm or degrees.
+        direction: unit vector of the motion, in the axis's error frame.
+        machine_axes: unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero.
+        side: where it acts: ``tool`` or ``work``; ``both`` for a joint under both, which moves nothing between them.
+    """
+
+    name: str
+    joint: str
+    linear: bool
+    lower: float | None
+    upper: float | None
+    increment: float
+    direction: Vector
+    machine_axes: tuple[Vector, Vector, Vector]
+    side: Literal["tool", "work", "both"]
+
+    @property
+    def unit(self) -> Literal["mm", "deg"]:
+        """The unit users see."""
+        return "mm" if self.linear else "deg"
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Its range, mm or degrees; one turn where it is unlimited."""
+        return (0.0, 360.0) if self.lower is None or self.upper is None else (self.lower, self.upper)
+
+    @property
+    def scale(self) -> float:
+        """Metres a millimetre, or radians a degree."""
+        return MM if self.linear else DEG
+
+    @property
+    def machine_direction(self) -> np.ndarray:
+        """(3,) unit vector of the motion in the machine frame, all joints at zero."""
+        return np.array(self.machine_axes) @ self.direction
+
+    def cells(self) -> tuple[Cell, ...]:
+        """What a display has of it, under `AXIS_HEADERS`."""
+        reach = "unlimited" if self.lower is None else span(*self.domain, self.unit)
+        least = f"{self.increment:g} mm" if self.linear else f"{self.increment:g}°"
+        return self.name, "linear" if self.linear else "rotary", reach, least, self.side, self.joint
+
+    def _repr_html_(self) -> str:
+        return card(f"Axis {self.name}", table(AXIS_HEADERS, [self.cells()])).text
+
+
+@final
+@dataclass(frozen=True)
+class ErrorFrame:
+    """One six-component frame of a machine's chain.
+
+    Attributes:
+        axis: the axis it belongs to.
+        role: ``motion`` for the error motions E_XX … of an axis, ``location`` for E_X0C … of a rotary axis.
+        joint: index of its free-flyer joint in the Pinocchio model.
+    """
+
+    axis: str
+    role: Literal["motion", "location"]
+    joint: int
+
+
+DEFAULT: Final = "dmu50"
+"""The machine file where none is named: of those that come with twin."""
+
+
+@final
+class Machine:
+    """A machine as loaded: immutable, and the same for everybody who uses it.
+
+    Attributes:
+        name: the machine's name.
+        path: the machine file.
+        urdf: the URDF file.
+        axes: its axes in command order.
+        model: the Pinocchio model, metres and radians, with a free-flyer joint for every error frame.
+        frames: the error frames in the order in which errors are passed as arrays.
+        tool_frame, work_frame: indices of the tool and work frames in ``model.frames``.
+        default_calibration: path of the calibration used when none is given, or None.
+        tool_length_mm: the tool length when none is given.
+        tcp_on, tcp_off: words that switch the control's kinematics on and off on this machine.
+    """
+
+    def __init__(self, path: Path) -> None:
+        entries, lines = load_yaml(path, MachineFile, SCHEMA)
+        self.name = entries.name
+        self.path = path
+        self.urdf = _beside(path, entries.urdf)
+        self.tool_length_mm = entries.programs.tool_length
+        self._plausible = entries.plausible
+        self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
+        self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
+        self.default_calibration = None if entries.calibration is None else _beside(path, entries.calibration)
+        if not _is_file(self.urdf):
+            raise InputError(
+                "no such URDF",
+                expected="a file beside the machine file",
+                file=path,
+                line=lines[("urdf",)],
+                value=entries.urdf,
+            )
+        source = load_urdf(self.urdf)
+        check_entries(entries, source, path, lines)
+        self.model, joint_of, self.frames = _with_error_frames(source, entries)
+        # A fixed joint may have the name of a link.
+        self.tool_frame = int(self.model.getFrameId(entries.frames.tool, pin.FrameType.BODY))
+        self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
+        self._axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
+        turns = turns_in_machine_frame(entries, source, path, lines)
+        self.axes = tuple(self._axis(entry, source, turns[entry.name]) for entry in entries.axes)
+        self._check_paths(path, lines)
+        self.by_name: Mapping[str, Axis] = MappingProxyType({axis.name: axis for axis in self.axes})
+
+    @classmethod
+    def load(cls, machine: str | Path) -> Machine:
+        """Load a machine file, or one that comes with `twin` by its bare name (``dmu50``).
+
+        Raises:
+            InputError: there is no such file, or it does not fit; with the line.
+        """
+        return cls(find_bundled(machine, ".yaml", "a machine file"))
+
+    @property
+    def axis_joints(self) -> tuple[int, ...]:
+        """Index in the Pinocchio model of the joint of every axis, in command order."""
+        return self._axis_joints
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Axis names in command order."""
+        return tuple(axis.name for axis in self.axes)
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """(axes,) metres a millimetre or radians a degree, in command order."""
+        return locked(np.array([axis.scale for axis in self.axes]))
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """(axes, 2) lower and upper limits in metres and radians; infinite for an unlimited axis."""
+        rows = [
+            (-np.inf, np.inf)
+            if axis.lower is None or axis.upper is None
+            else (axis.lower * axis.scale, axis.upper * axis.scale)
+            for axis in self.axes
+        ]
+        return locked(np.array(rows))
+
+    @property
+    def linear(self) -> tuple[int, ...]:
+        """Indices of the linear axes in command order."""
+        return tuple(i for i, axis in enumerate(self.axes) if axis.linear)
+
+    @property
+    def rotary(self) -> tuple[int, ...]:
+        """Indices of the rotary axes in command order."""
+        return tuple(i for i, axis in enumerate(self.axes) if not axis.linear)
+
+    @property
+    def runs_programs(self) -> bool:
+        """Whether NC programs can be worked out for it: three linear axes and at most two rotary ones."""
+        return len(self.linear) == 3 and len(self.rotary) <= 2
+
+    def check_programs(self) -> None:
+        """That it does.
+
+        Raises:
+            InputError: other axes.
+        """
+        if not self.runs_programs:
+            raise InputError(
+                f"{self.name} has {len(self.linear)} linear and {len(self.rotary)} rotary axes",
+                expected="three linear axes and at most two rotary ones, to run programs",
+                file=self.path,
+            )
+
+    @property
+    def as_option(self) -> str:
+        """What a command needs to be about this machine: `` --machine mine.yaml``; nothing where it is the default."""
+        file = self.path.resolve()
+        bundled = file.parent == bundled_folder().resolve()
+        return "" if bundled and file.stem == DEFAULT else f" --machine {file.stem if bundled else file.name}"
+
+    def error_names(self, frame: ErrorFrame) -> tuple[str, ...]:
+        """ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
+        mark = "" if frame.role == "motion" else "0"
+        return tuple(f"E_{direction}{mark}{frame.axis}" for direction in DIRECTIONS)
+
+    def plausible(self, name: str) -> float:
+        """Return how large an error can be before anything is measured (one standard deviation), µm or µrad.
+
+        Args:
+            name: ISO 230-1 name.
+        """
+        kind = self._plausible.location if name[3] == "0" else self._plausible.motion
+        return kind.um if name[2] in "XYZ" else kind.urad
+
+    @cached_property
+    def motion_names(self) -> tuple[str, ...]:
+        """Names of all error motions (curves), six an axis."""
+        return tuple(name for frame in self.frames if frame.role == "motion" for name in self.error_names(frame))
+
+    @cached_property
+    def location_names(self) -> tuple[str, ...]:
+        """Names of the rotary axes' locations: two offsets and two angles each, across the axis (ISO 230-1, 3.5)."""
+        names: list[str] = []
+        for frame in self.frames:
+            if frame.role == "location":
+                along = int(np.argmax(np.abs(self.by_name[frame.axis].direction)))
+                six = self.error_names(frame)
+                names += [six[i] for i in range(3) if i != along] + [six[3 + i] for i in range(3) if i != along]
+        return tuple(names)
+
+    @cached_property
+    def squareness_names(self) -> tuple[str, ...]:
+        """Names of the squareness errors that the choice of the machine frame leaves, by that frame's directions.
+
+        The first linear axis is the datum axis and has none. The first one that is not parallel to it lies in the datum plane with it
+        and has one, about the plane's normal (contract §1). Every other one has two, across its direction.
+        """
+        names: list[str] = []
+        datum: np.ndarray | None = None
+        plane = False
+        for index in self.linear:
+            axis = self.axes[index]
+            direction = axis.machine_direction
+            if datum is None:
+                datum = direction
+                continue
+            normal = np.cross(datum, direction)
+            if not plane and np.linalg.norm(normal) > PARALLEL:
+                plane = True
+                names.append(f"E_{'ABC'[int(np.argmax(np.abs(normal)))]}0{axis.name}")
+            else:
+                along = int(np.argmax(np.abs(direction)))
+                names += [f"E_{'ABC'[i]}0{axis.name}" for i in range(3) if i != along]
+        return tuple(names)
+
+    def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
+        """Pinocchio configuration of one pose.
+
+        Args:
+            q: (axes,) positions in metres and radians, command order.
+            errors: (frames, 6) translations and rotation vectors in metres and radians, order ``frames``; None for zero.
+
+        Returns:
+            (model.nq,) configuration.
+        """
+        configuration = pin.neutral(self.model)
+        for joint, value in zip(self._axis_joints, q, strict=True):
+            configuration[self.model.joints[joint].idx_q] = value
+        if errors is not None:
+            for frame, error in zip(self.frames, errors, strict=True):
+                start = self.model.joints[frame.joint].idx_q
+                configuration[start : start + 3] = error[:3]
+                configuration[start + 3 : start + 7] = pin.Quaternion(pin.exp3(error[3:])).coeffs()
+        return configuration
+
+    def _repr_html_(self) -> str:
+        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda one: one[0])]
+        tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
+        work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
+        links = chain([("workpiece", "end"), *work, ("base", "fixed"), *tool, ("tool", "end")])
+        numbers = (
+            f"{len(self.motion_names)} error motions, squareness {' '.join(self.squareness_names) or 'none'}, "
+            f"axis locations {' '.join(self.location_names) or 'none'}"
+        )
+        rows = [("machine file", str(self.path)), ("URDF", str(self.urdf)), ("can err in", numbers)]
+        rows.append(("tool length", f"{self.tool_length_mm:g} mm, if nobody says otherwise"))
+        axes = table(AXIS_HEADERS, [axis.cells() for axis in self.axes])
+        return card(self.name, links, axes, pairs(rows), small=f"{len(self.axes)} axes, in command order").text
+
+    def _axis(self, entry: AxisEntry, source: pin.Model, orientation: np.ndarray) -> Axis:
+        joint = source.joints[source.getJointId(entry.joint)]
+        turn = error_frame(entry)
+        motion = np.array(_direction(joint))
+        lower, upper = (None, None) if entry.range == "unlimited" else entry.range
+        x, y, z = (_unit(row) for row in orientation)
+        return Axis(
+            name=entry.name,
+            joint=entry.joint,
+            linear=entry.kind == "linear",
+            lower=lower,
+            upper=upper,
+            increment=entry.increment,
+            direction=_unit(turn.rotation.T @ motion),
+            machine_axes=(x, y, z),
+            side=self._side(entry.name),
+        )
+
+    def _side(self, name: str) -> Literal["tool", "work", "both"]:
+        tool, work = (self._carries(name, frame) for frame in (self.tool_frame, self.work_frame))
+        return "both" if tool and work else "tool" if tool else "work"
+
+    def _carries(self, name: str, frame: int) -> bool:
+        joint = next(one.joint for one in self.frames if one.axis == name)
+        return joint in self.model.supports[self.model.frames[frame].parentJoint].tolist()
+
+    def _check_paths(self, path: Path, lines: Mapping[Place, int]) -> None:
+        for index, axis in enumerate(self.axes):
+            if not any(self._carries(axis.name, frame) for frame in (self.tool_frame, self.work_frame)):
+                raise InputError(
+                    f"axis {axis.name} carries neither the tool nor the work",
+                    expected=f"a joint between the base and {self._link(self.tool_frame)} or {self._link(self.work_frame)}, "
+                    "or no such axis",
+                    file=path,
+                    line=line_of(("axes", index, "joint"), lines),
+                    value=axis.joint,
+                )
+
+    def _link(self, frame: int) -> str:
+        return str(self.model.frames[frame].name)
+
+
+def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
+    """A file by its path, or one that comes with `twin` by its bare name.
+
+    Raises:
+        InputError: neither; the message lists what comes with `twin`.
+    """
+    path = Path(name)
+    if _is_file(path):
+        return path
+    bundled = bundled_folder()
+    for candidate in (bundled / path.name, bundled / f"{path.name}{suffix}"):
+        if path.parent == Path(".") and _is_file(candidate):
+            return candidate
+    known = sorted(file.name for file in bundled.glob(f"*{suffix}") if file.name.count(".") == suffix.count("."))
+    meant = [*known, *(name.removesuffix(suffix) for name in known)]
+    raise InputError(
+        "not found",
+        expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
+        file=path,
+        nearest=nearest(path.name, meant),
+    )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a character that no name may have
+        return False
+
+
+def _beside(path: Path, name: str) -> Path:
+    """Return the path of a file that another one names; where it cannot be resolved, as it was given."""
+    try:
+        return (path.parent / name).resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path.parent / name
+
+
+def bundled_folder() -> Path:
+    """Where the machines that come with `twin` are: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "urdf"
+    return inside if inside.is_dir() else package.parent / "urdf"
+
+
+def _with_error_frames(
+    source: pin.Model, entries: MachineFile
+) -> tuple[pin.Model, dict[str, int], tuple[ErrorFrame, ...]]:
+    """A new model, walked from the old one: Pinocchio's cannot be edited in place."""
+    by_joint = {entry.joint: entry for entry in entries.axes}
+    model = pin.Model()
+    model.name = source.name
+    model.gravity = source.gravity
+    end_of = {
+        0: (0, pin.SE3.Identity())
+    }  # old joint -> new joint that carries its body, and the body's placement there
+    joint_of: dict[str, int] = {}
+    free_flyers: dict[tuple[str, str], int] = {}
+    for old in range(1, source.njoints):
+        name = source.names[old]
+        parent, shift = end_of[source.parents[old]]
+        placement = shift * source.jointPlacements[old]
+        if source.parents[old] == 0:
+            placement = pin.SE3(np.eye(3), _start(old, source, entries)) * placement
+        entry = by_joint.get(name)
+        joint = source.joints[old]
+        if entry is None:
+            new = model.addJoint(parent, joint, placement, name)
+            end_of[old] = (new, pin.SE3.Identity())
+        elif entry.kind == "linear":
+            turn = error_frame(entry)
+            new = model.addJoint(parent, joint, placement, name)
+            end = model.addJoint(new, pin.JointModelFreeFlyer(), turn, f"{name}:error")
+            free_flyers[entry.name, "motion"] = end
+            end_of[old] = (end, turn.inverse())
+        else:
+            turn = error_frame(entry)
+            located = model.addJoint(parent, pin.JointModelFreeFlyer(), placement * turn, f"{name}:location")
+            erring = model.addJoint(located, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{name}:error")
+            new = model.addJoint(erring, joint, turn.inverse(), name)
+            free_flyers[entry.name, "location"] = located
+            free_flyers[entry.name, "motion"] = erring
+            end_of[old] = (new, pin.SE3.Identity())
+        if entry is not None:
+            joint_of[entry.name] = new
+        model.appendBodyToJoint(end_of[old][0], source.inertias[old], end_of[old][1])
+    for frame in source.frames:
+        if frame.type != pin.FrameType.JOINT and frame.name != "universe":
+            parent, shift = end_of[frame.parentJoint]
+            model.addFrame(pin.Frame(frame.name, parent, 0, shift * frame.placement, frame.type), False)
+    frames = tuple(
+        ErrorFrame(entry.name, role, free_flyers[entry.name, role])
+        for entry in entries.axes
+        for role in (("location", "motion") if entry.kind == "rotary" else ("motion",))
+        if (entry.name, role) in free_flyers
+    )
+    return model, joint_of, frames
+
+
+def _start(first: int, source: pin.Model, entries: MachineFile) -> np.ndarray:
+    """Where a branch that starts at joint ``first`` begins, so that its linear axes count from ``frames.origin``."""
+    data = source.createData()
+    pin.forwardKinematics(source, data, pin.neutral(source))
+    start = np.zeros(3)
+    for entry in entries.axes:
+        joint = source.getJointId(entry.joint)
+        if entry.name in entries.frames.origin and first in source.supports[joint].tolist():
+            start -= (
+                entries.frames.origin[entry.name] * MM * (data.oMi[joint].rotation @ _direction(source.joints[joint]))
+            )
+    return start
+
+
+def _direction(joint: pin.JointModel) -> np.ndarray:
+    """Unit vector of a one-degree-of-freedom joint's motion in its own frame."""
+    data = joint.createData()
+    joint.calc(
+        data,
+        np.zeros(joint.nq) if joint.idx_q < 0 else np.zeros(joint.idx_q + joint.nq),
+        np.zeros(joint.idx_v + joint.nv),
+    )
+    motion = np.asarray(data.S).reshape(6)
+    return motion[:3] if np.any(motion[:3]) else motion[3:]
+
+
+def _unit(vector: np.ndarray) -> Vector:
+    unit = vector / np.linalg.norm(vector)
+    clean = np.where(np.abs(unit - np.round(unit)) < 1e-12, np.round(unit), unit) + 0.0
+    return float(clean[0]), float(clean[1]), float(clean[2])

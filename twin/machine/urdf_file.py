@@ -1,0 +1,327 @@
+"""A URDF file read and checked before Pinocchio sees it: its size, its numbers and its tree, with the line of what does not fit.
+
+Pinocchio's reader ends the process on a deep chain, takes an axis of length zero, and gives no line. Units: metres and radians.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, final
+from xml.parsers import expat
+
+from twin._common.errors import InputError, nearest
+from twin._common.files import read_text
+
+MOST_BYTES: Final = 4_000_000
+"""Largest file. The files that come with twin have 20 kB."""
+MOST_LINKS: Final = 1_000
+"""Largest number of links. Pinocchio's reader recurses along the chain and ends the process at some 10,000."""
+MOST_MOVING: Final = 50
+"""Largest number of joints that move. Pinocchio's data take memory by the third power of them: 64 MB a table at 200."""
+MOST_NESTED: Final = 100
+"""Deepest nesting of XML elements; a URDF needs six."""
+FARTHEST_M: Final = 1e3
+"""Largest coordinate and size. Beyond it, double precision does not resolve a picometre."""
+FARTHEST_MASS: Final = 5.0
+"""Times the length of all joints in a row, at least a metre: how far a centre of mass can be from its link."""
+SHORTEST_AXIS: Final = 1e-6
+"""Shortest axis vector that still has a direction; Pinocchio scales it to length one."""
+MOVING: Final = ("prismatic", "revolute", "continuous")
+TYPES: Final = (*MOVING, "fixed")
+
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_COUNTS: Final[Mapping[tuple[str, str], int]] = {
+    ("origin", "xyz"): 3,
+    ("origin", "rpy"): 3,
+    ("axis", "xyz"): 3,
+    ("limit", "lower"): 1,
+    ("limit", "upper"): 1,
+    ("limit", "effort"): 1,
+    ("limit", "velocity"): 1,
+    ("dynamics", "damping"): 1,
+    ("dynamics", "friction"): 1,
+    ("mass", "value"): 1,
+    **{("inertia", name): 1 for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")},
+    ("box", "size"): 3,
+    ("cylinder", "radius"): 1,
+    ("cylinder", "length"): 1,
+    ("capsule", "radius"): 1,
+    ("capsule", "length"): 1,
+    ("sphere", "radius"): 1,
+    ("mesh", "scale"): 3,
+    ("color", "rgba"): 4,
+}
+"""How many numbers an attribute of an element holds."""
+_NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "limit": ("effort", "velocity"),
+    "axis": ("xyz",),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+}
+"""Attributes without which Pinocchio's reader drops the element around it, with the mass of a link or its shape."""
+_PARTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "inertial": ("mass", "inertia"),
+    "visual": ("geometry",),
+    "collision": ("geometry",),
+}
+"""Children that are needed likewise."""
+_LENGTHS: Final = frozenset(
+    {
+        ("origin", "xyz"),
+        ("box", "size"),
+        *((kind, name) for kind in ("cylinder", "capsule") for name in ("radius", "length")),
+    }
+    | {("sphere", "radius")}
+)
+_NOT_NEGATIVE: Final = frozenset(
+    {("mass", "value"), ("inertia", "ixx"), ("inertia", "iyy"), ("inertia", "izz")} | (_LENGTHS - {("origin", "xyz")})
+)
+
+
+@final
+@dataclass(frozen=True)
+class Element:
+    """One XML element with the line it starts in."""
+
+    name: str
+    attributes: Mapping[str, str]
+    line: int
+    children: list[Element] = field(default_factory=list)
+
+    def each(self, name: str) -> list[Element]:
+        """Return the children of that name."""
+        return [child for child in self.children if child.name == name]
+
+    def within(self) -> Iterator[Element]:
+        """Yield the element and all elements below it."""
+        yield self
+        for child in self.children:
+            yield from child.within()
+
+
+def read_urdf(path: Path) -> str:
+    """Return the text of a URDF file that is safe to pass to Pinocchio.
+
+    Raises:
+        InputError: too large, not XML, or no tree of links and joints with finite numbers; with the line.
+    """
+    text = _text(path)
+    robot = _parsed(text, path)
+    if robot.name != "robot":
+        raise InputError("not a URDF", expected="a <robot> element", file=path, line=robot.line, value=robot.name)
+    _check_parts(robot, path)
+    _check_tree(robot, path)
+    _check_masses(robot, path)
+    return text
+
+
+def _text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
+    if size > MOST_BYTES:
+        raise InputError("too large for a URDF", expected=f"at most {MOST_BYTES:,} bytes", file=path, value=f"{size:,}")
+    return read_text(path)
+
+
+def _parsed(text: str, path: Path) -> Element:
+    """Return the root element."""
+    parser = expat.ParserCreate("utf-8")
+    stack = [Element("", {}, 0)]
+
+    def refuse(what: str, expected: str) -> InputError:
+        return InputError(what, expected=expected, file=path, line=parser.CurrentLineNumber)
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if len(stack) > MOST_NESTED:
+            raise refuse("elements nested too deeply", f"at most {MOST_NESTED} levels")
+        element = Element(name, attributes, parser.CurrentLineNumber)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def doctype(*_: object) -> None:
+        raise refuse("a document type declaration", "XML without <!DOCTYPE>")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: stack.pop()
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(text.encode("utf-8"), True)
+    except expat.ExpatError as error:
+        raise InputError("not XML", expected="a URDF file", file=path, line=error.lineno, value=error) from error
+    return stack[0].children[0]
+
+
+def _check_parts(robot: Element, path: Path) -> None:
+    for part in robot.children:
+        if part.name not in ("link", "joint"):
+            continue
+        for one in part.within():
+            _check_complete(one, path)
+            for name, text in one.attributes.items():
+                count = _COUNTS.get((one.name, name))
+                if count is not None:
+                    _check_number(one, name, text, count, path)
+
+
+def _check_complete(one: Element, path: Path) -> None:
+    lacking = [f'{name}="…"' for name in _NEEDED.get(one.name, ()) if name not in one.attributes]
+    lacking += [f"<{name}>" for name in _PARTS.get(one.name, ()) if not one.each(name)]
+    if one.name == "geometry" and not one.children:
+        lacking.append("a shape")
+    if lacking:
+        raise InputError(f"<{one.name}> is not complete", expected=" and ".join(lacking), file=path, line=one.line)
+
+
+def _check_number(one: Element, name: str, text: str, count: int, path: Path) -> None:
+    def refuse(expected: str) -> InputError:
+        return InputError(
+            f'<{one.name} {name}="…"> does not fit', expected=expected, file=path, line=one.line, value=text
+        )
+
+    words = text.split()
+    if len(words) != count or not all(_NUMBER.fullmatch(word) for word in words):
+        raise refuse("a number" if count == 1 else f"{count} numbers with blanks between")
+    values = [float(word) for word in words]
+    if not all(map(math.isfinite, values)):
+        raise refuse("finite numbers")
+    if (one.name, name) in _LENGTHS and max(map(abs, values)) > FARTHEST_M:
+        raise refuse(f"metres, at most {FARTHEST_M:g}")
+    if (one.name, name) in _NOT_NEGATIVE and min(values) < 0.0:
+        raise refuse("zero or more")
+    if one.name == "axis" and not SHORTEST_AXIS <= math.hypot(*values) <= 1.0 / SHORTEST_AXIS:
+        raise refuse('a unit vector, as "1 0 0"')
+
+
+def _check_tree(robot: Element, path: Path) -> None:
+    """Raise `InputError` unless links and joints are one tree that starts at one link."""
+    links, joints = robot.each("link"), robot.each("joint")
+    if not links:
+        raise InputError("no links", expected="a robot of links and joints", file=path, line=robot.line)
+    if len(links) > MOST_LINKS or len(joints) > MOST_LINKS:
+        raise InputError(
+            "too many links", expected=f"at most {MOST_LINKS:,}", file=path, value=max(len(links), len(joints))
+        )
+    moving = sum(joint.attributes.get("type") in MOVING for joint in joints)
+    if moving > MOST_MOVING:
+        raise InputError("too many moving joints", expected=f"at most {MOST_MOVING}", file=path, value=moving)
+    for kind, parts in (("link", links), ("joint", joints)):
+        seen: Counter[str] = Counter()
+        for part in parts:
+            name = part.attributes.get("name", "")
+            seen[name] += 1
+            if not name or seen[name] > 1:
+                what = f"a {kind} given twice" if name else f"a {kind} without a name"
+                raise InputError(
+                    what, expected="every name once", file=path, line=part.line, value=name if name else None
+                )
+    known = [link.attributes["name"] for link in links]
+    carried: dict[str, Element] = {}
+    below: defaultdict[str, list[str]] = defaultdict(list)
+    for joint in joints:
+        _check_joint(joint, path)
+        parent, child = (_end(joint, kind, known, path) for kind in ("parent", "child"))
+        if child in carried:
+            raise InputError(
+                "a link carried by two joints",
+                expected="one joint to every link",
+                file=path,
+                line=joint.line,
+                value=child,
+            )
+        carried[child] = joint
+        below[parent].append(child)
+    _check_roots(known, carried, below, path)
+
+
+def _check_masses(robot: Element, path: Path) -> None:
+    """Raise `InputError` if a link's centre of mass is farther from the link than any part of the machine can be."""
+    steps = [_numbers(origin, "xyz") for joint in robot.each("joint") for origin in joint.each("origin")]
+    travels = [
+        [float(limit.attributes.get("upper", 0.0)) - float(limit.attributes.get("lower", 0.0))]
+        for joint in robot.each("joint")
+        if joint.attributes.get("type") == "prismatic"
+        for limit in joint.each("limit")
+    ]
+    farthest = FARTHEST_MASS * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
+    for link in robot.each("link"):
+        for origin in (origin for inertial in link.each("inertial") for origin in inertial.each("origin")):
+            away = math.hypot(*_numbers(origin, "xyz"))
+            if away > farthest:
+                raise InputError(
+                    f"the centre of mass of {link.attributes['name']} is {away:g} m away",
+                    expected=f"metres, within {farthest:.3g} m of the link, {FARTHEST_MASS:g} times the length of all joints",
+                    file=path,
+                    line=origin.line,
+                    value=origin.attributes["xyz"],
+                )
+
+
+def _numbers(one: Element, name: str) -> list[float]:
+    """Of an attribute that was checked; none if it is not given."""
+    return [float(word) for word in one.attributes.get(name, "").split()]
+
+
+def _check_joint(joint: Element, path: Path) -> None:
+    name, kind = joint.attributes["name"], joint.attributes.get("type", "")
+
+    def refuse(what: str, expected: str, value: str) -> InputError:
+        return InputError(
+            what, expected=expected, file=path, line=joint.line, value=value, nearest=nearest(value, TYPES)
+        )
+
+    if kind not in TYPES:
+        raise refuse(f"joint {name} has a type that twin does not know", f"one of {', '.join(TYPES)}", kind)
+    if kind in ("prismatic", "revolute") and not joint.each("limit"):
+        raise refuse(f"a {kind} joint without <limit>", '<limit lower="…" upper="…" effort="0" velocity="1"/>', name)
+    if joint.each("mimic"):
+        raise refuse("a joint that follows another (<mimic>)", "joints that move independently", name)
+
+
+def _end(joint: Element, kind: str, known: list[str], path: Path) -> str:
+    """Return the link at one end of a joint."""
+    ends = joint.each(kind)
+    link = ends[0].attributes.get("link", "") if len(ends) == 1 else ""
+    if link not in known:
+        what = f"joint {joint.attributes['name']} has no {kind} link" if not link else "no such link"
+        raise InputError(
+            what,
+            expected=f'one <{kind} link="…"/> that names a link of the file',
+            file=path,
+            line=ends[0].line if len(ends) == 1 else joint.line,
+            value=link or None,
+            nearest=nearest(link, known) if link else None,
+        )
+    return link
+
+
+def _check_roots(known: list[str], carried: Mapping[str, Element], below: Mapping[str, list[str]], path: Path) -> None:
+    roots = [name for name in known if name not in carried]
+    if len(roots) > 1:
+        raise InputError(
+            "links that no joint connects", expected="one link that no joint carries", file=path, value=", ".join(roots)
+        )
+    reached, waiting = set(roots), list(roots)
+    while waiting:
+        children = below.get(waiting.pop(), [])
+        reached.update(children)
+        waiting += children
+    for name in known:
+        if name not in reached:
+            raise InputError(
+                "joints that form a loop",
+                expected="a tree of links that starts at one link",
+                file=path,
+                line=carried[name].line,
+                value=name,
+            )

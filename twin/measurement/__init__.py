@@ -1,0 +1,1 @@
+"""What was measured: the table, the instruments, what they read of a machine, and the evaluations of ISO 230."""

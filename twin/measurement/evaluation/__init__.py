@@ -1,0 +1,32 @@
+"""The evaluations a customer asks for by their standard's name: ISO 230-1, 230-2 and 230-7.
+
+Pure functions from arrays to named results. Nothing here knows a machine or a file; the plots (`twin.measurement.evaluation.plots`)
+need the extra ``plots`` and are imported by name.
+"""
+
+from twin.measurement.evaluation.circular import ErrorMotion, Harmonic, error_motion
+from twin.measurement.evaluation.iso230_2 import (
+    Positioning,
+    linear_axis,
+    linear_deviations_um,
+    rotary_axis,
+    rotary_deviations_urad,
+)
+from twin.measurement.evaluation.squareness import Squareness, squareness
+from twin.measurement.evaluation.straightness import ReferenceLine, Straightness, straightness
+
+__all__ = [
+    "ErrorMotion",
+    "Harmonic",
+    "Positioning",
+    "ReferenceLine",
+    "Squareness",
+    "Straightness",
+    "error_motion",
+    "linear_axis",
+    "linear_deviations_um",
+    "rotary_axis",
+    "rotary_deviations_urad",
+    "squareness",
+    "straightness",
+]

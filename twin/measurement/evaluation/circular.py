@@ -1,0 +1,191 @@
+"""Error motions of a rotary axis over its turn, as ISO 230-7:2015 names them (terms in its clause 3).
+
+A motion is measured at the same angles in one turn or several: radially or along the axis in µm, as a tilt in µrad. The mean over the
+turns is the *synchronous* error motion, what differs from turn to turn the *asynchronous* one. The once-per-turn part of a
+radial or tilt motion is how the artefact sits (its eccentricity, its inclination): it is no error of the axis and is removed, with the
+constant, as the least-squares circle centre of the polar plot. Of an axial motion it is real: the *fundamental* error motion.
+Polar deviations are small beside the radius they are drawn at, so that the circle is linear in them (limaçon).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import DEG
+from twin.measurement.evaluation.inputs import numbers
+
+Kind = Literal["radial", "axial", "tilt"]
+UNITS: Final[dict[Kind, Literal["um", "urad"]]] = {"radial": "um", "axial": "um", "tilt": "urad"}
+WIDEST_GAP_DEG: Final = 60.0
+"""Between neighbouring angles: more is no turn."""
+HARMONICS: Final = 12
+
+
+@final
+@dataclass(frozen=True)
+class Harmonic:
+    """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ).
+
+    Attributes:
+        order: k, periods a turn.
+        cos, sin: its coefficients, in the motion's unit.
+    """
+
+    order: int
+    cos: float
+    sin: float
+
+    @property
+    def amplitude(self) -> float:
+        """Half of its range, in the motion's unit."""
+        return float(np.hypot(self.cos, self.sin))
+
+    @property
+    def phase_deg(self) -> float:
+        """Angle of the axis at its first crest, 0° up to 360°/order."""
+        return float(np.arctan2(self.sin, self.cos) / DEG / self.order % (360.0 / self.order))
+
+
+@final
+@dataclass(frozen=True)
+class ErrorMotion:
+    """An error motion over a turn, and its values. Arrays are read-only, angles ascend.
+
+    Values are in `unit`, each the difference of the radii of the two circles about the polar plot's centre that just contain the curve.
+
+    Attributes:
+        name: ISO 230-1 name, such as ``E_XC``; empty if none was given.
+        kind: ``radial``, ``axial`` or ``tilt``.
+        unit: ``um`` or ``urad``.
+        angle_deg: (k,) angles of the axis within a turn.
+        readings: (turns, k) as measured.
+        constant: mean of the synchronous motion (the radius of the least-squares circle).
+        once_per_turn: its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle.
+        harmonics: orders 1 up to what was asked for, fitted together.
+        total: (turns, k) total error motion: the readings about their centre.
+        synchronous: (k,) synchronous (average) error motion: its mean over the turns.
+        residual: (k,) residual synchronous error motion: without the first harmonic, for an axial motion too.
+        total_value: range of `total`.
+        synchronous_value: range of `synchronous`.
+        fundamental_value: range of the first harmonic; of an axial motion an error, else how the artefact sits.
+        residual_value: range of `residual`.
+        asynchronous_value: the largest range over the turns at any one angle; None for a single turn.
+    """
+
+    name: str
+    kind: Kind
+    unit: Literal["um", "urad"]
+    angle_deg: np.ndarray
+    readings: np.ndarray
+    constant: float
+    once_per_turn: Harmonic
+    harmonics: tuple[Harmonic, ...]
+    total: np.ndarray
+    synchronous: np.ndarray
+    residual: np.ndarray
+    total_value: float
+    synchronous_value: float
+    fundamental_value: float
+    residual_value: float
+    asynchronous_value: float | None
+
+    def to_text(self, decimals: int = 2) -> str:
+        """The values and harmonics as a table.
+
+        Args:
+            decimals: digits after the point.
+        """
+        sign = "µm" if self.unit == "um" else "µrad"
+        turns, count = self.readings.shape
+        lines = [f"{self.name or 'Rotary axis'}, {self.kind} error motion by ISO 230-7:2015"]
+        lines += [f"{count} angles, {turns} turn{'' if turns == 1 else 's'}, values in {sign}", ""]
+        fundamental = "Fundamental" if self.kind == "axial" else "Once per turn (artefact, removed)"
+        for label, value in (
+            ("Total error motion", self.total_value),
+            ("Synchronous", self.synchronous_value),
+            (fundamental, self.fundamental_value),
+            ("Residual synchronous", self.residual_value),
+            ("Asynchronous", self.asynchronous_value),
+        ):
+            lines.append(f"{label:<36}" + ("one turn tells nothing" if value is None else f"{value:>10.{decimals}f}"))
+        lines += ["", f"{'Order':>5}{'Amplitude':>12}{'Crest at [°]':>14}"]
+        lines += [f"{h.order:>5}{h.amplitude:>12.{decimals}f}{h.phase_deg:>14.1f}" for h in self.harmonics]
+        return "\n".join(lines) + "\n"
+
+
+def error_motion(
+    angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "", harmonics: int = HARMONICS
+) -> ErrorMotion:
+    """Error motion of a rotary axis in a fixed sensitive direction, from readings over whole turns.
+
+    Args:
+        angle_deg: (k,) angles of one turn, in any order, spread over all of it; 0° and 360° are one angle.
+        readings: (k,) or (turns, k): radial and axial in µm, tilt in µrad.
+        kind: ``radial``, ``axial`` or ``tilt``.
+        name: ISO 230-1 name, for tables and plots.
+        harmonics: highest order wanted; no more come back than k angles can tell apart, (k − 1)/2.
+
+    Raises:
+        InputError: arrays that do not fit, a missing value, an angle twice, less than a turn, an unknown kind.
+    """
+    if kind not in UNITS:
+        raise InputError("no such error motion", expected=", ".join(UNITS), value=kind)
+    if harmonics < 1:
+        raise InputError("no harmonics asked for", expected="at least 1", value=harmonics)
+    angle = numbers("angles", angle_deg, 1) % 360.0
+    measured = numbers("readings", readings, 1, 2)
+    measured = measured.reshape(-1, measured.shape[-1])
+    if measured.shape[1] != len(angle):
+        raise InputError("readings do not fit the angles", expected=f"{len(angle)} a turn", value=measured.shape[1])
+    order = np.argsort(angle)
+    angle, measured = angle[order], measured[:, order]
+    gaps = np.diff(angle, append=angle[0] + 360.0)
+    if len(angle) > 1 and gaps.min() < 1e-9:
+        raise InputError(
+            "an angle twice in a turn",
+            expected="each once: leave 360° out, it is 0° again; further turns are further rows",
+            value=float(angle[int(np.argmin(gaps))]),
+        )
+    if gaps.max() > WIDEST_GAP_DEG:
+        raise InputError(
+            "less than a turn", expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°", value=float(gaps.max())
+        )
+    mean = measured.mean(axis=0)
+    constant, first = _fourier(angle, mean, 1)
+    (once,) = first
+    wave = once.cos * np.cos(angle * DEG) + once.sin * np.sin(angle * DEG)
+    centre = constant + (np.zeros_like(wave) if kind == "axial" else wave)
+    total, synchronous, residual = measured - centre, mean - centre, mean - constant - wave
+    return ErrorMotion(
+        name=name,
+        kind=kind,
+        unit=UNITS[kind],
+        angle_deg=locked(angle),
+        readings=locked(measured),
+        constant=constant,
+        once_per_turn=once,
+        harmonics=_fourier(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
+        total=locked(total),
+        synchronous=locked(synchronous),
+        residual=locked(residual),
+        total_value=float(np.ptp(total)),
+        synchronous_value=float(np.ptp(synchronous)),
+        fundamental_value=2.0 * once.amplitude,
+        residual_value=float(np.ptp(residual)),
+        asynchronous_value=float(np.ptp(measured, axis=0).max()) if len(measured) > 1 else None,
+    )
+
+
+def _fourier(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[Harmonic, ...]]:
+    """Least squares over uneven angles too; even ones make it the discrete Fourier transform."""
+    phases = np.outer(angle * DEG, np.arange(1, highest + 1))
+    columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
+    constant, *rest = np.linalg.lstsq(columns, values, rcond=None)[0]
+    found = zip(rest[:highest], rest[highest:], strict=True)
+    return float(constant), tuple(Harmonic(k, float(c), float(s)) for k, (c, s) in enumerate(found, start=1))

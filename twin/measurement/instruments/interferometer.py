@@ -1,0 +1,52 @@
+"""A tracking interferometer: lengths only, from an unknown zero (multilateration, thesis eq. 26)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.units import UM
+from twin.measurement.instruments.base import Instrument
+
+COVERAGE: Final = 2.0
+"""The stated expanded uncertainty is at k = 2."""
+
+
+@final
+@dataclass(frozen=True)
+class TrackingInterferometer(Instrument):
+    """LaserTRACER-NG by default: U = 0.2 µm + 0.3 µm/m (thesis 2.8).
+
+    Its reading is the distance less the dead path, in the table's ``x_mm``; y and z stay empty. The dead path is unknown to whoever
+    evaluates the data; here, where data are made, it is a number.
+
+    Attributes:
+        length_um, length_um_per_m: expanded uncertainty of a length.
+        dead_path_m: length at which the counter was set to zero.
+    """
+
+    length_um: float = 0.2
+    length_um_per_m: float = 0.3
+    dead_path_m: float = 0.0
+    name: str = "interferometer"
+
+    def read(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.read`."""
+        readings = np.full((len(points), 3), np.nan)
+        readings[:, 0] = np.linalg.norm(points, axis=1) - self.dead_path_m
+        return readings
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.jacobian`."""
+        rows = np.zeros((len(points), 3, 3))
+        rows[:, 0, :] = points / np.linalg.norm(points, axis=1, keepdims=True)
+        return rows
+
+    def covariance(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.covariance`."""
+        length = np.linalg.norm(points, axis=1)
+        matrix = np.zeros((len(points), 3, 3))
+        matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / COVERAGE) ** 2
+        return matrix

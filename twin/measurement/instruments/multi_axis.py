@@ -1,0 +1,313 @@
+"""A multi-axis interferometer: beams on the plane mirrors of a carriage, read against its reference pose.
+
+A beam leaves its source s along d, meets the mirror, and comes back to the plane through the source across the beam. With n the
+mirror's outward normal, h its distance from the carriage's origin r, and c = −d·n the cosine of incidence, the path there and back is
+
+    L = 2c / (2c² − 1) · ((s − r)·n − h),        n = R·n₀,
+
+and the reading is what it changed since the reference pose r = 0, R = 1. In the plane this is eq. 1 to 4 of Wen et al. (2023) with the
+sign of beams 4 to 6 mended: their eq. 3 and 4 print + (x − x_d) sin θ where the mirror's normal (−sin θ, cos θ) makes it −; as printed
+they miss the path by millimetres at ±50 mm and ±10 mrad.
+
+T. Wen, J. Hu, Y. Zhu, G. Hua: Multi-axis laser interferometer not affected by installation errors based on nonlinear computation,
+Appl. Sci. 13 (2023) 10887.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.numerics.spatial import cross_matrix, rotation_exp
+
+STEEPEST: Final = np.cos(np.radians(30.0))
+"""Cosine of incidence a layout must keep: beyond 45° the beam never comes back to its source's plane."""
+PLANE_MOTIONS: Final = (0, 1, 5)
+"""x, y and the turn about z: what a stage does that stays in its plane."""
+MOTIONS: Final = ("x", "y", "z", "turn x", "turn y", "turn z")
+
+
+@final
+@dataclass(frozen=True)
+class MultiAxis:
+    """A layout of m beams on k plane mirrors; metres and radians, the carriage's frame in its reference pose.
+
+    Attributes:
+        beams: (m) names.
+        source: (m, 3) nominal points the beams leave from.
+        direction: (m, 3) nominal unit vectors.
+        mirror: (m,) index of the mirror each beam meets.
+        mirrors: (k) names.
+        normal: (k, 3) nominal outward unit normals, towards the sources.
+        distance: (k,) of the mirrors from the carriage's origin along their normals.
+        planar: whether carriage and beams stay in the xy-plane (three motions, not six).
+
+    Raises:
+        InputError: shapes that do not match, a vector that is no unit vector, a beam that meets its mirror beyond 30° or from
+            behind, a planar layout with a beam or mirror that leaves the plane.
+    """
+
+    beams: tuple[str, ...]
+    source: np.ndarray
+    direction: np.ndarray
+    mirror: np.ndarray
+    mirrors: tuple[str, ...]
+    normal: np.ndarray
+    distance: np.ndarray
+    planar: bool
+
+    def __post_init__(self) -> None:
+        m, k = len(self.beams), len(self.mirrors)
+        shapes = (self.source.shape, self.direction.shape, self.mirror.shape, self.normal.shape, self.distance.shape)
+        if shapes != ((m, 3), (m, 3), (m,), (k, 3), (k,)) or m == 0:
+            raise InputError("a layout of the wrong shape", expected=f"{m} beams, {k} mirrors", value=shapes)
+        if len(set(self.beams)) < m or len(set(self.mirrors)) < k:
+            raise InputError("two beams or mirrors of one name", expected="each name once", value=self.beams)
+        for name, vectors in (("direction", self.direction), ("normal", self.normal)):
+            if np.any(np.abs(np.linalg.norm(vectors, axis=1) - 1.0) > 1e-12):
+                raise InputError(f"a {name} that is no unit vector", expected="length one", value=vectors.tolist())
+            if self.planar and np.any(vectors[:, 2] != 0.0):
+                raise InputError(
+                    f"a {name} that leaves the plane", expected="z zero in a planar layout", value=vectors.tolist()
+                )
+        n = self.normal[self.mirror]
+        for i, name in enumerate(self.beams):
+            if not -float(self.direction[i] @ n[i]) > STEEPEST:
+                raise InputError(
+                    f"beam {name} does not meet mirror {self.mirrors[self.mirror[i]]} squarely",
+                    expected="a direction against the mirror's outward normal, within 30°",
+                    value=self.direction[i].tolist(),
+                )
+            if not float(self.source[i] @ n[i] - self.distance[self.mirror[i]]) > 0.0:
+                raise InputError(
+                    f"beam {name} leaves from behind mirror {self.mirrors[self.mirror[i]]}",
+                    expected="a source on the outward side",
+                    value=self.source[i].tolist(),
+                )
+
+    @property
+    def motions(self) -> tuple[int, ...]:
+        """Which of the six components of a pose are free."""
+        return PLANE_MOTIONS if self.planar else tuple(range(6))
+
+    @cached_property
+    def installation(self) -> tuple[str, ...]:
+        """Names of the installation's unknowns: of each beam, then of each mirror, then the scale of every reading."""
+        names: list[str] = []
+        for beam, vector in zip(self.beams, self.direction, strict=True):
+            names += [f"beam {beam} {axis}" for axis in ("xy" if self.planar else "xyz")]
+            names += [f"beam {beam} turn {axis}" for axis in across(vector, planar=self.planar)]
+        for mirror, vector in zip(self.mirrors, self.normal, strict=True):
+            names += [f"mirror {mirror} turn {axis}" for axis in across(vector, planar=self.planar)]
+        return (*names, "scale")
+
+    @property
+    def of_beams(self) -> np.ndarray:
+        """Mask of the installation's unknowns that belong to beams: all that Wen et al. have."""
+        return np.array([name.startswith("beam ") for name in self.installation])
+
+    def readings(self, poses: np.ndarray, installation: np.ndarray | None = None) -> np.ndarray:
+        """What the beams read, noise-free.
+
+        Args:
+            poses: (n, 6) of the carriage from its reference pose: translation, metres, and rotation vector, radians.
+            installation: (p,) deviations from the nominal layout in the order of `installation`; metres, radians, and one for the
+                scale; none if None.
+
+        Returns:
+            (n, m) change of path, there and back, metres.
+        """
+        return self._evaluate(np.atleast_2d(np.asarray(poses, dtype=float)), installation, derivatives=False)[0]
+
+    def derivatives(
+        self, poses: np.ndarray, installation: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Readings and their derivatives; arguments as of `readings`.
+
+        Returns:
+            (n, m) readings, (n, m, f) by the free motions of the same pose, (n, m, p) by the installation.
+        """
+        return self._evaluate(np.atleast_2d(np.asarray(poses, dtype=float)), installation, derivatives=True)
+
+    @cached_property
+    def _beam_tilts(self) -> np.ndarray:
+        return tilt_axes(self.direction, planar=self.planar)
+
+    @cached_property
+    def _mirror_tilts(self) -> np.ndarray:
+        return tilt_axes(self.normal, planar=self.planar)
+
+    def _evaluate(
+        self, poses: np.ndarray, installation: np.ndarray | None, *, derivatives: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        m, k = len(self.beams), len(self.mirrors)
+        count = len(self.installation)
+        told = np.zeros(count) if installation is None else np.asarray(installation, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] != 6 or told.shape != (count,):
+            raise InputError(
+                "poses or installation of the wrong shape",
+                expected=f"(n, 6) and ({count},)",
+                value=f"{poses.shape} and {told.shape}",
+            )
+        turns, places = (1, 2) if self.planar else (2, 3)
+        per = places + turns
+        by_beam = told[: m * per].reshape(m, per)
+        s = np.array(self.source)
+        s[:, :places] += by_beam[:, :places]
+        d, d_by = tilted(self.direction, self._beam_tilts, by_beam[:, places:])
+        n0, n0_by = tilted(self.normal, self._mirror_tilts, told[m * per : -1].reshape(k, turns))
+        n0, n0_by, h = n0[self.mirror], n0_by[self.mirror], self.distance[self.mirror]
+        scale = 1.0 + told[-1]
+        rotation, left = turn(poses[:, 3:])
+        normal = np.einsum("nij,mj->nmi", rotation, n0)
+        away = s[None] - poses[:, None, :3]
+        c = -np.einsum("nmi,mi->nm", normal, d)
+        gap = np.einsum("nmi,nmi->nm", away, normal) - h
+        c0 = -np.einsum("mi,mi->m", n0, d)
+        gap0 = np.einsum("mi,mi->m", s, n0) - h
+        change = _factor(c) * gap - _factor(c0) * gap0
+        if not derivatives:
+            return scale * change, np.empty(0), np.empty(0)
+        f, f0, slope, slope0 = _factor(c), _factor(c0), _slope(c) * gap, _slope(c0) * gap0
+        # A turn w of the carriage moves the normal by (J w) × n.
+        by_turn = np.cross(left.transpose(0, 2, 1)[:, None], normal[:, :, None])
+        by_normal = f[..., None] * away - slope[..., None] * d
+        by_pose = np.concatenate([-f[..., None] * normal, np.einsum("nmi,nmki->nmk", by_normal, by_turn)], axis=2)
+        by_source = f[..., None] * normal - f0[:, None] * n0
+        by_direction = -slope[..., None] * normal + slope0[:, None] * n0
+        at_rest = f0[:, None] * s - slope0[:, None] * d
+        by_mirror = np.einsum("nmi,nij->nmj", by_normal, rotation) - at_rest
+        by_installation = np.zeros((len(poses), m, count))
+        for i in range(m):
+            at = i * per
+            by_installation[:, i, at : at + places] = by_source[:, i, :places]
+            by_installation[:, i, at + places : at + per] = by_direction[:, i] @ d_by[i]
+            at = m * per + turns * int(self.mirror[i])
+            by_installation[:, i, at : at + turns] = by_mirror[:, i] @ n0_by[i]
+        by_installation *= scale
+        by_installation[:, :, -1] = change
+        return scale * change, scale * by_pose[:, :, list(self.motions)], by_installation
+
+
+def six_beams(
+    *, width: float = 0.2, depth: float = 0.2, gap: float = 0.15, base: float = 0.06, planar: bool = True
+) -> MultiAxis:
+    """Three parallel beams on each of two neighbouring sides of a stage in its plane (Wen et al., fig. 2 and 3).
+
+    Args:
+        width: b of the stage, metres.
+        depth: h of the stage, metres.
+        gap: from the sources to the sides, metres.
+        base: from one beam to the next, metres.
+        planar: as of `MultiAxis`.
+    """
+    steps = np.array([-base, 0.0, base])
+    x = np.stack([np.full(3, -width / 2.0 - gap), steps, np.zeros(3)], axis=1)
+    y = np.stack([steps, np.full(3, -depth / 2.0 - gap), np.zeros(3)], axis=1)
+    return MultiAxis(
+        beams=tuple(str(i + 1) for i in range(6)),
+        source=locked(np.concatenate([x, y])),
+        direction=locked(np.repeat(np.eye(3)[:2], 3, axis=0)),
+        mirror=locked(np.repeat([0, 1], 3)),
+        mirrors=("x", "y"),
+        normal=locked(-np.eye(3)[:2]),
+        distance=locked(np.array([width / 2.0, depth / 2.0])),
+        planar=planar,
+    )
+
+
+def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) -> MultiAxis:
+    """Three beams in an equilateral triangle on each of three neighbouring faces of a cube (Wen et al., fig. 4).
+
+    Args:
+        side: of the cube, metres.
+        gap: from the sources to the faces, metres.
+        radius: of the circle through the three beams of a face, metres.
+    """
+    angles = np.radians([90.0, 210.0, 330.0])
+    across = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    sources = np.zeros((9, 3))
+    for j in range(3):
+        others = [(j + 1) % 3, (j + 2) % 3]
+        sources[3 * j : 3 * j + 3, j] = -side / 2.0 - gap
+        sources[3 * j : 3 * j + 3, others] = across
+    return MultiAxis(
+        beams=tuple(str(i + 1) for i in range(9)),
+        source=locked(sources),
+        direction=locked(np.repeat(np.eye(3), 3, axis=0)),
+        mirror=locked(np.repeat([0, 1, 2], 3)),
+        mirrors=("x", "y", "z"),
+        normal=locked(-np.eye(3)),
+        distance=locked(np.full(3, side / 2.0)),
+        planar=False,
+    )
+
+
+def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations of rotation vectors and their left Jacobians: Exp(w + δ) = Exp(J δ)·Exp(w) to first order.
+
+    Args:
+        vectors: (n, 3) radians.
+
+    Returns:
+        (n, 3, 3) and (n, 3, 3).
+    """
+    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    # (1 − cos t) / t² and (t − sin t) / t³, which lose their digits towards zero: by their series there.
+    small = angle < 1e-2
+    t = np.where(small, 1.0, angle)
+    q = np.where(small, angle, 0.0) ** 2
+    b = np.where(small, 0.5 - q / 24.0 * (1.0 - q / 30.0 * (1.0 - q / 56.0)), (1.0 - np.cos(t)) / t**2)
+    c = np.where(small, (1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0))) / 6.0, (t - np.sin(t)) / t**3)
+    skew = cross_matrix(vectors)
+    return np.asarray(rotation_exp(vectors)), np.eye(3) + b * skew + c * (skew @ skew)
+
+
+def across(vector: np.ndarray, *, planar: bool) -> str:
+    """Letters of the axes a vector is tilted about: z, y and x in this order but for the one nearest to it; in the plane only z."""
+    nearest = "xyz"[int(np.argmax(np.abs(vector)))]
+    return "z" if planar else "zyx".replace(nearest, "")
+
+
+def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
+    """(m, 3, 1 or 2) unit vectors each vector is tilted about: the axes of `across`, made square to it and to each other."""
+    found = np.zeros((len(vectors), 3, 1 if planar else 2))
+    for i, vector in enumerate(vectors):
+        basis: list[np.ndarray] = []
+        for letter in across(vector, planar=planar):
+            axis = np.eye(3)["xyz".index(letter)]
+            square = axis - sum((axis @ v * v for v in [vector, *basis]), np.zeros(3))
+            basis.append(square / np.linalg.norm(square))
+        found[i] = np.stack(basis, axis=1)
+    return locked(found)
+
+
+def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors turned by small rotation vectors across themselves.
+
+    Args:
+        vectors: (m, 3).
+        axes: (m, 3, k) of `tilt_axes`.
+        angles: (m, k) radians.
+
+    Returns:
+        (m, 3), and (m, 3, k) derivatives by the angles.
+    """
+    rotation, left = turn(np.einsum("mik,mk->mi", axes, angles))
+    found = np.einsum("mij,mj->mi", rotation, vectors)
+    by = np.cross(np.einsum("mij,mjk->mki", left, axes), found[:, None]).transpose(0, 2, 1)
+    return found, by
+
+
+def _factor(c: np.ndarray) -> np.ndarray:
+    return 2.0 * c / (2.0 * c**2 - 1.0)
+
+
+def _slope(c: np.ndarray) -> np.ndarray:
+    """Derivative of `_factor`."""
+    return -(4.0 * c**2 + 2.0) / (2.0 * c**2 - 1.0) ** 2

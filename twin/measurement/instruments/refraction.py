@@ -1,0 +1,68 @@
+"""The refractive index of air, and what a wrong one does to a length.
+
+Birch and Downs (1994), "Correction to the updated Edlén equation for the refractive index of air", Metrologia 31, 315-316, with the
+water vapour's saturation pressure by the Magnus formula (WMO-No. 8, annex 4.B).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.errors import InputError
+
+HELIUM_NEON_UM: Final = 0.6329908
+"""Vacuum wavelength of a helium-neon laser, µm."""
+
+
+@final
+@dataclass(frozen=True)
+class Air:
+    """The air along the beam.
+
+    Attributes:
+        temperature_degC, pressure_hPa: of the air.
+        humidity: relative, 0 to 1.
+
+    Raises:
+        InputError: values no workshop has.
+    """
+
+    temperature_degC: float = 20.0
+    pressure_hPa: float = 1013.25
+    humidity: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not -20.0 <= self.temperature_degC <= 60.0:
+            raise InputError("air temperature out of place", expected="-20 to 60 °C", value=self.temperature_degC)
+        if not 500.0 <= self.pressure_hPa <= 1200.0:
+            raise InputError("air pressure out of place", expected="500 to 1200 hPa", value=self.pressure_hPa)
+        if not 0.0 <= self.humidity <= 1.0:
+            raise InputError("relative humidity out of place", expected="0 to 1", value=self.humidity)
+
+
+STANDARD_AIR: Final = Air()
+"""20 °C, 1013.25 hPa, 50 %: what an instrument assumes that is told nothing."""
+
+
+def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
+    """Phase refractive index of air.
+
+    Args:
+        air: temperature, pressure, humidity.
+        wavelength_um: vacuum wavelength, µm (visible).
+    """
+    t, p = air.temperature_degC, air.pressure_hPa * 100.0
+    s = 1.0 / wavelength_um**2
+    standard = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
+    density = (1.0 + 1e-8 * (0.601 - 0.00972 * t) * p) / (1.0 + 0.003661 * t)
+    vapour = air.humidity * 611.2 * float(np.exp(17.62 * t / (243.12 + t)))
+    dry = 1.0 + p * standard * density / 96095.43
+    return dry - 1e-10 * vapour * (292.75 / (t + 273.15)) * (3.7345 - 0.0401 * s)
+
+
+def length_scale(actual: Air, assumed: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
+    """Factor on every length read when the instrument corrects for ``assumed`` air and the beam runs through ``actual``."""
+    return refractive_index(actual, wavelength_um) / refractive_index(assumed, wavelength_um)

@@ -1,0 +1,136 @@
+"""Where a reflector really is: on the tool side or on the work side of the machine with errors, in the base frame.
+
+The one prediction that simulating, identifying and diagnosing share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+from twin._common.units import MM
+from twin.compute.batch import BatchFunction
+from twin.machine.calibration import Calibration
+from twin.machine.chain import Pose, frame_pose
+from twin.machine.effects import assemble
+from twin.machine.effects.empirical import check_ranges
+from twin.machine.machine import Machine
+from twin.measurement.table import CARRIERS, Measurements, state_of
+
+
+@final
+@dataclass(frozen=True)
+class Carried:
+    """Reflectors in the base frame and how they move; metres and radians.
+
+    Attributes:
+        points: (n, 3).
+        by_error: (n, 3, 6·frames) derivative by every component of every error frame.
+        rotation: (n, 3, 3) of the carrier, which is the derivative by the place on it.
+    """
+
+    points: np.ndarray
+    by_error: np.ndarray
+    rotation: np.ndarray
+
+
+@final
+class Observation:
+    """Reflectors carried by one machine.
+
+    Args:
+        machine: the machine.
+
+    A place on the tool side is in the frame of the spindle nose (no tool length), on the work side in the work frame.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+
+    def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
+        """Reflectors in the base frame.
+
+        Args:
+            calibration: the machine's errors.
+            data: commands, carriers, and every channel an effect may need; its coordinates are not used.
+            places_mm: (n, 3) place of each reflector on its carrier.
+
+        Returns:
+            (n, 3) mm.
+
+        Raises:
+            InputError: a position no curve covers, or a channel that an effect needs and the table does not have.
+        """
+        errors = self.errors(calibration, data)
+        return self.points(np.asarray(data.positions) * self.machine.scale, errors, data.carrier, places_mm * MM) / MM
+
+    def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
+        """(n, 6·frames) every error frame at the rows of a table, metres and radians.
+
+        Args:
+            calibration: the machine's errors.
+            data: commands and channels.
+            check: whether a position that no curve covers is refused; else its curve is continued (overtravel).
+
+        Raises:
+            InputError: as `points_mm`.
+        """
+        state = state_of(data, self.machine)
+        if check:
+            check_ranges(calibration.empirical, state, data.lines, data.source)
+            calibration.check(data.positions)
+        rows = assemble(calibration.effects, self.machine.frames, state)
+        found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
+        return np.stack(found, axis=1)
+
+    def points(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """(n, 3) reflectors in the base frame, unchecked; arguments as `carried`."""
+        found = np.empty((len(q), 3))
+        for side, rows in _sides(carrier):
+            (found[rows],) = self._points[side](q[rows], errors[rows], places[rows])
+        return found
+
+    def carried(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> Carried:
+        """Reflectors and their derivatives, unchecked, in our own units.
+
+        Args:
+            q: (n, axes) metres and radians.
+            errors: (n, 6·frames) every error frame, metres and radians.
+            carrier: (n,) ``tool`` or ``work``.
+            places: (n, 3) metres.
+        """
+        n = len(q)
+        points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
+        for side, rows in _sides(carrier):
+            found = self._derivatives[side](q[rows], errors[rows], places[rows])
+            points[rows] = found[0]
+            by_error[rows] = found[1].reshape(-1, errors.shape[1], 3)
+            rotation[rows] = found[2].reshape(-1, 3, 3)
+        return Carried(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
+
+    @cached_property
+    def _points(self) -> dict[str, BatchFunction]:
+        return {side: BatchFunction(self._function(side, derivatives=False)) for side in CARRIERS}
+
+    @cached_property
+    def _derivatives(self) -> dict[str, BatchFunction]:
+        return {side: BatchFunction(self._function(side, derivatives=True)) for side in CARRIERS}
+
+    def _function(self, side: str, *, derivatives: bool) -> ca.Function:
+        frame = self.machine.tool_frame if side == "tool" else self.machine.work_frame
+        q = ca.SX.sym("q", len(self.machine.axes))
+        e = ca.SX.sym("e", 6 * len(self.machine.frames))
+        place = ca.SX.sym("place", 3)
+        pose = frame_pose(self.machine, frame, q, e)
+        point = pose.then(Pose(ca.SX.eye(3), place)).translation
+        found = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
+        return ca.Function("carried", [q, e, place], found)
+
+
+def _sides(carrier: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    found = [(side, np.flatnonzero(carrier == side)) for side in CARRIERS]
+    return [(side, rows) for side, rows in found if len(rows)]

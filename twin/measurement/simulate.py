@@ -1,0 +1,239 @@
+"""A plan in, measured data out: the machine with its errors, read by an instrument, with stated noise and seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.units import DEG, MM, UM
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.measurement.instruments import STANDARD_AIR, Air, Instrument, length_scale
+from twin.measurement.observation import Observation
+from twin.measurement.table import Measurements
+from twin.numerics.spatial import rotation_exp
+
+SECONDS_PER_HOUR: Final = 3600.0
+STATION_DISTANCE_MM: Final = 1800.0
+"""How far from the base frame a station stands when nobody says where."""
+
+
+@final
+@dataclass(frozen=True)
+class Station:
+    """Where an instrument stands.
+
+    Attributes:
+        origin_mm: its origin in the base frame.
+        turn_rad: rotation vector of its frame in the base frame.
+    """
+
+    origin_mm: tuple[float, float, float]
+    turn_rad: tuple[float, float, float]
+
+    @classmethod
+    def at(cls, pose: np.ndarray) -> Station:
+        """From a row of `Measurements.station_pose`: (6,) mm and degrees."""
+        return cls(_three(pose[:3]), _three(pose[3:] * DEG))
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(6,) as a row of `Measurements.station_pose`: mm and degrees."""
+        return locked(np.array([*self.origin_mm, *(angle / DEG for angle in self.turn_rad)]))
+
+    def to_station_mm(self, points_mm: np.ndarray) -> np.ndarray:
+        """(n, 3) points of the base frame in the station's frame."""
+        return (points_mm - np.array(self.origin_mm)) @ rotation_exp(self.turn_rad)
+
+
+@final
+@dataclass(frozen=True)
+class Setting:
+    """What a simulation knows and an evaluation has to find: stations and reflector places.
+
+    Attributes:
+        stations: by name.
+        places_mm: place of each target on its carrier, by name.
+    """
+
+    stations: Mapping[str, Station]
+    places_mm: Mapping[str, tuple[float, float, float]]
+
+    @classmethod
+    def drawn(cls, plan: Measurements, rng: np.random.Generator) -> Setting:
+        """What the plan gives, and a plausible draw of the rest.
+
+        Stations stand in front of the machine, targets sit around the spindle nose and on the table.
+        """
+        stations = {}
+        for k, name in enumerate(dict.fromkeys(plan.station)):
+            pose = plan.station_pose[plan.station == name][0]
+            if np.isfinite(pose).all():
+                stations[name] = Station.at(pose)
+                continue
+            azimuth = np.radians(-90.0 + 55.0 * ((k + 1) // 2) * (-1) ** k)
+            origin = STATION_DISTANCE_MM * np.array([np.cos(azimuth), np.sin(azimuth), 0.15 + 0.25 * k])
+            x, y, z = origin + rng.uniform(-100.0, 100.0, 3)
+            stations[name] = Station((float(x), float(y), float(z)), (0.0, 0.0, float(rng.uniform(-np.pi, np.pi))))
+        places = {}
+        counts = {"tool": 0, "work": 0}
+        for target in dict.fromkeys(plan.target):
+            side = str(plan.carrier[plan.target == target][0])
+            place = plan.place_mm[plan.target == target][0]
+            if np.isfinite(place).all():
+                places[target] = _three(place)
+                continue
+            azimuth = np.radians(30.0 + 120.0 * counts[side] + rng.uniform(-15.0, 15.0))
+            radius, height = (
+                (110.0, -40.0 - 35.0 * counts[side]) if side == "tool" else (170.0, 30.0 + 30.0 * counts[side])
+            )
+            places[target] = (float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), height)
+            counts[side] += 1
+        return cls(stations, places)
+
+    def describe(self) -> str:
+        """The lines a simulated file carries, so that nothing about it is hidden."""
+        lines = [
+            f"station {name}: origin {_numbers(station.origin_mm)} mm, rotation vector {_numbers(station.turn_rad)} rad"
+            for name, station in self.stations.items()
+        ]
+        lines += [f"target {name}: {_numbers(place)} mm on its carrier" for name, place in self.places_mm.items()]
+        return "\n".join(lines)
+
+
+@final
+@dataclass(frozen=True)
+class Surroundings:
+    """What the shop does to an instrument's readings; nothing by default.
+
+    Attributes:
+        air: the air along the beam, where the instrument corrects for standard air (`STANDARD_AIR`); None where it knows its air.
+        drift_um_per_h: by station, how its frame creeps along the axes of the base frame, from the plan's first ``time_s`` on.
+    """
+
+    air: Air | None = None
+    drift_um_per_h: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def scale(self) -> float:
+        """Factor on every length that is read."""
+        return 1.0 if self.air is None else length_scale(self.air, STANDARD_AIR)
+
+    def drift_mm(self, plan: Measurements, station: str) -> np.ndarray:
+        """(n, 3) how far each of a station's rows finds it from where it stood first, in the base frame.
+
+        Raises:
+            InputError: a row that does not say when.
+        """
+        rows = plan.station == station
+        time = plan.time_s[rows]
+        if not np.isfinite(time).all():
+            line = int(plan.lines[rows][~np.isfinite(time)][0])
+            raise InputError("a drift without a time", expected="time_s in every row", file=plan.source, line=line)
+        hours = (time - np.nanmin(plan.time_s)) / SECONDS_PER_HOUR
+        return np.asarray(np.outer(hours, self.drift_um_per_h[station]) * (UM / MM))
+
+    def check(self, plan: Measurements) -> None:
+        """Refuse a drift of a station that is not in the plan.
+
+        Raises:
+            InputError: as said.
+        """
+        stations = dict.fromkeys(plan.station)
+        for name in self.drift_um_per_h:
+            if name not in stations:
+                raise InputError("a drift of no station", expected=f"one of {', '.join(stations)}", value=name)
+
+    def describe(self) -> str:
+        """The lines a simulated file carries; none where nothing is done to the readings."""
+        lines = []
+        if self.air is not None:
+            lines.append(
+                f"air along the beam {_air(self.air)}, instrument set to {_air(STANDARD_AIR)}: "
+                f"lengths read {(self.scale - 1.0) / UM:+.3f} um/m"
+            )
+        for name, rate in self.drift_um_per_h.items():
+            lines.append(
+                f"station {name} drifts {_numbers(rate)} um/h along the base frame's axes, from the first time_s on"
+            )
+        return "\n".join(lines)
+
+
+def simulate(
+    plan: Measurements,
+    machine: Machine,
+    calibration: Calibration,
+    instrument: Instrument,
+    rng: np.random.Generator,
+    *,
+    setting: Setting | None = None,
+    noise: bool = True,
+    surroundings: Surroundings | None = None,
+) -> tuple[Measurements, Setting]:
+    """Measure a plan.
+
+    Args:
+        plan: positions, targets, carriers, stations and rounds; its coordinates are not used.
+        machine: the machine.
+        calibration: its true errors.
+        instrument: what reads.
+        rng: the seed's generator.
+        setting: stations and places; if None, what the plan gives, the rest drawn.
+        noise: whether the readings err.
+        surroundings: air and drift; None for none.
+
+    Returns:
+        The measurements and the setting. The measurements carry neither standard uncertainties (the instrument's model gives them) nor
+        places and stations (an evaluation has to find them).
+
+    Raises:
+        InputError: a position no curve covers; a drift of no station, or without ``time_s``.
+    """
+    around = Surroundings() if surroundings is None else surroundings
+    around.check(plan)
+    placed = Setting.drawn(plan, rng) if setting is None else setting
+    places = np.array([placed.places_mm[target] for target in plan.target])
+    base = Observation(machine).points_mm(calibration, plan, places)
+    readings = np.empty((len(plan), 3))
+    for name, station in placed.stations.items():
+        rows = plan.station == name
+        points = base[rows]
+        if name in around.drift_um_per_h:
+            points = points - around.drift_mm(plan, name)
+        seen = station.to_station_mm(points) * MM
+        # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was set to
+        # zero: in air that stays as it is the dead path is never counted, so that the factor is on what is read, not on the distance.
+        found = instrument.read(seen) * around.scale
+        if noise:
+            found = found + instrument.noise(seen, rng)
+        readings[rows] = found / MM
+    measured = replace(
+        plan,
+        point_mm=locked(readings),
+        place_mm=locked(np.full((len(plan), 3), np.nan)),
+        station_pose=locked(np.full((len(plan), 6), np.nan)),
+        source="simulated",
+        set_aside=(),
+        notices=(),
+        simulated=True,
+    )
+    return measured, placed
+
+
+def _three(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _air(air: Air) -> str:
+    return f"{air.temperature_degC:g} degC {air.pressure_hPa:g} hPa {100.0 * air.humidity:g} %"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in values) + ")"

@@ -1,0 +1,457 @@
+"""The measurement table: one row a measured point, checked on the way in (contract §2).
+
+Nothing is dropped in silence: a row that cannot be used stands in `Measurements.set_aside` with its line and reason; a column
+that is not understood, a round that lacks points and the like stand in `Measurements.notices`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.csv_tables import Cells, not_understood, read_table
+from twin._common.errors import InputError, nearest
+from twin._common.files import write_whole
+from twin.display import Cell, card, note, pairs, several, spans
+from twin.machine.machine import Axis, Machine
+from twin.measurement.checks import (
+    LARGEST_MM,
+    check_ranges,
+    copied_rows,
+    grouped_notes,
+    lost_names,
+    missing_rounds,
+    one_place,
+    outside,
+)
+from twin.measurement.checks import RowNote as RowNote
+
+CARRIERS: Final = ("tool", "work")
+POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
+PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
+STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
+PLANNED: Final = "planned_"
+"""Before the name of such a column: where a target or station is meant to go. A plan's; no evaluation takes it for known."""
+SIMULATED: Final = "simulated"
+"""What the comment of a simulated table begins with."""
+FEWEST_POINTS: Final = 3
+"""Points a station needs before its pose means anything."""
+SMALLEST_U_MM: Final = 1e-9
+"""Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
+
+
+@final
+@dataclass(frozen=True)
+class Measurements:
+    """Measured points and the state of the machine when each was taken; arrays are read-only and n rows long.
+
+    Attributes:
+        source: the file, or where else they come from.
+        lines: (n,) line of each row in the file.
+        positions: (n, axes) commanded, mm and degrees, command order.
+        readback: (n, axes) reported by the control; NaN where not given.
+        target, carrier, station, round: (n,) names; carrier is ``tool`` or ``work``.
+        point_mm: (n, 3) measured coordinates in the station's own frame; NaN for a coordinate that was not measured.
+        u_mm: (n, 3) standard uncertainties; NaN where not given.
+        time_s: (n,) NaN where not given.
+        approach: (n, axes) +1, −1, 0 unknown.
+        place_mm: (n, 3) the target's place on its carrier (tool: frame of the spindle nose; work: work frame); NaN where unknown.
+        station_pose: (n, 6) the station's origin in the base frame, mm, and rotation vector, degrees; NaN where unknown.
+        temperature_degC: by axis or sensor, (n,) NaN where not given.
+        set_aside: rows that are not among these, and why.
+        notices: what a reader of the result must know.
+        simulated: whether any of the readings were simulated, not measured on a machine.
+        feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
+    """
+
+    source: str
+    lines: np.ndarray
+    positions: np.ndarray
+    readback: np.ndarray
+    target: np.ndarray
+    carrier: np.ndarray
+    station: np.ndarray
+    round: np.ndarray
+    point_mm: np.ndarray
+    u_mm: np.ndarray
+    time_s: np.ndarray
+    approach: np.ndarray
+    place_mm: np.ndarray
+    station_pose: np.ndarray
+    temperature_degC: Mapping[str, np.ndarray]
+    set_aside: tuple[RowNote, ...] = ()
+    notices: tuple[str, ...] = ()
+    simulated: bool = False
+    feed_mm_min: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Fill in the feed of tables that have none."""
+        if len(self.feed_mm_min) != len(self.lines):
+            object.__setattr__(self, "feed_mm_min", locked(np.full(len(self.lines), np.nan)))
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def _repr_html_(self) -> str:
+        ends = [(float(q.min()), float(q.max())) for q in self.positions.T] if len(self) else []
+        reach = spans((f"axis {i + 1}:", low, high, "") for i, (low, high) in enumerate(ends))
+        by_side = {
+            side: dict.fromkeys(t for t, c in zip(self.target, self.carrier, strict=True) if c == side)
+            for side in CARRIERS
+        }
+        stated = np.isfinite(self.u_mm)
+        read = np.isfinite(self.point_mm)
+        u = "not stated in the table"
+        if stated.any():
+            u = f"{1e3 * np.nanmin(self.u_mm):.2g} … {1e3 * np.nanmax(self.u_mm):.2g} µm (k = 1)"
+            u += "" if stated[read].all() else ", unknown of some"
+        rows: list[tuple[str, Cell]] = [
+            ("coordinates read", f"{int(read.sum()):,}, mm" if read.any() else "none: a plan"),
+            ("stated uncertainty", u if read.any() else ""),
+            ("stations", ", ".join(map(str, dict.fromkeys(self.station)))),
+            ("rounds", f"{len(set(self.round))}"),
+            *((f"targets on the {side}", ", ".join(map(str, names))) for side, names in by_side.items()),
+            ("commanded, in command order (mm, °)", reach),
+            ("temperatures (°C)", ", ".join(self.temperature_degC)),
+        ]
+        aside = [note(f"set aside, {text}", loud=True) for text in grouped_notes(self.set_aside)]
+        said = [note(notice) for notice in self.notices]
+        return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
+
+    def select(self, rows: np.ndarray) -> Measurements:
+        """Some rows (indices or a mask), everything else as it is."""
+        picked: dict[str, Any] = {
+            field.name: locked(getattr(self, field.name)[rows])
+            for field in fields(self)
+            if isinstance(getattr(self, field.name), np.ndarray)
+        }
+        temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
+        return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
+
+    def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
+        """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
+        write_whole(Path(path), self.to_csv(machine, comment=comment, planned=planned))
+
+    def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
+        """The table as text; reading it gives the same measurements. Without any coordinate it is a plan.
+
+        Args:
+            machine: the machine.
+            comment: lines that go before.
+            planned: names of targets and stations that are only meant to go where they are said to be (`PLANNED`).
+        """
+        columns: dict[str, Sequence[str]] = {}
+        for i, axis in enumerate(machine.axes):
+            columns[_column(axis)] = _printed(self.positions[:, i])
+        for i, axis in enumerate(machine.axes):
+            if np.isfinite(self.readback[:, i]).any():
+                columns[f"readback_{_column(axis)}"] = _printed(self.readback[:, i])
+        columns |= {"target": list(self.target), "carrier": list(self.carrier)}
+        # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
+        if np.isfinite(self.point_mm).any():
+            columns |= _columns(POINT_COLUMNS, self.point_mm)
+        columns |= {"station": list(self.station), "round": list(self.round)}
+        if np.isfinite(self.time_s).any():
+            columns["time_s"] = _printed(self.time_s)
+        for i, axis in enumerate(machine.axes):
+            if np.any(self.approach[:, i]):
+                columns[f"approach_{axis.name}"] = [str(int(value)) for value in self.approach[:, i]]
+        for name, values in self.temperature_degC.items():
+            columns[f"T_{name}_degC"] = _printed(values)
+        if np.isfinite(self.feed_mm_min).any():
+            columns["feed_mm_min"] = _printed(self.feed_mm_min)
+        for i, name in enumerate("xyz"):
+            if np.isfinite(self.u_mm[:, i]).any():
+                columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
+        for names, whose, values in (
+            (PLACE_COLUMNS, self.target, self.place_mm),
+            (STATION_COLUMNS, self.station, self.station_pose),
+        ):
+            meant = np.array([name in planned for name in whose])[:, None]
+            for prefix, known in (("", np.where(meant, np.nan, values)), (PLANNED, np.where(meant, values, np.nan))):
+                if np.isfinite(known).any():
+                    columns |= _columns(tuple(f"{prefix}{name}" for name in names), known)
+        text = io.StringIO()
+        text.write(comments_of(comment, simulated=self.simulated))
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        return text.getvalue()
+
+
+def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
+    """Read and check a measurement table.
+
+    Args:
+        path: the file.
+        machine: the machine it was measured on.
+        plan: whether it says what to measure only: the coordinates may be left out, and are not looked at.
+
+    Raises:
+        InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
+            number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
+            pose given in part, positions that a constant or a unit keeps from an axis's range.
+    """
+    path = Path(path)
+    header, rows, said = read_table(path)
+    made = says_simulated(said)
+    axes = machine.axes
+    columns = {name: i for i, name in enumerate(header)}
+    needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
+    for name in needed:
+        if name not in columns:
+            raise InputError(
+                f"column {name} is missing",
+                expected=f"columns {', '.join(needed)}",
+                nearest=nearest(name, [one for one in header if one not in needed]),
+                file=path,
+                line=rows[0][0] - 1 if rows else 1,
+            )
+    reader = Cells(path, columns, rows)
+    n = len(rows)
+    temperatures = {
+        name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
+    }
+    known = {
+        *needed,
+        *POINT_COLUMNS,
+        "station",
+        "round",
+        "time_s",
+        "feed_mm_min",
+        *(f"T_{name}_degC" for name in temperatures),
+    }
+    known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
+    known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
+    known |= {f"{PLANNED}{name}" for name in (*PLACE_COLUMNS, *STATION_COLUMNS)}
+    strange = [name for name in header if name not in known]
+    notices = (*(f"the file says: {text}" for text in made), *(not_understood(name, sorted(known)) for name in strange))
+    table = Measurements(
+        source=str(path),
+        lines=locked(np.array([line for line, _ in rows], dtype=int)),
+        positions=_stacked([reader.numbers(_column(axis)) for axis in axes]),
+        readback=_stacked([reader.numbers(f"readback_{_column(axis)}") for axis in axes]),
+        target=reader.words("target", ""),
+        carrier=reader.words("carrier", ""),
+        station=reader.words("station", "1"),
+        round=reader.words("round", "1"),
+        point_mm=locked(np.zeros((n, 3))) if plan else _stacked([reader.numbers(name) for name in POINT_COLUMNS]),
+        u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
+        time_s=reader.numbers("time_s"),
+        approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
+        place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
+        station_pose=_places(reader, STATION_COLUMNS, planned=plan),
+        temperature_degC=MappingProxyType(temperatures),
+        notices=notices,
+        simulated=bool(made),
+        feed_mm_min=reader.numbers("feed_mm_min"),
+    )
+    if n == 0:
+        raise InputError("no measured point", expected="one row a point below the header", file=path)
+    _check_names(table, path)
+    unread = ["\0".join(row[columns[name]] for name in strange) for _, row in rows] if strange else ()
+    return usable(_known(table), machine, unread)
+
+
+def says_simulated(comments: Sequence[str]) -> list[str]:
+    """Return those comments of a table that say its readings were simulated."""
+    return [text for text in comments if text.lower().startswith(SIMULATED)]
+
+
+def comments_of(text: str, *, simulated: bool) -> str:
+    """Return the comment lines that stand before a table.
+
+    Args:
+        text: the lines.
+        simulated: whether the readings were simulated: then one of the lines says so.
+    """
+    lines = text.splitlines()
+    if simulated and not says_simulated([line.lstrip("# ") for line in lines]):
+        lines.insert(0, f"{SIMULATED} readings")
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
+    """(n, k) what is known of places; in a plan also what is meant."""
+    found = _stacked([reader.numbers(name) for name in names])
+    if not planned:
+        return found
+    meant = _stacked([reader.numbers(f"{PLANNED}{name}") for name in names])
+    return locked(np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant))
+
+
+def joined(tables: Sequence[Measurements]) -> Measurements:
+    """Several tables of one machine as one: the rounds of an export, say. Line numbers are those of each file.
+
+    Raises:
+        InputError: none given, or a target that has another place, or a station another pose, from one table to the next.
+    """
+    if not tables:
+        raise InputError("no measurements", expected="at least one table")
+    first = tables[0]
+    merged: dict[str, Any] = {
+        field.name: locked(np.concatenate([getattr(table, field.name) for table in tables]))
+        for field in fields(first)
+        if isinstance(getattr(first, field.name), np.ndarray)
+    }
+    names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
+    temperatures = {
+        name: locked(
+            np.concatenate([table.temperature_degC.get(name, np.full(len(table), np.nan)) for table in tables])
+        )
+        for name in names
+    }
+    table = replace(
+        first,
+        **merged,
+        source=", ".join(dict.fromkeys(table.source for table in tables)),
+        temperature_degC=MappingProxyType(temperatures),
+        set_aside=tuple(note for table in tables for note in table.set_aside),
+        notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
+        simulated=any(table.simulated for table in tables),
+    )
+    return _known(table)
+
+
+def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
+    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``."""
+    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
+    for i, axis in enumerate(machine.axes):
+        if np.any(data.approach[:, i]):
+            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
+    if np.all(np.isfinite(data.time_s)):
+        found["time_s"] = np.asarray(data.time_s)
+    for name, values in data.temperature_degC.items():
+        if np.all(np.isfinite(values)):
+            found[f"T_{name}_degC"] = np.asarray(values)
+    return found
+
+
+def _check_names(table: Measurements, path: Path) -> None:
+    for line, target, carrier in zip(table.lines, table.target, table.carrier, strict=True):
+        if carrier not in CARRIERS:
+            raise InputError(
+                "no such carrier",
+                expected=" or ".join(CARRIERS),
+                file=path,
+                line=int(line),
+                value=carrier,
+                nearest=nearest(carrier, CARRIERS),
+            )
+        if not target:
+            raise InputError("a point without a target", expected="the reflector's name", file=path, line=int(line))
+    for target in dict.fromkeys(table.target):
+        sides = table.carrier == "tool"
+        of = table.target == target
+        if np.any(sides[of]) and not np.all(sides[of]):
+            line = int(table.lines[of][sides[of] != sides[of][0]][0])
+            raise InputError(
+                "a target on both sides", expected="one carrier a target", file=path, line=line, value=target
+            )
+
+
+def _known(table: Measurements) -> Measurements:
+    """Every row with what any row says of its target's place and its station's pose.
+
+    Raises:
+        InputError: given in part, no finite number, or one thing at two places.
+    """
+    return replace(
+        table,
+        place_mm=one_place("target", table.target, PLACE_COLUMNS, table.place_mm, table.lines, table.source),
+        station_pose=one_place(
+            "station", table.station, STATION_COLUMNS, table.station_pose, table.lines, table.source
+        ),
+    )
+
+
+def usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) -> Measurements:
+    """Set aside what cannot be used, with its reason.
+
+    Args:
+        table: all rows.
+        machine: the machine.
+        unread: of each row, the cells of columns that are not understood; empty if there are none.
+
+    Raises:
+        InputError: no row can be used; commands outside the range by a constant.
+    """
+    check_ranges(machine.axes, table.positions, table.lines, table.source)
+    reasons: dict[int, RowNote] = {}
+
+    def aside(rows: np.ndarray, reason: str) -> None:
+        for row in np.flatnonzero(rows):
+            reasons.setdefault(int(row), RowNote(int(table.lines[row]), reason))
+
+    finite = np.isfinite(table.positions)
+    aside(~finite.all(axis=1), "a commanded position that is no finite number")
+    aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate that is no finite number")
+    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate beyond {LARGEST_MM:g} mm")
+    aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
+    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty below {SMALLEST_U_MM:g} mm")
+    for axis, q in zip(machine.axes, table.positions.T, strict=True):
+        if axis.lower is not None and axis.upper is not None:
+            reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
+            aside(outside(axis, q), f"{axis.name} is commanded outside its range {reach}")
+    left = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
+    for row, before in _copies(table, left, unread).items():
+        text = f"the same as line {table.lines[before]} in every column"
+        reasons[row] = RowNote(int(table.lines[row]), text, kind="the same as an earlier line in every column")
+    keep = np.array([row not in reasons for row in range(len(table))])
+    for station in dict.fromkeys(table.station):
+        of = keep & (table.station == station)
+        if 0 < np.count_nonzero(of) < FEWEST_POINTS:
+            aside(of, f"station {station} has fewer than {FEWEST_POINTS} usable points")
+    keep = np.array([row not in reasons for row in range(len(table))])
+    notes = tuple(note for _, note in sorted(reasons.items()))
+    if not np.any(keep):
+        first = notes[0]
+        what = f"no usable row of station {table.station[table.lines == first.line][0]}: {first.text}"
+        raise InputError(what, expected="measured points", file=table.source, line=first.line)
+    why = {row: note.kind or note.text for row, note in reasons.items()}
+    lost = [*lost_names("station", table.station, why), *lost_names("target", table.target, why)]
+    used = replace(table.select(keep), set_aside=notes)
+    return replace(used, notices=(*used.notices, *lost, *missing_rounds(used.target, used.round, used.positions)))
+
+
+def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dict[int, int]:
+    """Copies among some rows, each with the row that it repeats."""
+    part = table.select(rows)
+    names = zip(part.station, part.target, strict=True)
+    series = [f"{station}\0{target}\0".encode() for station, target in names]
+    command = (part.positions + 0.0, part.approach + 0.0)
+    point_of = [name + b"".join(column[i].tobytes() for column in command) for i, name in enumerate(series)]
+    rest = (
+        np.column_stack([part.readback, part.u_mm, part.time_s, part.feed_mm_min, *part.temperature_degC.values()])
+        + 0.0
+    )
+    words = [
+        f"{name}\0{unread[row] if len(unread) else ''}".encode() for name, row in zip(part.round, rows, strict=True)
+    ]
+    state = [point_of[i] + words[i] + rest[i].tobytes() for i in range(len(part))]
+    found = copied_rows(part.point_mm, state, series, point_of, part.time_s)
+    return {int(rows[row]): int(rows[before]) for row, before in found.items()}
+
+
+def _column(axis: Axis) -> str:
+    return f"{axis.name}_{axis.unit}"
+
+
+def _printed(values: np.ndarray) -> list[str]:
+    return ["" if np.isnan(value) else repr(float(value)) for value in values]
+
+
+def _columns(names: Sequence[str], values: np.ndarray) -> dict[str, Sequence[str]]:
+    return {name: _printed(column) for name, column in zip(names, values.T, strict=True)}
+
+
+def _stacked(columns: Sequence[np.ndarray]) -> np.ndarray:
+    return locked(np.stack(columns, axis=1))

@@ -1,0 +1,85 @@
+"""The tracker export of the thesis: lines of a name and three coordinates, one block of lines a target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin._common.files import read_lines
+from twin.machine.machine import Machine
+from twin.measurement.table import CARRIERS, Measurements, usable
+
+
+def load_export(
+    path: str | Path,
+    machine: Machine,
+    positions: Any,
+    *,
+    targets: Sequence[str],
+    carrier: str = "tool",
+    round_name: str = "1",
+) -> Measurements:
+    """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines a target, one line a position.
+
+    Args:
+        path: the file; mm, no header.
+        machine: the machine.
+        positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
+        targets: names of the targets in the order of the blocks.
+        carrier: the side they sit on.
+        round_name: the round this file is.
+
+    Raises:
+        InputError: another number of lines than blocks times positions, or a line that is not a name and three numbers.
+    """
+    path = Path(path)
+    commands = np.atleast_2d(np.asarray(positions, dtype=float))
+    if commands.shape[1] != len(machine.axes):
+        raise InputError("positions of the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
+    if carrier not in CARRIERS:
+        raise InputError("no such carrier", expected=" or ".join(CARRIERS), value=carrier)
+    lines, points = [], []
+    for number, text in enumerate(read_lines(path), start=1):
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in text.split(",")]
+        try:
+            points.append([float(cell) for cell in cells[1:]])
+        except ValueError:
+            points.append([])
+        if len(cells) != 4 or len(points[-1]) != 3:
+            raise InputError("not a measured point", expected="name, x, y, z", file=path, line=number, value=text)
+        lines.append(number)
+    wanted = len(commands) * len(targets)
+    if len(points) != wanted:
+        raise InputError(
+            f"{len(points)} points",
+            expected=f"{wanted}: {len(targets)} targets at {len(commands)} positions",
+            file=path,
+        )
+    n = len(points)
+    nothing = np.full((n, len(machine.axes)), np.nan)
+    table = Measurements(
+        source=str(path),
+        lines=locked(np.array(lines)),
+        positions=locked(np.tile(commands, (len(targets), 1))),
+        readback=locked(nothing),
+        target=locked(np.repeat(np.array(targets, dtype=object), len(commands))),
+        carrier=locked(np.full(n, carrier, dtype=object)),
+        station=locked(np.full(n, "1", dtype=object)),
+        round=locked(np.full(n, round_name, dtype=object)),
+        point_mm=locked(np.array(points)),
+        u_mm=locked(np.full((n, 3), np.nan)),
+        time_s=locked(np.full(n, np.nan)),
+        approach=locked(np.zeros((n, len(machine.axes)))),
+        place_mm=locked(np.full((n, 3), np.nan)),
+        station_pose=locked(np.full((n, 6), np.nan)),
+        temperature_degC=MappingProxyType({}),
+    )
+    return usable(table, machine)

@@ -1,0 +1,1 @@
+"""Mathematics that knows no machine: spatial algebra, bases of curves, covariances, what data can decide."""

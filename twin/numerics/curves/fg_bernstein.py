@@ -1,0 +1,313 @@
+"""fg-Bernstein bases, and curves through or near points with high relative accuracy.
+
+Mainar and Peña (Numer. Linear Algebra Appl. 25, 2018) call u_k = C(n,k) f^k g^(n−k), k = 0…n, the fg-Bernstein basis of degree n;
+Díaz Pérez et al. (2019), eq. 10, give the bidiagonal factors of its collocation matrix A = (u_k(t_i)) as products and quotients of
+differences of the data alone: each is right to rounding, however ill-conditioned A is.
+
+Here f = φ(x), g = φ(1 − x), x = (t − a)/(b − a): φ(x) = x makes the Bernstein polynomials, φ(x) = sin(Δx)/sin Δ the trigonometric
+ones of the paper (f = sin((Δ + s)/2), g = sin((Δ − s)/2), s from −Δ to Δ), but for the sin Δ, with which a curve starts and ends at its
+control points. In both, f(x)g(y) − f(y)g(x) = φ(x − y): the differences eq. 10 wants. Only the polynomials sum to one (the others to
+(f + g)^n, up to 2^(n/2) at Δ = π/2), and trigonometric ones of odd degree cannot make a constant.
+
+A curve is evaluated to some roundings of Σ |c_k| u_k: control points far larger than the curve (a smooth one over many points, above
+degree 60 or so) are no good, accurate as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sin
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import comb
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+
+MOST_DEGREE: Final = 250
+"""Beyond it numbers of eq. 10 may leave the range of a double."""
+MOST_HALF_ANGLE_RAD: Final = 3.0
+"""At π f/g no longer increases; at 3 rad the middle function of MOST_DEGREE is 1e286."""
+PAPER_HALF_ANGLE_RAD: Final = 1.57
+"""The paper's Δ."""
+
+
+@final
+@dataclass(frozen=True)
+class Bidiagonal:
+    """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns).
+
+    Attributes:
+        lower: (m, n+1) multipliers of the Neville elimination of A below the diagonal, zero elsewhere.
+        pivots: (n+1,) its diagonal pivots.
+        upper: (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere.
+    """
+
+    lower: np.ndarray
+    pivots: np.ndarray
+    upper: np.ndarray
+
+    def solve(self, values: np.ndarray) -> np.ndarray:
+        """What makes these values: c of A c = values, A square, in O(n²).
+
+        Every factor's inverse has the signs of a chessboard, so nothing cancels but what the data themselves cancel: the error of c is
+        some n roundings of |A⁻¹| |values| at most, which is that of every single c_k where the values alternate in sign (Koev 2007).
+
+        Args:
+            values: (n+1, d).
+        """
+        found = np.array(values, dtype=float)
+        n = len(found) - 1
+        for j in range(n):
+            found[j + 1 :] -= self.lower[j + 1 :, j, None] * found[j:-1]
+        found /= self.pivots[:, None]
+        for j in reversed(range(n)):
+            found[j:-1] -= self.upper[j + 1 :, j, None] * found[j + 1 :]
+        return found
+
+
+@final
+@dataclass(frozen=True)
+class FGBernstein:
+    """An fg-Bernstein basis.
+
+    Attributes:
+        degree: n; there are n + 1 functions.
+        domain: (a, b) of the parameter, in its own unit.
+        kind: ``polynomial`` or ``trigonometric``.
+        half_angle_rad: Δ of the trigonometric kind, more than 0, at most 3: the parameter runs through an angle of 2Δ. No part of
+            polynomials.
+
+    Raises:
+        InputError: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range.
+    """
+
+    degree: int
+    domain: tuple[float, float] = (0.0, 1.0)
+    kind: Literal["polynomial", "trigonometric"] = "polynomial"
+    half_angle_rad: float = PAPER_HALF_ANGLE_RAD
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.degree <= MOST_DEGREE:
+            raise InputError("no such degree of a curve", expected=f"0 to {MOST_DEGREE}", value=self.degree)
+        a, b = self.domain
+        if not (a < b and np.isfinite(b - a)):
+            raise InputError("an empty domain", expected="(a, b) with a < b, both finite", value=self.domain)
+        if self.kind not in ("polynomial", "trigonometric"):
+            raise InputError("no such kind of curve", expected="polynomial or trigonometric", value=self.kind)
+        if self.kind == "trigonometric" and not 0.0 < self.half_angle_rad <= MOST_HALF_ANGLE_RAD:
+            raise InputError(
+                "no such half angle",
+                expected=f"more than 0, at most {MOST_HALF_ANGLE_RAD:g} rad",
+                value=self.half_angle_rad,
+            )
+
+    def collocation(self, t: np.ndarray) -> np.ndarray:
+        """(m, n+1) values of the functions at (m,) parameters, in any order; each to its own rounding.
+
+        Raises:
+            InputError: a parameter outside the domain.
+        """
+        return locked(self._values(self._inside(t), self.degree))
+
+    def evaluate(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """(m, d) points of the curve with (n+1, d) control points, at (m,) parameters in any order; in the control points' unit.
+
+        Raises:
+            InputError: a parameter outside the domain; another number of control points.
+        """
+        return locked(self._values(self._inside(t), self.degree) @ self._control(control))
+
+    def derivative(self, control: np.ndarray, t: np.ndarray, order: Literal[1, 2] = 1) -> np.ndarray:
+        """(m, d) first or second derivative by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}, and that once more.
+
+        Args:
+            control: (n+1, d) control points.
+            t: (m,) parameters in any order.
+            order: 1 or 2.
+
+        Raises:
+            InputError: a parameter outside the domain; another number of control points; another order.
+        """
+        points, inside, n = self._control(control), self._inside(t), self.degree
+        if order not in (1, 2):
+            raise InputError("no such derivative", expected="order 1 or 2", value=order)
+        a, b = self.domain
+        forward, back = self._slopes(inside)
+        if n == 0:
+            return locked(np.zeros((len(inside), points.shape[1])))
+        lower = self._values(inside, n - 1)
+        if order == 1:
+            return locked(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
+        bend = -((self.half_angle_rad / (b - a)) ** 2) if self.kind == "trigonometric" else 0.0
+        f, g = (side[:, None] for side in self._sides(inside))
+        total = n * bend * (f * (lower @ points[1:]) + g * (lower @ points[:-1]))
+        if n > 1:
+            lowest = self._values(inside, n - 2)
+            total += n * (n - 1) * forward**2 * (lowest @ points[2:])
+            total += n * (n - 1) * 2.0 * forward * back * (lowest @ points[1:-1])
+            total += n * (n - 1) * back**2 * (lowest @ points[:-2])
+        return locked(total)
+
+    def factors(self, t: np.ndarray) -> Bidiagonal:
+        """The bidiagonal factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each to its rounding.
+
+        The paper's text has 0 < t_1 and t_m < 1; both ends of the domain are allowed: no quotient there is by zero.
+
+        Raises:
+            InputError: parameters outside the domain, not increasing, or fewer than n + 1.
+        """
+        return self._factors(self._increasing(t))
+
+    def interpolate(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(n+1, d) control points of the curve through (n+1, d) points at (n+1,) increasing parameters, with high relative accuracy.
+
+        Raises:
+            InputError: parameters outside the domain or not increasing; not n + 1 of them; points of another number, or not finite.
+        """
+        nodes = self._increasing(t)
+        if len(nodes) != self.degree + 1:
+            raise InputError(
+                f"{len(nodes)} points for a curve of degree {self.degree}",
+                expected=f"{self.degree + 1}, or a least-squares fit",
+            )
+        return locked(self._factors(nodes).solve(_points(points, len(nodes))))
+
+    def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(n+1, d) control points of the curve nearest to (m, d) points at (m,) increasing parameters, with high relative accuracy.
+
+        A = B A_τ: τ are n + 1 of the parameters, B the values of their Lagrange functions, which are products, so each is right to
+        its rounding; with the τ far from each other B is well-conditioned (no singular value below one: it holds the identity). An
+        ordinary QR fits B to the points, which gives the curve's own points at τ; eq. 10 turns these into control points. The error is
+        some roundings of |A⁺| |points|, as with the QR factorisation (Marco and Martínez 2010) the paper uses, in O(m n²) operations
+        on whole arrays.
+
+        Raises:
+            InputError: parameters outside the domain, not increasing, or fewer than n + 1; points of another number, or not finite.
+        """
+        nodes = self._increasing(t)
+        values = _points(points, len(nodes))
+        chosen = self._spread(nodes)
+        q, triangle = np.linalg.qr(self._lagrange(nodes, chosen))
+        return locked(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
+
+    def _factors(self, t: np.ndarray) -> Bidiagonal:
+        n, m = self.degree, len(t)
+        f, g = self._sides(t)
+        lower, pivots, upper = np.zeros((m, n + 1)), np.ones(n + 1), np.zeros((n + 1, n + 1))
+        product = np.ones(m)
+        for j in range(min(n + 1, m - 1)):
+            # Rows and columns from 0. From one column to the next, the quotient of products grows by one pair of differences.
+            lower[j + 1 :, j] = (g[j + 1 :] / g[j:-1]) ** (n - j) * (g[: m - 1 - j] / g[j:-1]) * product[j + 1 :]
+            product[j + 2 :] *= self._difference(t[j + 2 :], t[1 : m - 1 - j])
+            product[j + 2 :] /= self._difference(t[j + 1 : -1], t[: m - 2 - j])
+        for i in range(n + 1):
+            pivots[i] = comb(n, i) * g[i] ** (n - i) * np.prod(self._difference(t[i], t[:i]) / g[:i])
+        for i in range(1, n + 1):
+            upper[i, :i] = (n - i + 1) / i * (f[:i] / g[:i])
+        if not (np.all(pivots > np.finfo(float).tiny) and np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
+            raise InputError(
+                f"parameters too close together for degree {n}",
+                expected="a lower degree, or parameters spread over the domain",
+                value=f"{t[0]:g} to {t[n]:g}",
+            )
+        return Bidiagonal(locked(lower), locked(pivots), locked(upper))
+
+    def _lagrange(self, t: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """(m, n+1) values at t of the functions of the space that are one at one chosen parameter and zero at the others."""
+        own = (chosen, np.arange(len(chosen)))
+        apart = self._difference(t[:, None], t[chosen])
+        apart[own] = 1.0
+        # As many differences above the line as below: any scale cancels, and this one keeps the products within range.
+        apart /= np.exp(np.mean(np.log(np.abs(apart[chosen]))))
+        apart[own] = 1.0
+        found = np.prod(apart, axis=1)[:, None] / apart / np.prod(apart[chosen], axis=1)
+        found[chosen] = np.eye(len(chosen))
+        return found
+
+    def _spread(self, t: np.ndarray) -> np.ndarray:
+        """Indices of n + 1 of the parameters, increasing, far from each other.
+
+        A's determinant at them is ∏ φ(x_i − x_j), but for a constant: each is the farthest from those before in that sense (Leja).
+        """
+        chosen = [0]
+        far = np.zeros(len(t))
+        for _ in range(self.degree):
+            with np.errstate(divide="ignore"):
+                far += np.log(np.abs(self._difference(t, t[chosen[-1]])))
+            chosen.append(int(np.argmax(far)))
+        return np.sort(chosen)
+
+    def _values(self, t: np.ndarray, degree: int) -> np.ndarray:
+        f, g = self._sides(t)
+        k = np.arange(degree + 1)
+        return np.asarray(comb(degree, k) * f[:, None] ** k * g[:, None] ** (degree - k))
+
+    def _phi(self, x: np.ndarray) -> np.ndarray:
+        return x if self.kind == "polynomial" else np.sin(self.half_angle_rad * x) / sin(self.half_angle_rad)
+
+    def _sides(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both f and g, each from its own end of the domain, where it is small."""
+        a, b = self.domain
+        return self._phi((t - a) / (b - a)), self._phi((b - t) / (b - a))
+
+    def _slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m, 1) derivatives of f and g by the parameter."""
+        a, b = self.domain
+        if self.kind == "polynomial":
+            slope = np.full((len(t), 1), 1.0 / (b - a))
+            return slope, -slope
+        rate = self.half_angle_rad / (b - a)
+        size = rate / sin(self.half_angle_rad)
+        return size * np.cos(rate * (t - a))[:, None], -size * np.cos(rate * (b - t))[:, None]
+
+    def _difference(self, t: Any, s: Any) -> np.ndarray:
+        """φ(x − y) = f(t)g(s) − f(s)g(t)."""
+        a, b = self.domain
+        return self._phi((t - s) / (b - a))
+
+    def _inside(self, t: np.ndarray) -> np.ndarray:
+        parameters = np.atleast_1d(np.asarray(t, dtype=float))
+        a, b = self.domain
+        if parameters.ndim != 1:
+            raise InputError("parameters of another shape", expected="a list of numbers", value=parameters.shape)
+        # Sums like k·(b/n) leave the domain by their rounding.
+        slack = 4.0 * np.finfo(float).eps * max(abs(a), abs(b))
+        outside = ~((parameters >= a - slack) & (parameters <= b + slack))
+        if np.any(outside):
+            raise InputError(
+                "a parameter outside the domain", expected=f"{a:g} to {b:g}", value=float(parameters[outside][0])
+            )
+        return np.clip(parameters, a, b)
+
+    def _increasing(self, t: np.ndarray) -> np.ndarray:
+        nodes = self._inside(t)
+        wrong = np.flatnonzero(np.diff(nodes) <= 0.0)
+        if len(wrong):
+            i = int(wrong[0])
+            raise InputError(
+                "parameters that repeat or go back",
+                expected=f"more than {nodes[i]:g} after it",
+                value=float(nodes[i + 1]),
+            )
+        if len(nodes) < self.degree + 1:
+            raise InputError(
+                f"too few points for a curve of degree {self.degree}",
+                expected=f"{self.degree + 1} or more",
+                value=len(nodes),
+            )
+        return nodes
+
+    def _control(self, control: np.ndarray) -> np.ndarray:
+        return _points(control, self.degree + 1)
+
+
+def _points(points: np.ndarray, count: int) -> np.ndarray:
+    found = np.asarray(points, dtype=float)
+    if found.ndim != 2 or len(found) != count:
+        raise InputError("points of another number", expected=f"an array of {count} rows", value=found.shape)
+    if not np.all(np.isfinite(found)):
+        raise InputError("a point that is no number", expected="finite coordinates")
+    return found

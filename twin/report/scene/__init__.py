@@ -1,0 +1,7 @@
+"""The machine running a program, as one HTML page that needs no network. Only `draw` imports meshcat."""
+
+from twin.report.scene.draw import scene_html
+from twin.report.scene.path import ScenePath
+from twin.report.scene.program import Scene, draw_program
+
+__all__ = ["Scene", "ScenePath", "draw_program", "scene_html"]

@@ -1,0 +1,294 @@
+"""What a scene draws of a program: keyframes, the exaggerated path and its colours, arrows at chosen blocks. Arrays only."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from twin._common.errors import InputError
+
+MAX_KEYFRAMES = 600
+MAX_POINTS = 4000
+"""Of the drawn path; a browser turns that many smoothly, and the file stays small."""
+RAPID_SPEED = 3.0
+"""How much faster than a cut a rapid is shown."""
+SHOWN_SHARE = 0.08
+"""Of the path's extent: how large the largest deviation is shown, about."""
+
+# Viridis (CC0, Smith and van der Walt) at 0, 1/8 … 1: even to the eye and readable without colour vision.
+_VIRIDIS = (
+    np.array(
+        [
+            (68, 1, 84),
+            (71, 45, 123),
+            (59, 82, 139),
+            (44, 114, 142),
+            (33, 145, 140),
+            (40, 174, 128),
+            (94, 201, 98),
+            (173, 220, 48),
+            (253, 231, 37),
+        ]
+    )
+    / 255.0
+)
+
+
+@final
+@dataclass(frozen=True)
+class ScenePath:
+    """A motion to show, point by point.
+
+    Attributes:
+        positions: (n, axes) commands, mm and degrees, command order.
+        nominal_mm: (n, 3) intended tool points in the work frame.
+        actual_mm: (n, 3) tool points reached, in the work frame.
+        cutting: (n,) whether the move that ends at a point cuts; False for rapids.
+        lines: (n,) program line numbers.
+    """
+
+    positions: np.ndarray
+    nominal_mm: np.ndarray
+    actual_mm: np.ndarray
+    cutting: np.ndarray
+    lines: np.ndarray
+
+    def check(self, axes: int) -> None:
+        """See that the arrays belong together and to a machine with so many axes.
+
+        Raises:
+            InputError: no point at all, arrays of the wrong shape, or a value that is no finite number.
+        """
+        count = len(self.positions)
+        if count == 0:
+            raise InputError("nothing to show", expected="a program with at least one motion")
+        points = (count, 3)
+        shapes = {
+            "positions": (count, axes),
+            "nominal_mm": points,
+            "actual_mm": points,
+            "cutting": (count,),
+            "lines": (count,),
+        }
+        for name, shape in shapes.items():
+            array = np.asarray(getattr(self, name))
+            if array.shape != shape:
+                raise InputError(f"{name} of the wrong shape", expected=str(shape), value=array.shape)
+            if not np.all(np.isfinite(array)):
+                wrong = array[~np.isfinite(array)][0]
+                raise InputError(f"{name} with a value that is no number", expected="finite values", value=wrong)
+
+    @cached_property
+    def deviation_um(self) -> np.ndarray:
+        """(n,) distance of the point reached from the intended one, µm."""
+        return np.asarray(np.linalg.norm(self.actual_mm - self.nominal_mm, axis=1) * 1e3)
+
+    @cached_property
+    def judged(self) -> np.ndarray:
+        """(n,) points the figures count: those reached by cutting, or all where nothing cuts."""
+        return self.cutting.astype(bool) if np.any(self.cutting) else np.ones(len(self.cutting), dtype=bool)
+
+    @cached_property
+    def worst(self) -> int:
+        """Index of the judged point with the largest deviation."""
+        return int(np.argmax(np.where(self.judged, self.deviation_um, -1.0)))
+
+    @property
+    def max_um(self) -> float:
+        """Largest deviation of the judged points, µm."""
+        return float(self.deviation_um[self.worst])
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square deviation of the judged points, µm."""
+        return float(np.sqrt(np.mean(self.deviation_um[self.judged] ** 2)))
+
+    @cached_property
+    def extent_mm(self) -> float:
+        """Diagonal of the box around the judged nominal points, mm."""
+        return float(np.linalg.norm(np.ptp(self.nominal_mm[self.judged], axis=0)))
+
+    def shown_mm(self, exaggeration: float) -> np.ndarray:
+        """(n, 3) nominal points plus the exaggerated deviation, mm."""
+        return np.asarray(self.nominal_mm + exaggeration * (self.actual_mm - self.nominal_mm))
+
+
+@final
+@dataclass(frozen=True)
+class Keyframes:
+    """A motion at the moments that are shown.
+
+    Attributes:
+        share: (m,) time as a share of the whole, 0 … 1, strictly increasing.
+        positions: (m, axes) commands, mm and degrees.
+        deviation_um: (m,) deviation at the tool.
+        block: (m,) index of the point of the path being approached.
+    """
+
+    share: np.ndarray
+    positions: np.ndarray
+    deviation_um: np.ndarray
+    block: np.ndarray
+
+
+def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...]) -> Keyframes:
+    """At most `MAX_KEYFRAMES` moments of a motion, at an even speed; rapids `RAPID_SPEED` times faster.
+
+    The path's own points are kept as far as they fit, and what is left over goes between them, evenly.
+    One degree counts as one millimetre, so that turning on the spot takes time as well.
+    """
+    steps = np.diff(path.positions, axis=0)
+    way = np.linalg.norm(steps[:, list(linear)], axis=1) + np.linalg.norm(steps[:, list(rotary)], axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.where(path.cutting[1:], way, way / RAPID_SPEED))])
+    # A step lost in the rounding of the sum would be a keyframe at the same time as the one before.
+    kept = np.concatenate([[0], 1 + np.flatnonzero(np.diff(along) > 1e-12 * max(along[-1], 1e-300))])
+    if len(kept) < 2:
+        return Keyframes(np.zeros(1), path.positions[:1], path.deviation_um[:1], np.zeros(1, dtype=int))
+    knots = along[kept]
+    if len(knots) <= MAX_KEYFRAMES:
+        spare = MAX_KEYFRAMES - len(knots)
+        inner = np.floor(spare * np.diff(knots) / knots[-1]).astype(int)
+        parts = [np.linspace(a, b, n + 1, endpoint=False) for a, b, n in zip(knots[:-1], knots[1:], inner, strict=True)]
+        moments = np.concatenate([*parts, knots[-1:]])
+    else:
+        moments = np.linspace(0.0, knots[-1], MAX_KEYFRAMES)
+    positions = np.column_stack([np.interp(moments, knots, column) for column in path.positions[kept].T])
+    following = np.minimum(np.searchsorted(knots, moments, side="left"), len(kept) - 1)
+    return Keyframes(
+        moments / knots[-1], positions, np.interp(moments, knots, path.deviation_um[kept]), kept[following]
+    )
+
+
+def chosen_exaggeration(path: ScenePath) -> float:
+    """Factor that shows the largest deviation at about `SHOWN_SHARE` of the path's extent: 1, 2 or 5 times a power of ten.
+
+    Never below 1: a deviation is not made to look smaller than it is.
+    """
+    if path.max_um <= 0.0 or path.extent_mm <= 0.0:
+        return 1.0
+    return max(1.0, rounded_125(SHOWN_SHARE * path.extent_mm / (path.max_um * 1e-3)))
+
+
+def rounded_125(value: float) -> float:
+    """The number of the series 1, 2, 5, 10 … nearest to a positive value, by ratio."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return min((step * decade for step in (1.0, 2.0, 5.0, 10.0)), key=lambda step: abs(math.log(step / value)))
+
+
+def scale_top_um(largest_um: float) -> float:
+    """End of the colour scale, a number with round quarters at or above the largest deviation; 1 µm where there is none."""
+    if largest_um <= 0.0:
+        return 1.0
+    decade = 10.0 ** math.floor(math.log10(largest_um))
+    # One part in 10⁹: a maximum that is itself a round number, but for rounding, stays the end of the scale.
+    steps = (1.0, 1.2, 1.6, 2.0, 2.4, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * decade for step in steps if step * decade >= largest_um * (1 - 1e-9))
+
+
+def viridis(share: np.ndarray) -> np.ndarray:
+    """(n, 3) colours, 0 … 1, for (n,) shares of the scale."""
+    at = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    return np.column_stack([np.interp(share, at, channel) for channel in _VIRIDIS.T])
+
+
+def runs(cutting: np.ndarray, wanted: bool) -> list[np.ndarray]:
+    """Indices of the points of every unbroken run of moves that cut, or that do not; each starts where its first move does."""
+    moves = np.asarray(cutting[1:], dtype=bool) == wanted
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(int)))
+    return [np.arange(start, stop + 1) for start, stop in edges.reshape(-1, 2)]
+
+
+def thinned(pieces: list[np.ndarray], limit: int, keep: int) -> list[np.ndarray]:
+    """Runs with about ``limit`` points altogether: ends and the point ``keep`` stay, the rest is taken evenly."""
+    total = sum(len(piece) for piece in pieces)
+    if total <= limit:
+        return pieces
+    found = []
+    for piece in pieces:
+        count = max(2, round(limit * len(piece) / total))
+        chosen = piece[np.unique(np.round(np.linspace(0, len(piece) - 1, min(count, len(piece)))).astype(int))]
+        found.append(np.unique(np.append(chosen, keep)) if piece[0] <= keep <= piece[-1] else chosen)
+    return found
+
+
+def arrow_blocks(path: ScenePath, count: int) -> np.ndarray:
+    """Indices of at most ``count`` judged points, evenly along the path, the worst among them."""
+    judged = np.flatnonzero(path.judged)
+    if count < 1:
+        return judged[:0]
+    steps = np.linalg.norm(np.diff(path.nominal_mm[judged], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = along[-1] * (np.arange(count - 1) + 0.5) / max(count - 1, 1)
+    nearest = judged[np.minimum(np.searchsorted(along, at), len(judged) - 1)]
+    return np.unique(np.append(nearest, path.worst))
+
+
+@final
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with a colour at each corner.
+
+    Attributes:
+        vertices: (v, 3), in the unit of the points it was made of.
+        faces: (f, 3) indices of vertices.
+        colours: (v, 3), 0 … 1.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+
+
+def joined(meshes: list[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    if not meshes:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((0, 3)))
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
+        np.concatenate([mesh.colours for mesh in meshes]),
+    )
+
+
+def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int) -> Mesh:
+    """A tube along (k, 3) points with (k,) radii and (k, 3) colours; lines of WebGL are one pixel wide whatever is asked."""
+    moves = np.diff(points, axis=0)
+    lengths = np.linalg.norm(moves, axis=1)
+    directions = np.where(lengths[:, None] > 0, moves / np.maximum(lengths, 1e-300)[:, None], 0.0)
+    tangents = np.concatenate([directions[:1], directions[:-1] + directions[1:], directions[-1:]])
+    frame = np.zeros((len(points), 2, 3))
+    tangent = next((d for d in directions if np.any(d)), np.array([0.0, 0.0, 1.0]))
+    side = np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent)))])
+    for index, candidate in enumerate(tangents):
+        size = float(np.linalg.norm(candidate))
+        # At a full reversal or a repeated point there is no tangent: the last one serves.
+        tangent = candidate / size if size > 1e-6 else tangent
+        side = side - (side @ tangent) * tangent
+        if np.linalg.norm(side) < 1e-6:
+            side = np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent)))])
+        side = side / np.linalg.norm(side)
+        frame[index] = side, np.cross(tangent, side)
+    angles = 2 * np.pi * np.arange(sides) / sides
+    circle = np.cos(angles)[:, None] * frame[:, None, 0] + np.sin(angles)[:, None] * frame[:, None, 1]
+    vertices = points[:, None] + radii[:, None, None] * circle
+    first = (np.arange(len(points) - 1)[:, None] * sides + np.arange(sides)).ravel()
+    turned = (np.arange(len(points) - 1)[:, None] * sides + (np.arange(sides) + 1) % sides).ravel()
+    faces = np.concatenate(
+        [np.column_stack([first, turned, turned + sides]), np.column_stack([first, turned + sides, first + sides])]
+    )
+    return Mesh(vertices.reshape(-1, 3), faces, np.repeat(colours, sides, axis=0))
+
+
+def arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: tuple[float, float, float]) -> Mesh:
+    """A shaft with a pointed head from (3,) start to (3,) end."""
+    length = float(np.linalg.norm(end - start))
+    neck = start + (end - start) * max(0.4, 1.0 - 7.0 * radius / max(length, 1e-300))
+    points = np.array([start, neck, neck, end])
+    # The head's foot lies a hair beyond the neck, so that the tube has a direction there.
+    points[2] += 1e-4 * (end - start)
+    return tube(points, radius * np.array([1.0, 1.0, 2.6, 0.0]), np.tile(colour, (4, 1)), 7)

@@ -1,0 +1,95 @@
+"""The scene of a program from a script or a notebook: from a program's file to the page in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin._common.files import write_whole
+from twin.compensation.execute import Execution, execute_file
+from twin.compensation.toolpath import Setup
+from twin.display import framed
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
+from twin.machine.machine import Machine
+from twin.nc import find_program
+from twin.report.scene.draw import scene_html
+from twin.report.scene.path import ScenePath
+
+Progress = Callable[[str, float], None]
+HEIGHT_PX: Final = 600
+"""Of the frame in a notebook."""
+
+
+@final
+@dataclass(frozen=True)
+class Scene:
+    """A machine running a program; in a notebook it shows itself.
+
+    Attributes:
+        html: the page, self-contained.
+        execution: what it shows.
+    """
+
+    html: str
+    execution: Execution
+
+    def save(self, path: str | Path) -> None:
+        """Write the page, whole or not at all."""
+        write_whole(Path(path), self.html)
+
+    def _repr_html_(self) -> str:
+        return framed(self.html, HEIGHT_PX).text
+
+
+def draw_program(
+    program: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    tool_length_mm: float | None = None,
+    tcp: bool = False,
+    setup: Setup | None = None,
+    conditions: Conditions | None = None,
+    exaggeration: float | None = None,
+    progress: Progress = lambda stage, fraction: None,
+) -> Scene:
+    """The machine running the program of a file, or one that comes with twin.
+
+    Args:
+        program: its path.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        tool_length_mm: the machine file's own if None.
+        tcp: whether the control's kinematics are on from the start.
+        setup: work offsets and origin; none if None.
+        conditions: temperatures and time, for the effects that need them.
+        exaggeration: factor on the drawn deviation; a round one that shows it well if None.
+        progress: told what is being done and how far it is.
+
+    Raises:
+        InputError: as `twin.compensation.execute.execute_file`; no motion within the machine's ranges.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    progress("running", 0.0)
+    run = execute_file(
+        program, machine, errors, tool_length_mm=tool_length_mm, tcp=tcp, setup=setup, conditions=conditions
+    )
+    source = find_program(program)
+    if len(run.positions) < 2:
+        raise InputError(
+            "nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source
+        )
+    progress("drawing", 0.5)
+    page = scene_html(
+        Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=conditions),
+        ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines),
+        title=f"{source.name} on {machine.name}",
+        exaggeration=exaggeration,
+        warnings=errors.warnings,
+    )
+    return Scene(page, run)

@@ -1,0 +1,574 @@
+"""How well the tool is known: from the calibration's covariance to the pose of the tool.
+
+First order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM 102:2011, 6.2), and by
+Monte Carlo through the whole nonlinear chain (JCGM 101:2008), which says whether first order was enough (its clause 8).
+
+What is called U here: the radius about the estimated point within which the true point lies with 95 % probability, its error taken
+as normal. Not k = 2 times one standard deviation: twice the standard deviation of the largest direction covers 95.4 % of an error
+along one line, but only 73.9 % of one equal in all three. With the standard uncertainties u_x, u_y, u_z (k = 1) beside it.
+
+U holds what the covariance holds: the calibration's own parameters. What has a value and no covariance is named in every result, and
+where nothing has one the result is unknown, NaN and never zero. An error motion the calibration does not name, repeatability,
+temperature and rounding are not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError, nearest
+from twin._common.units import MM, UM
+from twin.compute.batch import BatchFunction
+from twin.display import UNKNOWN, Html, card, histogram, note, pairs, several
+from twin.kinematics.forward import Kinematics
+from twin.machine.calibration import Calibration
+from twin.machine.conditions import APPROACH
+from twin.numerics.covariance import Covariance
+from twin.uncertainty.budget import POSES, drawn_sides, volume
+
+COVERAGE: Final = 0.95
+NORMAL_95: Final = 1.959964
+"""Coverage factor of 95 % of a normal distribution along one line."""
+DEFINITION: Final = "U: 95 % of a normal error of the point lies within this radius"
+RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
+"""√(χ²_0.95(ν)/ν) as powers of ν − 2 for 1 ≤ ν ≤ 3, within 4e-5 of it."""
+POSES_A_STEP: Final = 1024
+POSES_A_PART: Final = 256
+"""Poses whose error frames are held at once: 256 · 42 components · 400 parameters are 34 MB."""
+TRIALS: Final = 10_000
+TRIALS_A_STEP: Final = 8192
+FEWEST_TRIALS: Final = 1000
+"""Fewer leave under 25 draws beyond each end of a 95 % interval."""
+NUMERICAL_UM: Final = 1e-6
+"""What double precision leaves of a chain metres long, µm: no endpoint is compared more closely."""
+
+
+def enough(validated: Sequence[bool | None]) -> str:
+    """At how many poses first order was enough, in words."""
+    told = {"yes": validated.count(True), "no": validated.count(False), "too few draws to tell": validated.count(None)}
+    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in told.items() if count)
+
+
+def radius_95(covariance: np.ndarray) -> np.ndarray:
+    """Radius within which 95 % of a normal error lies.
+
+    The squared length is taken as a multiple of χ² with ν = tr²(Σ)/tr(Σ²) degrees of freedom, which gives it the right mean and
+    variance (Satterthwaite 1946; JCGM 100, G.4.1): exact where the error has one, two or three equal directions, between them
+    0.06 % too small to 0.54 % too large (coverage 94.98 … 95.15 %).
+
+    Args:
+        covariance: (n, 3, 3).
+
+    Returns:
+        (n,) in the square root of its unit.
+    """
+    mean = np.trace(covariance, axis1=1, axis2=2)
+    square = np.einsum("nij,nij->n", covariance, covariance)
+    # Where nothing varies, ν does not matter and the radius is zero; what is unknown (NaN) stays so.
+    freedom = np.clip(mean**2 / np.where(square == 0.0, 1.0, square), 1.0, 3.0)
+    return np.asarray(np.sqrt(mean) * np.polynomial.polynomial.polyval(freedom - 2.0, np.array(RADIUS)))
+
+
+@final
+@dataclass(frozen=True)
+class PoseUncertainty:
+    """Uncertainty of poses of the tool in the work frame.
+
+    Attributes:
+        covariance: (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame;
+            NaN where nothing is known.
+        axis: (n, 3) tool axis.
+        parameters: how many numbers of the calibration it comes from; 0: unknown.
+        without_uncertainty: names of what has a value but no uncertainty, and is therefore not in it.
+    """
+
+    covariance: np.ndarray
+    axis: np.ndarray
+    parameters: int
+    without_uncertainty: tuple[str, ...]
+
+    @property
+    def known(self) -> bool:
+        """Whether anything has a covariance."""
+        return self.parameters > 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything that has a value has one; if not, every number here is a lower bound."""
+        return self.known and not self.without_uncertainty
+
+    @property
+    def standard_um(self) -> np.ndarray:
+        """(n, 3) standard uncertainty (k = 1) of the point along x, y, z of the work frame."""
+        return self._standard[:, :3]
+
+    @property
+    def standard_urad(self) -> np.ndarray:
+        """(n, 3) standard uncertainty (k = 1) of the rotation about x, y, z of the work frame."""
+        return self._standard[:, 3:]
+
+    @cached_property
+    def expanded_um(self) -> np.ndarray:
+        """(n,) U of the point: see `DEFINITION`."""
+        return locked(radius_95(self.covariance[:, :3, :3]))
+
+    @cached_property
+    def axis_expanded_urad(self) -> np.ndarray:
+        """(n,) U of the tool axis: 95 % of a normal error of its direction lies within this angle."""
+        x, y, z = self.axis.T
+        zero = np.zeros_like(x)
+        # δa = ω × a: what turns the tool about itself does not count.
+        lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
+        return locked(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
+
+    def _repr_html_(self) -> str:
+        return card("Uncertainty of the tool point", *self.shown(), small=several(len(self.axis), "pose")).text
+
+    def shown(self, *more: tuple[str, str]) -> list[Html]:
+        """What a display says of it: U and its spread, and of what it is not known."""
+        if not len(self.axis):
+            return []
+        if not self.known:
+            return [note(f"U {UNKNOWN}: no covariance in the calibration", loud=True)]
+        u, s = self.expanded_um, self.standard_um
+        least = "" if self.complete else "at least "
+        rms = ", ".join(
+            f"{name} {value:.2g}" for name, value in zip("xyz", np.sqrt(np.mean(s**2, axis=0)), strict=True)
+        )
+        rows = [
+            ("U", f"{least}{np.sqrt(np.mean(u**2)):.2g} µm RMS, {least}{u.max():.2g} µm largest"),
+            ("u (k = 1), RMS", f"{rms} µm"),
+            *more,
+            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if not self.complete else ""),
+        ]
+        return [pairs(rows), histogram(u, f"{least}U (µm)".strip()), note(DEFINITION)]
+
+    def where(self, keep: np.ndarray) -> PoseUncertainty:
+        """Of some of the poses, (n,) booleans."""
+        return PoseUncertainty(
+            locked(self.covariance[keep]), locked(self.axis[keep]), self.parameters, self.without_uncertainty
+        )
+
+    @cached_property
+    def _standard(self) -> np.ndarray:
+        return locked(np.sqrt(np.einsum("nii->ni", self.covariance)))
+
+
+@final
+@dataclass(frozen=True)
+class MonteCarlo:
+    """The same by drawing calibrations, of n poses.
+
+    Attributes:
+        trials: how many draws a pose.
+        mean: (n, 6) of the deviation from the estimated pose, µm and µrad: what first order takes as zero.
+        covariance: (n, 6, 6), µm and µrad.
+        interval_um: (n, 3, 2) probabilistically symmetric 95 % interval of the point's deviation along x, y, z.
+        radius_um: (n,) within which 95 % of the drawn points lie of the estimated one: U without assuming a normal error.
+        tolerance_um: (n, 3) numerical tolerance δ (JCGM 101, 7.9.2) of u_x, u_y, u_z by first order.
+        difference_um: (n, 3) by how much the ends of the first order interval, ± 1.96 u, miss those of ``interval_um``.
+        validated: (n,) whether every difference is within its tolerance (JCGM 101, 8.1); None where the trials are too few to tell:
+            twice the standard error of an interval's end would change the answer.
+        without_uncertainty: as of `PoseUncertainty`.
+    """
+
+    trials: int
+    mean: np.ndarray
+    covariance: np.ndarray
+    interval_um: np.ndarray
+    radius_um: np.ndarray
+    tolerance_um: np.ndarray
+    difference_um: np.ndarray
+    validated: tuple[bool | None, ...]
+    without_uncertainty: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                "95 % of the draws within",
+                f"{np.sqrt(np.mean(self.radius_um**2)):.2g} µm RMS, {self.radius_um.max():.2g} µm largest",
+            ),
+            ("first order enough (JCGM 101, 8.1)", enough(self.validated)),
+            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else ""),
+        ]
+        small = f"{several(len(self.radius_um), 'pose')}, {self.trials:,} draws each"
+        return card(
+            "Uncertainty of the tool point, by draws",
+            pairs(rows),
+            histogram(self.radius_um, "radius (µm)"),
+            small=small,
+        ).text
+
+
+@final
+@dataclass(frozen=True)
+class UncertaintyMap:
+    """U at the tool over many poses.
+
+    Attributes:
+        axes: names, in the order of the columns of ``positions``.
+        positions: (n, axes) commands, mm and degrees.
+        uncertainty: of the n poses.
+    """
+
+    axes: tuple[str, ...]
+    positions: np.ndarray
+    uncertainty: PoseUncertainty
+
+    @property
+    def rms_um(self) -> float:
+        """RMS of U; NaN if unknown."""
+        return float(np.sqrt(np.mean(self.uncertainty.expanded_um**2)))
+
+    @property
+    def max_um(self) -> float:
+        """Largest U; NaN if unknown."""
+        return float(np.max(self.uncertainty.expanded_um))
+
+    @property
+    def where(self) -> dict[str, float]:
+        """Position of the largest U by axis; empty if unknown, or of no pose."""
+        if not self.uncertainty.known or not len(self.positions):
+            return {}
+        row = self.positions[int(np.argmax(self.uncertainty.expanded_um))]
+        return dict(zip(self.axes, row.tolist(), strict=True))
+
+    def _repr_html_(self) -> str:
+        place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
+        small = several(len(self.positions), "pose")
+        shown = self.uncertainty.shown(("largest at (mm, °)", place))
+        return card("U of the tool point over the volume", *shown, small=small).text
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: the summary and every pose; null where it is unknown."""
+        known = self.uncertainty.known
+        return {
+            "known": known,
+            "complete": self.uncertainty.complete,
+            "definition": DEFINITION,
+            "without_uncertainty": list(self.uncertainty.without_uncertainty),
+            "rms_um": self.rms_um if known else None,
+            "max_um": self.max_um if known else None,
+            "where": self.where if known else None,
+            "axes": list(self.axes),
+            "positions": self.positions.tolist(),
+            "u_um": self.uncertainty.standard_um.tolist() if known else None,
+            "expanded_um": self.uncertainty.expanded_um.tolist() if known else None,
+        }
+
+
+@final
+class ToolUncertainty:
+    """What a calibration's covariance makes of the tool's pose.
+
+    Args:
+        kinematics: machine, calibration and tool.
+
+    Attributes:
+        kinematics: as given.
+        parameters: names of the calibration's numbers that have an uncertainty.
+        without_uncertainty: what has a value and none: the names of whole errors, or of single numbers of a curve.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self.kinematics = kinematics
+        calibration = kinematics.calibration
+        named = {parameter.name for effect in calibration.effects for parameter in effect.parameters}
+        covariance = calibration.covariance.where(lambda name: name in named)
+        self.parameters = covariance.names
+        self.without_uncertainty = _without(calibration, set(covariance.names))
+        self._index = {name: i for i, name in enumerate(covariance.names)}
+        self._factor = _factor(covariance)
+        frames = kinematics.machine.frames
+        self._start = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(frames)}
+
+    def _repr_html_(self) -> str:
+        known = (
+            several(len(self.parameters), "number")
+            if self.parameters
+            else f"{UNKNOWN}: no covariance in the calibration"
+        )
+        rows = [
+            ("from", f"{known} of the calibration" if self.parameters else known),
+            ("uncertainty unknown of", ", ".join(self.without_uncertainty)),
+            ("tool length", f"{self.kinematics.tool_length_mm:g} mm"),
+        ]
+        said = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
+        machine, drawn = self.kinematics.machine.name, self.kinematics.calibration.illustrative
+        return card(f"Uncertainty at the tool of {machine}", pairs(rows), said, illustrative=drawn).text
+
+    def at(self, positions: Any, approach: Any = None) -> PoseUncertainty:
+        """First order, at the calibration's own values.
+
+        Args:
+            positions: (n, axes) commands, mm and degrees. Memory stays bounded whatever n.
+            approach: (n, axes) sides the axes come from, as of `Kinematics.directed`: without them a reversal counts for nothing.
+
+        Raises:
+            InputError: as `Kinematics.forward`.
+        """
+        q = self.kinematics.check(positions)
+        sides = _sides(q, approach)
+        covariance = np.full((len(q), 6, 6), np.nan)
+        if self.parameters:
+            for start in range(0, len(q), POSES_A_STEP):
+                step = q[start : start + POSES_A_STEP]
+                error = self.kinematics.sensitivities(step, sides[start : start + POSES_A_STEP]).error
+                for first in range(0, len(step), POSES_A_PART):
+                    part = slice(first, first + POSES_A_PART)
+                    rows, spread = self._spread(step[part], sides[start : start + POSES_A_STEP][part])
+                    # Metres a metre and radian are µm a µm and µrad; the product is a factor, so no variance is negative.
+                    root = error[part][:, :, rows] @ spread
+                    covariance[start:][part] = root @ root.transpose(0, 2, 1)
+        axis = self.kinematics.forward(q, sides).axis if len(q) else np.zeros((0, 3))
+        return PoseUncertainty(locked(covariance), axis, len(self.parameters), self.without_uncertainty)
+
+    def monte_carlo(
+        self,
+        positions: Any,
+        rng: np.random.Generator,
+        trials: int = TRIALS,
+        *,
+        digits: int = 1,
+        approach: Any = None,
+    ) -> MonteCarlo:
+        """Draw the calibration's numbers from a normal distribution and run each through the chain.
+
+        The chain is evaluated whole; the components of the error frames follow their parameters by `Effect.derivatives`, which is
+        exact for curves, squareness, locations and all other effects that are linear in theirs.
+
+        Args:
+            positions: (n, axes) commands, mm and degrees; every pose has draws of its own.
+            rng: of the draws.
+            trials: a pose.
+            digits: significant digits of u taken as meaningful (JCGM 101, 7.9.2): 1, or 2 with some 1e6 trials.
+            approach: as of `at`.
+
+        Raises:
+            InputError: as `Kinematics.forward`; too few trials; a calibration without covariance.
+        """
+        if trials < FEWEST_TRIALS:
+            raise InputError("too few trials", expected=f"at least {FEWEST_TRIALS}", value=trials)
+        if not self.parameters:
+            raise InputError("nothing to draw from", expected="a calibration with a covariance", value="none")
+        q = self.kinematics.check(positions)
+        sides = _sides(q, approach)
+        standard = self.at(q, sides).standard_um
+        deviations = (self._drawn(row, side, rng, trials) for row, side in zip(q, sides, strict=True))
+        found = [_summary(deviation, u, digits) for deviation, u in zip(deviations, standard, strict=True)]
+        mean, covariance, interval, radius, tolerance, difference, validated = zip(*found, strict=True)
+        return MonteCarlo(
+            trials=trials,
+            mean=locked(np.array(mean)),
+            covariance=locked(np.array(covariance)),
+            interval_um=locked(np.array(interval)),
+            radius_um=locked(np.array(radius)),
+            tolerance_um=locked(np.array(tolerance)),
+            difference_um=locked(np.array(difference)),
+            validated=validated,
+            without_uncertainty=self.without_uncertainty,
+        )
+
+    def over_volume(self, poses: int = POSES) -> UncertaintyMap:
+        """Over poses spread evenly over the ranges (`twin.uncertainty.budget.volume`), as far as the curves are defined."""
+        return self._map(volume(self.kinematics.machine, poses))
+
+    def on_grid(self, counts: Sequence[int], rotary_deg: Mapping[str, float] | None = None) -> UncertaintyMap:
+        """On a regular grid of the linear axes, the rotary ones standing still.
+
+        Args:
+            counts: positions of each linear axis in command order, ends of its range included.
+            rotary_deg: where the rotary axes stand, by name; 0 if not named.
+
+        Raises:
+            InputError: counts that do not fit the machine, an unknown rotary axis, a position outside a curve's domain.
+        """
+        machine = self.kinematics.machine
+        linear = [axis for axis in machine.axes if axis.linear]
+        stand = dict(rotary_deg or {})
+        turning = [axis.name for axis in machine.axes if not axis.linear]
+        if len(counts) != len(linear) or any(count < 1 for count in counts):
+            raise InputError(
+                "a grid that does not fit the machine",
+                expected=f"a count for each of {', '.join(axis.name for axis in linear)}",
+                value=tuple(counts),
+            )
+        for name in stand:
+            if name not in turning:
+                raise InputError(
+                    "no such rotary axis",
+                    expected=f"some of {', '.join(turning)}",
+                    value=name,
+                    nearest=nearest(name, turning),
+                )
+        size = dict(zip((axis.name for axis in linear), counts, strict=True))
+        ranges = zip(machine.limits / machine.scale[:, None], self.kinematics.calibration.domains(), strict=True)
+        bounds = [(max(own[0], curves[0]), min(own[1], curves[1])) for own, curves in ranges]
+        steps = [
+            np.linspace(*bound, size[axis.name]) if axis.linear else np.array([stand.get(axis.name, 0.0)])
+            for axis, bound in zip(machine.axes, bounds, strict=True)
+        ]
+        return self._map(np.array(list(product(*steps))))
+
+    def _map(self, positions: np.ndarray) -> UncertaintyMap:
+        """With every axis come to from one side or the other, drawn with a seed: a reversal counts as ± half its size."""
+        inside = positions[~self.kinematics.outside_domain(positions).any(axis=1)]
+        if not len(inside):
+            raise InputError(
+                "no pose of the volume lies within every curve's domain", expected="curves over the ranges"
+            )
+        return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
+
+    def rates(self, positions: np.ndarray, approach: np.ndarray) -> list[tuple[int, list[int], np.ndarray]]:
+        """How the components of the error frames follow the calibration's uncertain numbers.
+
+        Args:
+            positions: (n, axes) commands, mm and degrees, checked.
+            approach: (n, axes) as of `at`.
+
+        Returns:
+            Of every component that varies at all its index into the (6·frames,) vector, which of ``parameters`` it follows, and its
+            (n, k) derivatives by these, µm and µrad; exact, for it is linear in them (see `monte_carlo`).
+        """
+        names = self.kinematics.machine.names
+        state: dict[str, Any] = {name: positions[:, i] for i, name in enumerate(names)}
+        state |= {f"{APPROACH}{name}": approach[:, i] for i, name in enumerate(names)}
+        state |= self.kinematics.conditions.channels
+        moved: dict[int, list[tuple[int, Any]]] = {}
+        for effect in self.kinematics.calibration.effects:
+            start = self._start[effect.frame.axis, effect.frame.role]
+            for parameter, rates in zip(effect.parameters, effect.derivatives(state), strict=True):
+                column = self._index.get(parameter.name)
+                if column is not None:
+                    for component, rate in rates.items():
+                        moved.setdefault(start + component, []).append((column, rate))
+        count = len(positions)
+        return [
+            (
+                component,
+                [column for column, _ in found],
+                np.stack([np.broadcast_to(rate, count) for _, rate in found], axis=1),
+            )
+            for component, found in moved.items()
+        ]
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """(parameters, count) what the calibration's uncertain numbers may be off by, µm and µrad: normal, with their covariance."""
+        return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
+
+    def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
+        """Factor of the covariance of the error frames' components that vary at all.
+
+        Returns:
+            Their indices into the (6·frames,) vector, and (n, indices, r), µm and µrad.
+        """
+        moved = self.rates(q, sides)
+        spread = np.empty((len(moved), len(q), self._factor.shape[1]))
+        for i, (_, columns, shape) in enumerate(moved):
+            np.matmul(shape, self._factor[columns], out=spread[i])
+        return [component for component, _, _ in moved], spread.transpose(1, 0, 2)
+
+    def _drawn(self, q: np.ndarray, side: np.ndarray, rng: np.random.Generator, trials: int) -> np.ndarray:
+        """(trials, 6) deviations of the pose at one command (axes,) from the estimated one, µm and µrad."""
+        rows, spread = self._spread(q[None, :], side[None, :])
+        estimate = self.kinematics.forward(q, side)
+        point, turned = estimate.point_mm[0], estimate.rotation[0].T
+        errors = self.kinematics.error_frames(q, side)[0].reshape(-1)
+        own = q * self.kinematics.machine.scale
+        length = np.array([self.kinematics.tool_length_mm * MM])
+        found = np.empty((trials, 6))
+        for start in range(0, trials, TRIALS_A_STEP):
+            count = min(TRIALS_A_STEP, trials - start)
+            drawn = np.tile(errors, (count, 1))
+            drawn[:, rows] += rng.standard_normal((count, spread.shape[2])) @ spread[0].T * UM
+            rotation, reached = self._chain(own, drawn, length)
+            turn = rotation.reshape(-1, 3, 3).transpose(0, 2, 1) @ turned
+            part = found[start : start + count]
+            part[:, :3] = (reached / MM - point) * 1e3
+            # The sine of the angle for the angle: 1e-6 of it apart at 2 mrad.
+            part[:, 3] = turn[:, 2, 1] - turn[:, 1, 2]
+            part[:, 4] = turn[:, 0, 2] - turn[:, 2, 0]
+            part[:, 5] = turn[:, 1, 0] - turn[:, 0, 1]
+            part[:, 3:] *= 0.5e6
+        return found
+
+    @cached_property
+    def _chain(self) -> BatchFunction:
+        return BatchFunction(self.kinematics.chain)
+
+
+def _sides(q: np.ndarray, approach: Any) -> np.ndarray:
+    return np.zeros(q.shape) if approach is None else np.atleast_2d(np.asarray(approach, dtype=float))
+
+
+def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:
+    """Errors no number of which has an uncertainty by their name; of the others the numbers that have none."""
+    found: list[str] = []
+    for effect in calibration.effects:
+        missing = [parameter.name for parameter in effect.parameters if parameter.name not in known]
+        found += [effect.name] if missing and len(missing) == len(effect.parameters) else missing
+    return tuple(found)
+
+
+def _factor(covariance: Covariance) -> np.ndarray:
+    """(p, r) F with Σ = F Fᵀ, eigenvalues that rounding made negative left out.
+
+    By way of the correlations, so that µm beside µrad loses nothing.
+    """
+    if not covariance.names:
+        return np.zeros((0, 0))
+    scale = np.sqrt(np.diag(covariance.matrix))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
+    # Below its own rounding an eigenvalue is zero.
+    keep = values > len(values) * np.finfo(float).eps * values[-1]
+    return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
+
+
+def _summary(deviation: np.ndarray, standard: np.ndarray, digits: int) -> tuple[Any, ...]:
+    """What `MonteCarlo` says of one pose from its (trials, 6) deviations and (3,) first order u."""
+    trials = len(deviation)
+    distance = np.sort(np.linalg.norm(deviation[:, :3], axis=1))
+    ordered = np.sort(deviation[:, :3], axis=0)
+    tail = (1.0 - COVERAGE) / 2.0
+    low = round(trials * tail)  # JCGM 101, 7.7.2: ranks r and r + pM
+    high = low + round(trials * COVERAGE)
+    interval = ordered[[low - 1, high - 1]].T
+    # The rank of a quantile is binomial: the ends' standard error without assuming a density.
+    step = round(np.sqrt(trials * tail * (1.0 - tail)))
+    noise = np.stack(
+        [(ordered[min(at + step, trials - 1)] - ordered[max(at - step, 0)]) / 2.0 for at in (low - 1, high - 1)], axis=1
+    )
+    tolerance = np.maximum(numerical_tolerance(standard, digits), NUMERICAL_UM)
+    ends = np.abs(interval - standard[:, None] * np.array([-NORMAL_95, NORMAL_95]))
+    within = np.all(ends + 2.0 * noise <= tolerance[:, None])
+    beyond = np.any(ends - 2.0 * noise > tolerance[:, None])
+    return (
+        deviation.mean(axis=0),
+        np.cov(deviation.T),
+        interval,
+        distance[round(trials * COVERAGE) - 1],
+        tolerance,
+        ends.max(axis=1),
+        True if within else False if beyond else None,
+    )
+
+
+def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
+    """δ of JCGM 101, 7.9.2: u is written c·10^l with so many digits in the whole number c; δ = ½·10^l.
+
+    Args:
+        standard: u, any shape.
+        digits: significant digits, 1 or 2.
+    """
+    safe = np.where(standard > 0.0, standard, 1.0)
+    power = np.floor(np.log10(safe)) - (digits - 1)
+    power += np.round(safe / 10.0**power) >= 10.0**digits  # 0.996 is 1.0 to two digits
+    return np.asarray(np.where(standard > 0.0, 0.5 * 10.0**power, 0.0))
