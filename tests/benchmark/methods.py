@@ -21,7 +21,7 @@ from tests.diagnosis.battery import UNHIDDEN, Key
 from twin._common.errors import InputError
 from twin._common.files import write_json
 from twin.diagnosis import diagnose
-from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
 from twin.diagnosis.result import SCHEMA

@@ -34,7 +34,7 @@ from twin.diagnosis import diagnose
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import load

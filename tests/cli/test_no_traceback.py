@@ -25,8 +25,8 @@ from twin.compensation.toolpath import axis_words
 from twin.compute.native import compiler
 from twin.compute.parallel import Workers
 from twin.diagnosis import words
+from twin.diagnosis.candidates.flaws import flaw
 from twin.diagnosis.evidence import evidence
-from twin.diagnosis.flaws import flaw
 from twin.identification.axis_run import AxisLayout, load_readings
 from twin.identification.spread import Misfit
 from twin.identification.unknowns import CurveSpace

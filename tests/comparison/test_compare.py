@@ -19,7 +19,7 @@ from twin.cli.commands import app
 from twin.comparison.pairs import joint_spread, paired
 from twin.comparison.significance import FALSE_ALARMS, SHARE, fewest, holm, simultaneous_factor, whiten
 from twin.machine.control import ControlSection, TableEntry
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 

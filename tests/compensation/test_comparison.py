@@ -13,7 +13,7 @@ from twin.compute import batch
 from twin.compute.native import loading
 from twin.kinematics.forward import Kinematics, angle_between_rad
 from twin.machine.calibration import Calibration
-from twin.machine.effects.along import Reversal
+from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
 from twin.numerics.spatial import tilt
 

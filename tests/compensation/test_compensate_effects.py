@@ -28,7 +28,7 @@ from twin.compensation.toolpath import WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.iso16907 import Scope, acts_as, iso_class
 from twin.machine.machine import Machine
 from twin.nc import dialect_for

@@ -28,7 +28,7 @@ from twin.compute.native.tape import Tape, UnknownOperationError
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Solution, Status
 from twin.machine.calibration import Calibration
-from twin.machine.effects.along import Reversal
+from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
 
 TINY = 'extern "C" int answer() { return 42; }\n'

@@ -31,13 +31,13 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.account import equivalent
-from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.candidates.signatures import of_unit
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.pool import Form
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.signatures import of_unit
 from twin.diagnosis.structure import Findings, Structure
 from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift

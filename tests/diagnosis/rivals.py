@@ -28,11 +28,11 @@ from sklearn.linear_model import LassoLarsIC
 
 from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, Told, Truth, matched, parsed, tasks, told
 from twin.compute.parallel import Workers, in_order
-from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.pool import SEEN
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.signatures import Column
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate is as good a name."""

@@ -23,8 +23,8 @@ from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.catalogue import catalogue
-from twin.diagnosis.misplaced import misplaced
+from twin.diagnosis.candidates.catalogue import catalogue
+from twin.diagnosis.candidates.misplaced import misplaced
 from twin.diagnosis.panels import cause_panels, residual_panels
 from twin.diagnosis.plots import plot_cause, plot_left, plot_ranking, plot_residuals
 from twin.diagnosis.report import diagnosis_html

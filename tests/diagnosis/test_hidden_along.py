@@ -18,9 +18,9 @@ from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.catalogue import catalogue
+from twin.diagnosis.candidates.catalogue import catalogue
 from twin.machine.calibration import Calibration
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.table import load
 

@@ -14,7 +14,7 @@ import pytest
 
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.catalogue import catalogue
+from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.result import Cause
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration

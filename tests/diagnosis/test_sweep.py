@@ -15,13 +15,13 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
+from twin.diagnosis.candidates.signatures import of_effect
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.folds import parts as parts_of
 from twin.diagnosis.pool import ALARMS, SAMPLED
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.products import Products
 from twin.diagnosis.readings import readings
-from twin.diagnosis.signatures import of_effect
 from twin.diagnosis.sweep import Block, Signatures
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

@@ -10,12 +10,12 @@ from scipy import stats
 
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
+from twin.diagnosis.candidates.signatures import of_base
 from twin.diagnosis.diagnose import Searcher
 from twin.diagnosis.likelihood import Likelihood
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.signatures import of_base
 from twin.diagnosis.unnamed import log_tail, scan
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

@@ -32,7 +32,7 @@ from twin.kinematics.forward import Kinematics
 from twin.kinematics.inverse import Inverse
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve

@@ -21,7 +21,7 @@ from tests.truth.machine import TruthMachine
 from twin.cli.commands import app
 from twin.kinematics.forward import Kinematics
 from twin.machine.datum import END_POINTS, MEAN_LINES, Datum
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.numerics.covariance import Covariance

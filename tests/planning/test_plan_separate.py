@@ -18,7 +18,7 @@ from tests.truth import hidden
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
-from twin.machine.effects.registry import effect_named
+from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twin.cli.options import MANY_WORDS, gathered
-from twin.machine.effects.registry import PARAMETERS
+from twin.machine.effects import MACHINE_EFFECTS
 from twin.machine.iso16907 import NAMES
 from twin.machine.machine import DEFAULT, Machine, bundled_folder
 from twin.measurement.instruments import INSTRUMENTS
@@ -87,17 +87,7 @@ def aims(ctx: Any, incomplete: str) -> list[str]:
 def causes(ctx: Any, incomplete: str) -> list[str]:
     """Effects and where they can be, as two words in quotes."""
     machine = _machine(ctx)
-    places: dict[str, list[str]] = {name: [axis.name for axis in machine.axes] for name in PARAMETERS}
-    linear = [axis.name for axis in machine.axes if axis.linear]
-    rotary = [axis.name for axis in machine.axes if not axis.linear]
-    places |= {"pitch_error": linear, "thermal_expansion": linear, "thermal_drift": list("XYZ"), "table_load": rotary}
-    places["thermal_growth"] = [f"{direction} by" for direction in "XYZ"]
-    places["harmonic"] = [name for name in machine.motion_names if name[3:] in rotary]
-    places["cross_axis"] = [
-        f"{name} by {axis.name}" for name in machine.motion_names for axis in machine.axes if axis.name != name[3:]
-    ]
-    places["squareness"] = list(machine.squareness_names)
-    places["axis_location"] = list(machine.location_names)
+    places = {one.name: one.places(machine) for one in MACHINE_EFFECTS if one.places(machine)}
     # Until the effect is written, its places would be a list of hundreds.
     effects = _begun(incomplete, sorted(places))
     if incomplete not in effects and " " not in incomplete:

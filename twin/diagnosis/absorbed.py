@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from twin.diagnosis.candidates.signatures import LARGEST
 from twin.diagnosis.pool import SEEN, Form
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.signatures import LARGEST
 from twin.identification.solve import named_setup
 from twin.numerics.observability import Unknown, determinability
 

@@ -13,7 +13,9 @@ from twin._common.arrays import locked
 from twin._common.distributions import chi2_sf, f_log_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.absorbed import looks_like
-from twin.diagnosis.catalogue import Catalogue
+from twin.diagnosis.candidates.candidate import Catalogue
+from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates.following_error import READ_BACK
 from twin.diagnosis.estimate import Estimate, estimate
 from twin.diagnosis.evidence import between_positions, curve_flaw, evidence
 from twin.diagnosis.extend import Extended, extend
@@ -24,15 +26,15 @@ from twin.diagnosis.noise import Scatter
 from twin.diagnosis.payload import payload_causes
 from twin.diagnosis.pool import DOUBT, Form, Pool, log_chance
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.reported import READ_BACK, reported, unsettled
+from twin.diagnosis.reported import reported, unsettled
 from twin.diagnosis.result import Cause, Diagnosis, Gain, Quantity, Rival, Trend, Unexplained, Verdict
-from twin.diagnosis.reversals import told_with_more
-from twin.diagnosis.search import GRIDDED, excessive
+from twin.diagnosis.search import excessive
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.unnamed import Trace, scan
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
+from twin.machine.effects.waves import APPROACH
 from twin.numerics.covariance import Covariance
 
 SEEN_AT: Final = 0.05
@@ -179,8 +181,8 @@ def _cause(
     pool, rest = found.beside, [one for one in beside if one is not beside[k]]
     text = evidence(form, estimated, k) + curve_flaw(found.pool, forms, form, calibration) + doubt
     equal = equivalent(found, beside[k], rest)
-    if form.candidate.effect.startswith("reversal") and (why := _unsettled(found, form)):
-        text, equal = f"{text}; {why}", (*equal, (READ_BACK, form.candidate.where))
+    if _directed(form) and (why := _unsettled(found, form)):
+        text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
     quantities = estimated.quantities[k]
     return Cause(
         effect=form.candidate.effect,
@@ -199,20 +201,23 @@ def _cause(
     )
 
 
+def _directed(form: Form) -> bool:
+    """Whether it is an effect of the side that an axis came from."""
+    return any(name.startswith(APPROACH) for name in form.candidate.specification.channels(form.candidate.where))
+
+
 def _unsettled(found: Findings, form: Form) -> str:
     return unsettled(found.problem.network.data, found.problem.network.machine, form.candidate.where)
 
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Whether a parameter stands where it cannot go further."""
-    limits = {
-        name: max((cell.fixed[name] for cell in form.candidate.cells if name in cell.fixed), default=np.inf)
-        for name in GRIDDED
-    }
-    if form.candidate.drift is not None and not form.candidate.drift.straight:
+    candidate = form.candidate
+    limits = {name: candidate.range(name) for name in candidate.specification.bent}
+    if candidate.drift is not None and not candidate.drift.straight:
         # In a straight line: its time constant is beyond the record.
         return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
-    return any(abs(q.value) >= AT_BOUND * limits.get(q.name, form.candidate.largest) for q in quantities)
+    return any(abs(q.value) >= AT_BOUND * limits.get(q.name, candidate.largest) for q in quantities)
 
 
 def _log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
@@ -250,10 +255,13 @@ def _covariance(estimated: Estimate, effects: Sequence[Effect]) -> Covariance:
 
 
 def _compared(found: Findings, forms: Sequence[Form], causes: Sequence[Cause]) -> Comparison:
-    groups = [
-        (form.key, *cause.equivalent, *told_with_more(form.key)) for form, cause in zip(forms, causes, strict=True)
-    ]
+    groups = [(form.key, *cause.equivalent, *_variants(form.key)) for form, cause in zip(forms, causes, strict=True)]
     return compared(second_opinion(found.pool, found.structure.forms), groups)
+
+
+def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
+    """The same cause with more numbers: a plain reversal is one that changes along the travel by nothing."""
+    return [(one.name, key[1]) for one in SPECIFICATIONS.values() if one.more_of == key[0]]
 
 
 def _further(effect: SingleEffect) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnosis.account import account
-from twin.diagnosis.catalogue import Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Catalogue
+from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.folds import parts
 from twin.diagnosis.gain import foretells
@@ -21,13 +22,10 @@ from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import ROBUST, Readings, readings
 from twin.diagnosis.result import Diagnosis
-from twin.diagnosis.reversals import VARYING
-from twin.diagnosis.search import GRIDDED, Selection, every, glimpse, prices
-from twin.diagnosis.signatures import of_unit
+from twin.diagnosis.search import Selection, every, glimpse, prices
 from twin.diagnosis.structure import Findings, Structure, named, settled
 from twin.identification.outliers import outliers
 from twin.machine.calibration import Calibration
-from twin.machine.effects import PitchError
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements, state_of
@@ -149,11 +147,11 @@ class Searcher:
     def run(self) -> Findings:
         """The best set of causes, and the patterns without a name that stand beside them."""
         found, refuted = self._settled()
-        # What a reversal does between positions is asked of positions left out: refuted there, it is the plain reversal and a rest.
+        # What a variant does between positions is asked of positions left out: refuted there, it is the plain effect and a rest.
         while varying := [
             form
             for form in found.forms
-            if form.candidate.effect == VARYING and not foretells(self.pool, form, found.forms)
+            if form.candidate.specification.more_of and not foretells(self.pool, form, found.forms)
         ]:
             self.pool.forbid({form.key for form in varying})
             found, refuted = self._settled()
@@ -189,7 +187,7 @@ class Searcher:
 
     def _refined(self, best: Selection) -> bool:
         machine, data = self.problem.network.machine, self.problem.network.data
-        bent = [form for form in best.forms if GRIDDED & form.cell.fixed.keys()]
+        bent = [form for form in best.forms if form.bent]
         large = [
             form
             for form in bent
@@ -200,18 +198,12 @@ class Searcher:
         state = state_of(data, machine)
         found = estimate(self.problem, best.forms)
         moved = False
-        for form, effects, quantities in zip(best.forms, found.effects, found.quantities, strict=True):
+        for form, quantities in zip(best.forms, found.quantities, strict=True):
             # A straight drift has a time constant to show, but none in its columns.
-            put = [q for q in quantities if form in large and q.name in GRIDDED]
-            if not any(abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in put):
+            put = {q.name: q for q in quantities if form in large and q.name in form.bent}
+            if not any(abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
                 continue
             moved = True
-            if effects and isinstance(effects[0], PitchError):
-                pitch = effects[0]
-                sine, cosine = (PitchError(pitch.axis, 1.0, pitch.period, phase) for phase in (0.0, np.pi / 2.0))
-                columns = of_unit(sine, machine, state), of_unit(cosine, machine, state)
-                self.pool.refine(form, Cell(columns, {"period": pitch.period}))
-            elif form.candidate.drift is not None:
-                constant = next(q.value for q in quantities if q.name == "time_constant")
-                self.pool.refine(form, Cell(form.candidate.drift.columns(constant), {"time_constant": constant}))
+            fixed = {name: q.value for name, q in put.items()}
+            self.pool.refine(form, cell_at(form.candidate, fixed, machine, state))
         return moved

@@ -8,10 +8,10 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.drift import STRAIGHT, Drift
+from twin.diagnosis.candidates.candidate import STRAIGHT, Drift
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.pool import pseudo
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.signatures import Column
 
 FINE: Final = 81
 """Time constants at which the likelihood of a drift is evaluated."""

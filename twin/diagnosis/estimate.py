@@ -10,14 +10,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin._common.arrays import locked
-from twin.diagnosis.drift import STRAIGHT
+from twin.diagnosis.candidates.candidate import STRAIGHT
+from twin.diagnosis.candidates.signatures import Column, of_effect
 from twin.diagnosis.drift_fit import fit_drift, over_forms
 from twin.diagnosis.misfit import larger, more_left, widened
 from twin.diagnosis.pool import Form, pseudo
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Quantity
-from twin.diagnosis.signatures import Column, of_effect
-from twin.machine.effects import Effect, ErrorMotion, PitchError, ReversalCurve, SteadyDrift, ThermalDrift
+from twin.machine.effects import Effect
 from twin.measurement.table import state_of
 from twin.numerics.covariance import Covariance
 
@@ -86,7 +86,7 @@ def estimate(
         () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
         for form, value in zip(forms, values, strict=True)
     ]
-    curved = [bool(found) and isinstance(found[0], PitchError) for found in effects]
+    curved = [form.candidate.drift is None and _bent(form, found) for form, found in zip(forms, effects, strict=True)]
     fixed = [dict(form.cell.fixed) for form in forms]
     loose: dict[int, np.ndarray] = {}
     for k, form in enumerate(forms):
@@ -128,7 +128,7 @@ def estimate(
             own = step[at : at + block.shape[1]]
             at += block.shape[1]
             if curved[k]:
-                effects[k] = (_with(effects[k][0], current[k] + own, longest[k]),)
+                effects[k] = (_kept(forms[k], effects[k][0], current[k] + own, longest[k]),)
             else:
                 values[k] = values[k] + own
                 if forms[k].candidate.build is not None:
@@ -248,46 +248,41 @@ def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covaria
     return larger(covariance, over_forms(problem, [own.columns, *same], others))
 
 
+def _bent(form: Form, effects: Sequence[Effect]) -> bool:
+    """Whether non-linear parameters are among those of its effect."""
+    names = form.candidate.specification.bent
+    return bool(names and effects) and all(name in effects[0].numbers for name in names)
+
+
 def _longest(form: Form) -> float:
     """Longest period or time constant that a form can have."""
-    tried = [
-        cell.fixed[name] for cell in form.candidate.cells for name in ("period", "time_constant") if name in cell.fixed
-    ]
+    tried = [cell.fixed[name] for cell in form.candidate.cells for name in form.bent if name in cell.fixed]
     return max(tried, default=np.inf)
 
 
-def _with(effect: Effect, values: np.ndarray, longest: float) -> Effect:
-    numbers = [float(v) for v in values]
-    if isinstance(effect, PitchError):
-        amplitude, period, phase = numbers
-        if amplitude < 0.0:
-            amplitude, phase = -amplitude, phase + np.pi
-        period = min(max(period, 0.3 * effect.period), longest)
-        return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
-    if isinstance(effect, ThermalDrift):
-        tau = max(numbers[1], 0.3 * effect.time_constant)
-        return effect.changed(numbers[0], min(tau, 3.0 * effect.time_constant, longest))
-    return effect
+def _kept(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
+    kept = form.candidate.specification.kept
+    return effect if kept is None else kept(effect, [float(v) for v in values], longest)
 
 
 def _quantities(
     form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if effects and isinstance(effects[0], PitchError | ThermalDrift):
+    if _bent(form, effects):
         return tuple(
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
         )
-    if effects and isinstance(effects[0], ErrorMotion | ReversalCurve) and form.candidate.space is not None:
+    if effects and form.candidate.space is not None:
         return tuple(
             Quantity(f"c{k}", p.value, p.unit, float(one))
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
         )
-    if effects and isinstance(effects[0], SteadyDrift) and form.candidate.drift is not None:
+    if effects and form.candidate.drift is not None:
         # The time constant is longer than the record: the rate is known, and with it what the record sees of the amplitude.
         hours = form.candidate.drift.constants[-1] / 3600.0
-        rate = effects[0].rate
+        rate = effects[0].parameters[0].value
         return (
             Quantity("amplitude", rate * hours, "um", float(u[0]) * hours),
             Quantity("rate", rate, "um/h", float(u[0])),

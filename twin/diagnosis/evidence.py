@@ -7,15 +7,15 @@ from typing import Final
 
 import numpy as np
 
+from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.estimate import Estimate
-from twin.diagnosis.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.gain import foretells
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
-from twin.diagnosis.waves import SHORTEST_PERIOD, sampling
 from twin.diagnosis.words import listed
 from twin.machine.calibration import Calibration
-from twin.machine.effects import ReversalCurve
+from twin.machine.effects.specification import Found
+from twin.numerics.waves import SHORTEST_PERIOD, sampling
 
 ALIKE: Final = 9.0
 """Chi² (three standard deviations) by which a period must fit worse to be another than the best."""
@@ -23,61 +23,13 @@ ALIKE: Final = 9.0
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
     """What the k-th cause does, and how far beyond its uncertainty that is."""
-    sizes = [q for q in found.quantities[k] if q.name not in ("order", "period", "phase", "time_constant")]
+    specification = form.candidate.specification
+    sizes = [q for q in found.quantities[k] if q.name not in {*specification.bent, *form.cell.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
-    unit = readable_unit(size.unit)
-    where = form.candidate.where
-    text = {
-        "reversal": f"{where} stands {abs(size.value):.3g} {unit} apart depending on the side it came from",
-        "reversal_curve": _lost_motion(found, where, k),
-        "pitch_error": f"{where} errs periodically along its travel",
-        "squareness": f"{where}: the axes are out of square by {size.value:.3g} {unit} more than the model says",
-        "axis_location": f"{where}: the axis's average line lies {size.value:.3g} {unit} from where the model has it",
-        "angular_error_motion": f"{where}: the axis turns as it travels, otherwise than the model says",
-        "straightness": f"{where}: the axis runs along another curve than the model says",
-        "positioning": f"{where}: the axis stands elsewhere along its travel than the model says",
-        "error_motion": f"{where}: the axis errs along another curve than the model says",
-        "harmonic": f"{where}: an error that repeats with the turn of the axis",
-        "thermal_expansion": f"{where}'s scale lengthens by {size.value:.3g} {unit} as it warms",
-        "thermal_growth": f"the tool side moves along {where} as that sensor warms",
-        "thermal_drift": f"the tool side creeps along {where} as the machine warms up{_course(found, k)}",
-        "cross_axis": f"{where}: one axis's error grows with another axis's position",
-        "table_load": f"the cradle on {where} droops by {size.value:.3g} {unit} when turned",
-        "frame_shift": f"the instrument's frame was re-aligned from {where} on",
-        "gravity_compliance": f"{where} gives way under gravity",
-        "zero_offset": f"{where}'s zero is off by {size.value:.3g} {unit}",
-        "following_error": f"{where} stood where the control reported it, not where it was told to go",
-        "refraction_scale": f"all lengths are read {size.value:.3g} {unit} too long",
-        "time_skew": f"readings and positions of {where} were taken {abs(size.value):.3g} {unit} apart while it moved",
-        "affine_scale": f"the instrument's own scales and right angles are off in {where}, by up to {size.value:.3g} {unit}",
-        "station_drift": f"station {where} creeps while it measures{_course(found, k)}",
-        "misplaced": _misplaced(where),
-        "target_shift": f"target {where} sits elsewhere than before",
-    }.get(form.candidate.effect, f"{where}: an error of the kind {form.candidate.effect.replace('_', ' ')}")
+    numbers = {q.name: q.value for q in found.quantities[k]}
+    what = Found(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
+    text = specification.evidence(what)
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
-
-
-def _lost_motion(found: Estimate, where: str, k: int) -> str:
-    """How a reversal changes along the travel."""
-    effect = found.effects[k][0] if found.effects[k] else None
-    if not isinstance(effect, ReversalCurve):
-        return ""
-    low, high = effect.lost_motion()
-    unit = readable_unit(effect.parameters[0].unit)
-    return (
-        f"{where} stands apart depending on the side it came from, and by how much changes along its travel: from {low:.3g} {unit} "
-        f"to {high:.3g} {unit}"
-    )
-
-
-def _course(found: Estimate, k: int) -> str:
-    """How a drift runs in time."""
-    numbers = {q.name: q for q in found.quantities[k]}
-    if "time_constant" in numbers:
-        return f", and slows down (time constant {numbers['time_constant'].value:.3g} s)"
-    if "rate" in numbers:
-        return f", at {numbers['rate'].value:.3g} µm/h throughout: its time constant is longer than the record"
-    return ", at the same rate throughout"
 
 
 def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
@@ -130,7 +82,7 @@ def between_positions(pool: Pool, forms: Sequence[Form], form: Form) -> str:
 
 def _other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
     """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
-    if form.candidate.effect != "pitch_error":
+    if "period" not in form.cell.fixed:
         return []
     network = pool.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
@@ -150,13 +102,3 @@ def _other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]
         if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):
             found.append(float(periods[i]))
     return found
-
-
-def _misplaced(where: str) -> str:
-    curve, _, other = where.partition(" as ")
-    if other:
-        return f"the calibration's curve {curve} is what the machine does as {other}"
-    if where.endswith("exchanged"):
-        return f"in the calibration, the curves of {where.removesuffix(' exchanged')} stand under each other's names"
-    axis, _, joint = where.partition(" at ")
-    return f"the calibration's error motions of {axis} act at {joint} instead of {axis}'s own joint"

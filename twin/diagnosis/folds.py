@@ -12,7 +12,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin.diagnosis.catalogue import Candidate
+from twin.diagnosis.candidates.candidate import Candidate
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
@@ -21,15 +21,6 @@ FOLDS: Final = 8
 SEED: Final = 2001
 BLOCKS: Final = 8
 """Parts of one long round, in time."""
-CHANGING: Final = (
-    "frame_shift",
-    "station_drift",
-    "target_shift",
-    "thermal_drift",
-    "thermal_expansion",
-    "thermal_growth",
-)
-"""Effects that are a change in time."""
 HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 
@@ -57,7 +48,7 @@ def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> 
         machine: the machine.
         causes: that were found.
     """
-    changing = bool(causes) and all(cause.effect in CHANGING for cause in causes)
+    changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
     if not changing:
         moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
         if moved:

@@ -10,36 +10,26 @@ import numpy as np
 from twin._common.distributions import student_isf
 from twin.diagnosis import payload
 from twin.diagnosis.folds import Parts, at_positions, in_time, parts
-from twin.diagnosis.functions import Rows
 from twin.diagnosis.likelihood import Likelihood
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import HeldOut
-from twin.diagnosis.reversals import VARYING
 from twin.diagnosis.structure import Findings, again
 from twin.identification.network import Network
 from twin.identification.solve import solve
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.effects import Effect, split_name
+from twin.machine.effects import Effect
 from twin.machine.effects.empirical import Empirical, state_name
+from twin.machine.effects.names import axis_of
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
+from twin.numerics.functions import Rows
 from twin.uncertainty.budget import volume
 
 TOOL_MM: Final = 100.0
-CURVES: Final = (
-    "positioning",
-    "straightness",
-    "angular_error_motion",
-    "error_motion",
-    "pitch_error",
-    "harmonic",
-    VARYING,
-)
-"""Effects that are a function of one axis's position."""
 DENSE: Final = 20
 """Positions of an axis from which on what repeats at them holds between them as well."""
 ENOUGH: Final = 6
@@ -200,26 +190,26 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
 def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     """Whether a function of an axis's position foretells positions of that axis that were left out of its fit.
 
-    A reversal that changes along the travel has to foretell more than the plain reversal does.
+    A variant of another effect has to foretell more than that does: a reversal that changes along the travel more than the plain one.
 
     Args:
         pool: the data.
         form: the cause.
         forms: all causes.
     """
-    if form.candidate.effect not in CURVES:
+    if not form.candidate.specification.curve:
         return True
     machine, data = pool.problem.network.machine, pool.problem.network.data
     where = form.candidate.where
-    axis = machine.names.index(split_name(where)[2] if "_" in where else where)
+    axis = machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
         return True
     split = at_positions(data, [axis])
     if split is None:
         return False
     others = [one for one in forms if one is not form]
-    if form.candidate.effect == VARYING:
-        others += [one for one in pool.forms if one.key == ("reversal", where)]
+    if form.candidate.specification.more_of:
+        others += [one for one in pool.forms if one.key == (form.candidate.specification.more_of, where)]
     gained = positions_held_out(pool, form, others, split)
     return gained is not None and gained[0] > 0.0
 

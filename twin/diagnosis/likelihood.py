@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
 
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.pool import Form, Pool, pseudo, together
-from twin.diagnosis.signatures import Column
 from twin.diagnosis.unnamed import Trace
 
 STEPS: Final = 40

@@ -12,8 +12,8 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.diagnosis.catalogue import Candidate
-from twin.diagnosis.signatures import Column
+from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
@@ -24,20 +24,6 @@ from twin.measurement.table import Measurements
 ENOUGH: Final = 20
 """Degrees of freedom of repeats below which the instrument's own figures are taken."""
 WEIGHINGS: Final = 3
-PLAIN_ORDERS: Final = 6
-INTRICATE: Final = ("pitch_error", "misplaced", "error_motion")
-"""Effects that have no few plain forms, or only forms others have."""
-CHANGING: Final = (
-    "frame_shift",
-    "target_shift",
-    "station_drift",
-    "thermal_expansion",
-    "thermal_growth",
-    "thermal_drift",
-    "refraction_scale",
-    "affine_scale",
-)
-"""Effects that may make two readings of one point differ."""
 
 
 @final
@@ -76,7 +62,7 @@ def from_repeats(
     columns: list[Column] = [
         column
         for c in known
-        if c.effect in CHANGING
+        if c.specification.varies != "never"
         for cell in c.cells[:: max(len(c.cells) // 4, 1)]
         for column in cell.columns
     ]
@@ -106,7 +92,7 @@ def from_the_rest(
         known: the catalogue of all points.
         seen: (m, 3) all points in their stations' frames; the covariance is theirs.
     """
-    columns = [column for c in known if c.effect not in INTRICATE for column in _plain(c)]
+    columns = [column for c in known for column in _plain(c)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.by_setup(view, setup, by_setup)
     read = network.read[view.rows]
@@ -120,9 +106,10 @@ def from_the_rest(
 
 
 def _plain(candidate: Candidate) -> tuple[Column, ...]:
-    """The widest curve, the lowest harmonics, the first of everything else."""
-    if candidate.effect == "harmonic":
-        return tuple(column for cell in candidate.cells[:PLAIN_ORDERS] for column in cell.columns)
+    """The widest curve, the lowest harmonics, the first of everything else; none of what has only forms that others have."""
+    count = candidate.specification.plain_forms
+    if count is not None:
+        return tuple(column for cell in candidate.cells[:count] for column in cell.columns)
     return max(candidate.cells, key=lambda cell: len(cell.columns)).columns
 
 

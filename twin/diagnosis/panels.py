@@ -9,8 +9,9 @@ from typing import Final, final
 import numpy as np
 
 from twin.diagnosis.result import Cause, Diagnosis
-from twin.diagnosis.words import column, motion, plain, side
+from twin.diagnosis.words import column, plain, side
 from twin.machine.effects import Effect, split_name
+from twin.machine.effects.names import motion
 from twin.machine.machine import DIRECTIONS
 from twin.measurement.table import state_of
 

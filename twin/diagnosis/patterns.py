@@ -17,11 +17,11 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.functions import Functions, Rows
-from twin.diagnosis.signatures import Column, Part
+from twin.diagnosis.candidates.signatures import Column, Part
 from twin.machine.effects.waves import APPROACH, Waves, terms
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import CARRIERS, Measurements, state_of
+from twin.numerics.functions import Functions, Rows
 
 ALONE: Final = 16
 """Highest order of a column by itself."""

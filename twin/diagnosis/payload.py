@@ -2,9 +2,9 @@
 
 A joint's deflection is its compliance times its load, and the load is that of its own weight plus that of the payload: linear in the
 compliance alone, and in mass and first moments of the payload times the compliance. The search takes these products of every joint as
-free (`twin.diagnosis.catalogue`); where it finds any, this puts one payload in their place that is the same to all joints and no
-heavier than it can be, and has the search made again. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12:
-base parameters are linear in the torques, and so here in the deflections.)
+free (`twin.diagnosis.candidates.catalogue`); where it finds any, this puts one payload in their place that is the same to all joints
+and no heavier than it can be, and has the search made again. (Khalil and Dombre 2002, Modeling, Identification and Control of
+Robots, ch. 12: base parameters are linear in the torques, and so here in the deflections.)
 """
 
 from __future__ import annotations
@@ -17,20 +17,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin._common.arrays import locked
-from twin.diagnosis.bounds import FARTHEST_MM, heaviest_kg
-from twin.diagnosis.catalogue import Cell
-from twin.diagnosis.loads import MASS, payload_of, payloads_of, side_of
+from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.pool import Form, Pool, log_chance, pseudo, together
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import Selection, possible, select
-from twin.diagnosis.signatures import of_effect
 from twin.machine.effects import Payload
-from twin.machine.effects.load import SIDES, Side
-from twin.machine.effects.registry import PAYLOAD, gravity_compliance
+from twin.machine.effects.gravity_compliance import FREE, GRAVITY_COMPLIANCE, PAYLOAD, payloads_of
+from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Side, heaviest_kg, side_of
 from twin.machine.machine import Axis
 from twin.measurement.table import state_of
 
-EFFECT: Final = "gravity_compliance"
 ROUNDS: Final = 4
 FIRST: Final = (0.03, 0.2, 1.0)
 """Shares of the heaviest payload that a fit begins with."""
@@ -87,11 +83,11 @@ class _Load:
             )
             for share in FIRST
         ]
-        return payload_of(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
+        return Payload.of_shares(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
 
     def four(self, payload: Payload) -> np.ndarray:
         """(4,) of a payload."""
-        return np.array([payload.mass_kg / self.heaviest, *(one / FARTHEST_MM for one in payload.centre_mm)])
+        return np.array([payload.mass_kg / self.heaviest, *(one / SOUGHT_MM for one in payload.centre_mm)])
 
     def covariances(self, four: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(k,) times more uncertain that the compliances are as the payload is no better known, and (4,) variances of that.
@@ -147,7 +143,7 @@ def _believed(pool: Pool, load: _Load) -> Payload:
 
 def again(pool: Pool, forms: Sequence[Form]) -> None:
     """Have the payloads that some causes were found with in the load of all joints, after other data were judged."""
-    yielding = [form for form in forms if form.candidate.effect == EFFECT]
+    yielding = [form for form in forms if form.candidate.specification is GRAVITY_COMPLIANCE]
     for payload in {one for form in yielding for one in payloads_of(_axis(pool, form), form.cell.fixed)}:
         _put(pool, payload)
 
@@ -165,14 +161,14 @@ def chosen_on(part: Pool, forms: Sequence[Form]) -> Selection:
 
 def _bar(pool: Pool) -> None:
     """No joint has a payload of its own."""
-    pool.bar([form for form in pool.forms if PAYLOAD in form.cell.fixed])
+    pool.bar([form for form in pool.forms if FREE in form.cell.fixed])
 
 
 def _asked(pool: Pool, forms: Sequence[Form], side: Side) -> _Load | None:
     """The joints of a side that give way, if any of them asks for a payload or was given one."""
-    free = {form.key: form for form in pool.forms if PAYLOAD in form.cell.fixed}
+    free = {form.key: form for form in pool.forms if FREE in form.cell.fixed}
     joints = [form for form in forms if form.key in free and side_of(_axis(pool, form)) == side]
-    if not any(PAYLOAD in form.cell.fixed or MASS in form.cell.fixed for form in joints):
+    if not any(FREE in form.cell.fixed or MASS in form.cell.fixed for form in joints):
         return None
     own = [free[form.key] for form in joints]
     every = [*(form for form in forms if form not in joints), *own]
@@ -193,16 +189,16 @@ def _put(pool: Pool, payload: Payload) -> bool:
     machine = pool.problem.network.machine
     state = state_of(pool.problem.network.data, machine)
     numbers = payload.numbers
-    size = payload_of(payload.side, heaviest_kg(machine), np.ones(4)).numbers
+    size = Payload.of_shares(payload.side, heaviest_kg(machine), np.ones(4)).numbers
     moved = False
     for form in list(pool.forms):
-        if form.candidate.effect != EFFECT or PAYLOAD in form.cell.fixed or side_of(_axis(pool, form)) != payload.side:
+        joint = form.candidate.specification is GRAVITY_COMPLIANCE and FREE not in form.cell.fixed
+        if not joint or side_of(_axis(pool, form)) != payload.side:
             continue
         before = form.cell.fixed
         if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
             continue
-        effect = gravity_compliance(machine, form.candidate.where, 1.0, (payload,))
-        pool.refine(form, Cell(tuple(of_effect(effect, machine, state)), numbers))
+        pool.refine(form, cell_at(form.candidate, numbers, machine, state))
         moved = True
     return moved
 
@@ -263,7 +259,7 @@ def payload_causes(
         shape = np.kron(compliances, weights(four) - weights(np.zeros(4)))
         found.append(
             Cause(
-                effect=PAYLOAD,
+                effect=PAYLOAD.name,
                 where=side,
                 origin="machine",
                 parameters=_quantities(payload, np.sqrt(variances), load.heaviest),
@@ -279,7 +275,7 @@ def payload_causes(
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[FARTHEST_MM] * 3)
+    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[SOUGHT_MM] * 3)
     return tuple(
         Quantity(name, value, unit, float(own) * size)
         for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)

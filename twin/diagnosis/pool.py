@@ -18,10 +18,10 @@ import numpy as np
 from scipy import special
 
 from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
-from twin.diagnosis.catalogue import Candidate, Cell
+from twin.diagnosis.candidates.candidate import Candidate, Cell
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.products import Products
-from twin.diagnosis.signatures import Column
 
 ALARMS: Final = 0.03
 """Share of data sets with nothing in them in which a cause is found, all forms together; patterns have their own share."""
@@ -68,6 +68,11 @@ class Form:
     def key(self) -> tuple[str, str]:
         """Effect and where."""
         return self.candidate.key
+
+    @property
+    def bent(self) -> dict[str, float]:
+        """Its non-linear parameters that only some values are tried of."""
+        return {name: value for name, value in self.cell.fixed.items() if name in self.candidate.specification.bent}
 
     @property
     def slot(self) -> tuple[str, str, float]:

@@ -17,13 +17,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin._common.threads import side_by_side
-from twin.diagnosis.functions import Rows, pieces
-from twin.diagnosis.signatures import Column, of_effect
+from twin.diagnosis.candidates.signatures import Column, of_effect
 from twin.diagnosis.sweep import Block, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
 from twin.measurement.table import state_of
+from twin.numerics.functions import Rows, pieces
 
 TOLD_APART: Final = 1e-9
 """Relative size of a set-up direction below which it is no direction of its own."""

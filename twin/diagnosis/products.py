@@ -8,8 +8,8 @@ from typing import final
 
 import numpy as np
 
+from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.signatures import Column
 from twin.diagnosis.sweep import Block, Signatures
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.distributions import chi2_isf
 from twin._common.units import MM
-from twin.diagnosis.catalogue import Catalogue, catalogue
-from twin.diagnosis.misplaced import misplaced
+from twin.diagnosis.candidates.candidate import Catalogue
+from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.noise import ENOUGH, Scatter, from_repeats, from_the_rest
 from twin.diagnosis.problem import Problem
 from twin.identification.inputs import prepared
@@ -84,15 +84,9 @@ class Readings:
             left = self.some(np.flatnonzero(~bad), notes)
         return (
             Problem(left.network, self.setup, self.calibration),
-            tried(network.machine, left.network.data, self.calibration),
+            catalogue(network.machine, left.network.data, self.calibration),
             left.scatter,
         )
-
-
-def tried(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:
-    """The causes to try: of the machine, of the instrument, and of the calibration itself."""
-    known = catalogue(machine, data, calibration)
-    return replace(known, candidates=(*known.candidates, *misplaced(machine, data, calibration)))
 
 
 def readings(

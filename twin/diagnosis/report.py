@@ -16,7 +16,6 @@ from twin.diagnosis.plots import alone, plot_left
 from twin.diagnosis.result import Cause, Diagnosis, readable_unit
 from twin.diagnosis.verdict import SHOWN, advised, either_side, facts, headline, moves, sentence
 from twin.diagnosis.words import (
-    NOTHING,
     capital,
     chance,
     coefficient,
@@ -42,6 +41,7 @@ from twin.display.page import document
 from twin.display.page import embedded as _embedded
 from twin.display.page import escaped as _e
 from twin.display.page import facts as _facts
+from twin.machine.effects.specification import NOTHING
 from twin.measurement.checks import assumptions, grouped_notes
 
 LIKELY: Final = 0.5
@@ -169,7 +169,7 @@ def _why(diagnosis: Diagnosis, cause: Cause) -> str:
         "instrument": f"<p><b>It belongs to the instrument</b> and enters no calibration. {NOTHING}</p>",
         "calibration": "<p><b>It belongs to the calibration file</b>, not to the machine.</p>",
         "machine": "",
-    }[kind(cause.effect, cause.origin)]
+    }[kind(cause.effect)]
     reasons = [] if cause.effect == "read_back" else [moves(cause)]
     if cause.share > 0.0:
         reasons.append(

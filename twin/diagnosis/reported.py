@@ -14,13 +14,12 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.distributions import normal_sf
+from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.pool import Form, Pool
 from twin.diagnosis.result import Cause, Quantity
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
-EFFECT: Final = "following_error"
-READ_BACK: Final = "read_back"
 FINER: Final = 0.01
 """Least increments by which a position may be off a whole number of them for rounding."""
 MOST: Final = 0.5
@@ -43,7 +42,7 @@ def reported(
     """
     data, machine = pool.problem.network.data, pool.problem.network.machine
     causes, silent = [], []
-    tried = [form for form in pool.forms if form.candidate.effect == EFFECT and form not in forms]
+    tried = [form for form in pool.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
         off = largest_off(data, machine.names.index(axis.name))
@@ -60,7 +59,7 @@ def reported(
         if abs(share - 1.0) > RULED_OUT * u and abs(share) < COMPATIBLE * u:
             causes.append(
                 Cause(
-                    effect=READ_BACK,
+                    effect=READ_BACK.name,
                     where=axis.name,
                     origin="instrument",
                     parameters=(Quantity("share", share, "1", u),),

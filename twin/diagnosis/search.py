@@ -11,17 +11,13 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.bounds import YIELDING
-from twin.diagnosis.catalogue import Candidate, Cell
-from twin.diagnosis.misplaced import EFFECT as MISPLACED
+from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.pool import FURTHER, Form, Pool
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
-OWN: Final = (MISPLACED, "error_motion", "following_error")
-"""Effects that are none of the contract's: mistakes of which one look tells, if they are there at all."""
 SELDOM: Final = 0.1
-"""Their share of `ALARMS` beside that of others."""
+"""Share of `ALARMS`, beside that of others, of mistakes of which one look tells if they are there at all."""
 MOST: Final = 30
 """Causes at most: as many as a machine has curves."""
 FEW: Final = 6
@@ -29,14 +25,8 @@ FEW: Final = 6
 STARTS: Final = 4
 SAME: Final = 0.01
 """Share of what a form explains that others may leave of it and still count as the same."""
-NUMBERS: Final = ("squareness", "axis_location", "zero_offset")
-"""Effects that are a constant of the machine."""
-GRIDDED: Final = frozenset({"period", "time_constant"})
-"""Parameters of which only some values are tried."""
 TRIED: Final = 3
 """Exchanges that are looked at in full."""
-WHOLE: Final = (MISPLACED, "following_error")
-"""Effects that are so altogether or not at all: their share is one."""
 DOUBTED: Final = 3.0
 """Standard uncertainties by which a value may be beyond what is possible."""
 CANCELS: Final = 10.0
@@ -44,11 +34,10 @@ CANCELS: Final = 10.0
 FEWEST: Final = 25.0
 """Of a chi²: where little is explained, scatter has its part in it."""
 ROUGHLY: Final = 0.2
-"""How far from one such a share may be, beside other errors of the model."""
-PLIABLE: Final = ("affine_scale",)
-"""Effects of many numbers that take up a little of anything: beside what is much larger, what its form leaves looks like them."""
+"""How far from one the share of an effect that is there altogether may be, beside other errors of the model."""
 LEAST: Final = 0.01
-"""Share of what all causes explain that such an effect has to do at least."""
+"""Share of what all causes explain that a pliable effect has to do at least: beside what is much larger, what its form leaves looks
+like it."""
 LIKELY: Final = 12
 """Forms whose inner products with all others are worked out in one go."""
 
@@ -99,7 +88,7 @@ def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
             break  # a model that is wrong all over: where one begins is not what matters
     if len(found.forms) > FEW:
         # A machine whose constants were never identified: each of them is worth little before the others are in.
-        numbers = np.array([form.candidate.effect in NUMBERS for form in pool.forms])
+        numbers = np.array([form.candidate.specification.constant for form in pool.forms])
         forms = grown(pool, grown(pool, [], numbers))
         worth = pool.worth(forms)
         if worth > (1.0 - SAME) * found.worth:
@@ -126,12 +115,14 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
     """
     allowed = pool.allowed
     while True:
-        if any(form.candidate.effect in PLIABLE and excessive(pool, form, best.forms) == np.inf for form in best.forms):
+        if any(
+            form.candidate.specification.pliable and excessive(pool, form, best.forms) == np.inf for form in best.forms
+        ):
             # None of them: what they displaced comes back.
             pool.allowed = allowed
-            pool.forbid({form.key for form in pool.forms if form.candidate.effect in PLIABLE})
+            pool.forbid({form.key for form in pool.forms if form.candidate.specification.pliable})
             allowed = pool.allowed
-            best = select(pool, () if anew else [f for f in best.forms if f.candidate.effect not in PLIABLE])
+            best = select(pool, () if anew else [f for f in best.forms if not f.candidate.specification.pliable])
             continue
         excess = [excessive(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
@@ -169,15 +160,15 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
         explained: by all causes together.
     """
     own = float(values @ gram @ values)
-    if form.candidate.effect in PLIABLE and own < LEAST * explained:
+    if form.candidate.specification.pliable and own < LEAST * explained:
         return np.inf
     found = own / (CANCELS * (explained + FEWEST))
     scale = np.array([column.scale for column in form.cell.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
-    if form.candidate.effect in YIELDING and len(values) == 1 and values[0] < -DOUBTED * u[0]:
+    if form.candidate.specification.one_way and len(values) == 1 and values[0] < -DOUBTED * u[0]:
         return np.inf
-    if form.candidate.effect in WHOLE:
+    if form.candidate.specification.whole:
         found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
     return found
 
@@ -196,7 +187,7 @@ def _split(pool: Pool, forms: list[Form]) -> list[Form]:
     trial += bent
     numbers: list[Form] = []
     while bent and pool.explained_by(trial) < enough:
-        margin = np.where([form.candidate.effect in NUMBERS for form in pool.forms], _free(pool, trial), -np.inf)
+        margin = np.where([form.candidate.specification.constant for form in pool.forms], _free(pool, trial), -np.inf)
         if margin.max() <= 0.0:
             return forms
         numbers.append(pool.forms[int(np.argmax(margin))])
@@ -233,7 +224,7 @@ def grown(pool: Pool, forms: Sequence[Form], allowed: np.ndarray | bool = True, 
     while len(forms) < most:
         now = pool.worth(forms)
         best = pool.forms[int(np.argmax(pool.margins(forms)))]
-        if GRIDDED & best.cell.fixed.keys() and best.slot in {form.slot for form in forms}:
+        if best.bent and best.slot in {form.slot for form in forms}:
             # Most of what is left is what lies between two periods or time constants that were tried: the estimate sees to that.
             return forms
         margin = np.where(allowed, _free(pool, forms), -np.inf)
@@ -293,8 +284,9 @@ def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tupl
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     """Log of the number of tests by effect: the forms of its family over the family's share of all false alarms."""
     tests: dict[str, float] = {}
+    seldom = {candidate.effect for candidate in candidates if candidate.specification.seldom}
     for candidate in candidates:
         tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
-    shares = {effect: count**SHARE * (SELDOM if effect in OWN else 1.0) for effect, count in tests.items()}
+    shares = {effect: count**SHARE * (SELDOM if effect in seldom else 1.0) for effect, count in tests.items()}
     total = sum(shares.values())
     return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnosis.pool import Form, Pool
-from twin.diagnosis.search import ROUGHLY, WHOLE
+from twin.diagnosis.search import ROUGHLY
 from twin.diagnosis.single_effects import ODDS, Alternatives, Fit, SingleEffects
 
 CREDIBLE: Final = 0.95
@@ -179,7 +179,7 @@ def _alternatives(pool: Pool) -> list[Alternatives]:
         for i, form in enumerate(forms):
             if np.isfinite(form.candidate.largest):
                 largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
-            if form.candidate.effect in WHOLE:
+            if form.candidate.specification.whole:
                 centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
         # A form's part of the price of the search, which counts independent forms.
         prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])

@@ -13,14 +13,14 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.catalogue import Catalogue
+from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.estimate import Beside
 from twin.diagnosis.likelihood import Likelihood, Model
 from twin.diagnosis.noise import Scatter
 from twin.diagnosis.patterns import Pattern
 from twin.diagnosis.pool import DOUBT, Form, Pool, together
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.search import FEW, NUMBERS, excess_of
+from twin.diagnosis.search import FEW, excess_of
 from twin.diagnosis.unnamed import ALARMS, Trace, scan
 
 MOST: Final = 3
@@ -308,7 +308,7 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
         explained, dof = likelihood.scan(others, likelihood.fit(others, model))
         margin = explained - pool.costs(dof)
         taken = {one.key for one in others}
-        numbers = [f for f in pool.forms if f.candidate.effect in NUMBERS and f.key not in taken and dof[f.index]]
+        numbers = [f for f in pool.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]]
         for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
             trial = [*others, number]
             found = likelihood.fit(trial, model)
@@ -367,7 +367,8 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
     worst: tuple[float, Form] | None = None
     for form in forms:
         # A machine has all its constants: what they carry together is asked.
-        alike = [one for one in forms if form.candidate.effect in NUMBERS and one.candidate.effect in NUMBERS]
+        constant = form.candidate.specification.constant
+        alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.pool.explained_by(others)
         beside = float(likelihood.imitated(form) @ left)

@@ -9,9 +9,9 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.threads import side_by_side
-from twin.diagnosis.functions import Functions, Rows, pieces
-from twin.diagnosis.signatures import Column, Field, Fields, Part
+from twin.diagnosis.candidates.signatures import Column, Field, Fields, Part
 from twin.identification.network import View
+from twin.numerics.functions import Functions, Rows, pieces
 
 FEW: Final = 64
 """Vectors, or products of two functions, that are worked on at a time: what the processor has at hand is not fetched again."""

@@ -15,11 +15,11 @@ import numpy as np
 from scipy import special
 
 from twin._common.units import UM
-from twin.diagnosis.functions import Rows, pieces
+from twin.diagnosis.candidates.signatures import Fields
 from twin.diagnosis.patterns import Pattern
 from twin.diagnosis.pool import Form, log_chance
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.signatures import Fields
+from twin.numerics.functions import Rows, pieces
 
 ALARMS: Final = 0.01
 """Share of data sets with nothing in them in which a pattern is found."""

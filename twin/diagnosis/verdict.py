@@ -10,7 +10,6 @@ import numpy as np
 
 from twin.diagnosis.result import Cause, Diagnosis, Extension
 from twin.diagnosis.words import (
-    INSTRUMENTS,
     advice,
     capital,
     column,
@@ -37,7 +36,7 @@ SIZED: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 def headline(diagnosis: Diagnosis) -> tuple[str, Mood]:
     """The verdict in one sentence, and what kind of news it is."""
-    kinds = {kind(cause.effect, cause.origin) for cause in diagnosis.causes}
+    kinds = {kind(cause.effect) for cause in diagnosis.causes}
     if diagnosis.verdict == "consistent":
         return "Nothing is wrong that these readings could show", "well"
     if diagnosis.verdict == "unexplained":
@@ -175,12 +174,12 @@ def restless(diagnosis: Diagnosis) -> bool:
 def either_side(causes: Iterable[Cause]) -> bool:
     """Whether the machine and the instrument stand in for one another."""
     return any(
-        (effect in INSTRUMENTS) != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
+        (kind(effect) == "instrument") != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
     )
 
 
 def _at_tool(diagnosis: Diagnosis) -> str:
-    gain, kinds = diagnosis.gain, {kind(cause.effect, cause.origin) for cause in diagnosis.causes}
+    gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
     if kinds == {"instrument"}:
         return "Nothing: it is in the readings only."
     if gain is None or gain.tool_before_um <= 0.0:

@@ -19,8 +19,9 @@ from twin._common.units import DEG, MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
-from twin.machine.chain import chain_function, error_vector, frame_pose
+from twin.machine.chain import chain_function, frame_pose
 from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.effects.base import error_vector
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM

@@ -32,7 +32,7 @@ from twin.machine.effects import (
     split_name,
 )
 from twin.machine.effects.empirical import check_ranges, state_name
-from twin.machine.effects.registry import entry_of, payload_entries
+from twin.machine.effects.entries import entry_of, payload_entries
 from twin.machine.empirical_entry import entry_of_empirical
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve, added, basis_of, conversion_of, known_bases

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from twin._common.errors import InputError
 from twin.machine.control import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
-from twin.machine.effects.registry import PAYLOAD, effect_named, payload_named
+from twin.machine.effects.entries import effect_named, payload_named
+from twin.machine.effects.gravity_compliance import PAYLOAD
 from twin.machine.empirical_entry import NAME as EMPIRICAL
 from twin.machine.empirical_entry import ColumnSpec, empirical_named
 from twin.machine.machine import Machine
@@ -110,10 +111,10 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
     payloads: dict[int, Payload] = {}
     found: list[Effect] = []
     # The payloads first: every joint that gives way does so under them as well.
-    for index, entry in sorted(enumerate(entries), key=lambda one: (one[1].effect != PAYLOAD, one[0])):
+    for index, entry in sorted(enumerate(entries), key=lambda one: (one[1].effect != PAYLOAD.name, one[0])):
         try:
-            if entry.effect == PAYLOAD:
-                payloads[index] = payload_named(entry.where, entry.parameters)
+            if entry.effect == PAYLOAD.name:
+                payloads[index] = payload_named(entry.where, entry.parameters, machine)
             else:
                 found.append(_effect(entry, machine, list(payloads.values())))
         except InputError as error:

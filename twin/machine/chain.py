@@ -5,7 +5,6 @@ Branch-free on purpose: the same expression is differentiated, mapped over batch
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,7 +12,6 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from twin.machine.effects import Effect, assemble
 from twin.machine.machine import Machine
 from twin.numerics.spatial import rotation_exp
 
@@ -82,7 +80,7 @@ def gravity_load(machine: Machine) -> ca.Function:
     """What gravity does along each axis of the machine as drawn: q (axes,) → (axes, 9) N or N·m, minus the slope of its potential.
 
     Of the masses of the URDF, zero where it gives none; of 1 kg at the tool frame, of 1 kg·m along its x, y and z; likewise at the
-    work frame (`twin.machine.effects.load.Payload`).
+    work frame (`twin.machine.effects.payload.Payload`).
     """
     model = machine.model
     q = ca.SX.sym("q", len(machine.axes))
@@ -99,15 +97,6 @@ def gravity_load(machine: Machine) -> ca.Function:
         pose = frame_pose(machine, frame, q, none)
         potential += [-ca.dot(gravity, pose.translation), *ca.vertsplit(-(pose.rotation.T @ gravity))]
     return ca.Function("load", [q], [ca.densify(-ca.jacobian(ca.vertcat(*potential), q)).T], ["q"], ["load"])
-
-
-def error_vector(
-    machine: Machine, effects: tuple[Effect, ...], q: Any, channels: Mapping[str, Any] | None = None
-) -> Any:
-    """(6·frames,) errors at positions ``q`` (metres, radians) under a model; ``channels``: numbers or expressions by name."""
-    positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)} | dict(channels or {})
-    rows = assemble(effects, machine.frames, positions)
-    return ca.vertcat(*[component for row in rows for component in row])
 
 
 def joint_twist(joint: pin.JointModel) -> tuple[Any, Any]:

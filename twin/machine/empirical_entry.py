@@ -28,8 +28,8 @@ import pinocchio as pin
 
 from twin._common.errors import InputError, nearest
 from twin.machine.effects import Empirical, Frame
+from twin.machine.effects.base import at_rest
 from twin.machine.effects.empirical import Turning, state_name
-from twin.machine.effects.registry import at_rest
 from twin.machine.effects.waves import APPROACH, Kind, Waves
 from twin.machine.machine import ErrorFrame, Machine
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.units import UM
+from twin.diagnosis.candidates.signatures import first_component
 from twin.diagnosis.panels import groups_of, means
 from twin.diagnosis.readings import readings
-from twin.diagnosis.signatures import first_component
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve

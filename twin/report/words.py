@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from twin.diagnosis.words import capital, motion, plain
+from twin.diagnosis.words import capital, plain
 from twin.machine.effects import split_name
+from twin.machine.effects.names import motion
 from twin.machine.machine import Machine
 
 CLASSES: Final[Mapping[str, str]] = MappingProxyType(

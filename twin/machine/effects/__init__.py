@@ -1,17 +1,32 @@
-"""What makes a machine differ from its drawing, one small class an effect; a model is an ordered tuple of them."""
+"""What makes a machine differ from its drawing, one file an effect; a model is an ordered tuple of them.
 
-from twin.machine.effects.along import PitchError, Reversal, ReversalCurve, ZeroOffset
-from twin.machine.effects.base import Effect, Frame, Parameter, assemble, split_name, unit_of
+To add an effect: one file with its class and its `Specification`, and its line in `twin.machine.effects.entries.MACHINE_EFFECTS`.
+"""
+
+from twin.machine.effects.base import Effect, Frame, Parameter, assemble
 from twin.machine.effects.control import ControlCorrection
-from twin.machine.effects.coupled import CrossAxis, Harmonic, TableLoad
+from twin.machine.effects.cross_axis import CrossAxis
 from twin.machine.effects.empirical import Empirical
+from twin.machine.effects.entries import MACHINE_EFFECTS
 from twin.machine.effects.error_motion import ErrorMotion
-from twin.machine.effects.load import GravityCompliance, Payload
+from twin.machine.effects.gravity_compliance import GravityCompliance
+from twin.machine.effects.harmonic import Harmonic
 from twin.machine.effects.location import AxisLocation
+from twin.machine.effects.names import split_name, unit_of
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.pitch_error import PitchError
+from twin.machine.effects.reversal import Reversal
+from twin.machine.effects.reversal_curve import ReversalCurve
+from twin.machine.effects.specification import Specification
 from twin.machine.effects.squareness import Squareness
-from twin.machine.effects.thermal import SteadyDrift, ThermalDrift, ThermalExpansion, ThermalGrowth
+from twin.machine.effects.table_load import TableLoad
+from twin.machine.effects.thermal_drift import SteadyDrift, ThermalDrift
+from twin.machine.effects.thermal_expansion import ThermalExpansion
+from twin.machine.effects.thermal_growth import ThermalGrowth
+from twin.machine.effects.zero_offset import ZeroOffset
 
 __all__ = [
+    "MACHINE_EFFECTS",
     "AxisLocation",
     "ControlCorrection",
     "CrossAxis",
@@ -26,6 +41,7 @@ __all__ = [
     "PitchError",
     "Reversal",
     "ReversalCurve",
+    "Specification",
     "Squareness",
     "SteadyDrift",
     "TableLoad",

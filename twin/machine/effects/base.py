@@ -7,9 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, final
 
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
-from twin.machine.machine import DIRECTIONS, ErrorFrame
+from twin.machine.machine import Axis, ErrorFrame, Machine
+
+Vector = tuple[float, float, float]
 
 
 @final
@@ -46,23 +52,8 @@ class Effect(ABC):
 
     name: str
     """ISO 230-1 name (``E_XX``, ``E_C0Y``, ``E_X0C``), or the effect's own."""
-
-    @property
-    @abstractmethod
-    def frame(self) -> Frame:
-        """Where it acts."""
-
-    @abstractmethod
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """Its contribution, by component index in ``XYZABC``: µm for the first three, µrad for the others.
-
-        Args:
-            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; where they are known also
-                ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
-
-        Raises:
-            InputError: the effect needs a channel that is not given.
-        """
+    frame: Frame
+    """Where it acts."""
 
     @property
     @abstractmethod
@@ -72,6 +63,54 @@ class Effect(ABC):
     @abstractmethod
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """Derivative of `components` by each parameter: µm or µrad a unit of the parameter, by component index."""
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """Its contribution, by component index in ``XYZABC``: µm for the first three, µrad for the others.
+
+        That of an effect that is proportional to its first parameter; the others have their own.
+
+        Args:
+            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; where they are known also
+                ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
+
+        Raises:
+            InputError: the effect needs a channel that is not given.
+        """
+        size = self.parameters[0].value
+        return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Its parameters as an entry of a calibration file has them."""
+        return {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in self.parameters}
+
+    def _number(self, name: str, unit: str, value: float) -> Parameter:
+        return Parameter(f"{self.name}.{name}", unit, value)
+
+
+class AlongAxis(Effect):
+    """An effect in the motion frame of an axis, along the axis's own command.
+
+    Args:
+        effect: contract §5.
+        axis: the axis.
+    """
+
+    def __init__(self, effect: str, axis: Axis) -> None:
+        self.name = f"{effect}:{axis.name}"
+        self.axis = axis
+        self.frame = Frame(axis.name, "motion")
+
+    @property
+    def unit(self) -> str:
+        """``um`` for a linear axis, ``urad`` for a rotary one."""
+        return "um" if self.axis.linear else "urad"
+
+
+def along(axis: Axis, value: Any) -> dict[int, Any]:
+    """A motion of ``value`` (µm or µrad) along the axis's command, as components of its error frame."""
+    start = 0 if axis.linear else 3
+    return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
 
 
 def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
@@ -96,16 +135,28 @@ def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions:
     return total
 
 
-def unit_of(name: str) -> str:
-    """The unit of an ISO 230-1 name: ``um`` of a translation, ``urad`` of a rotation."""
-    return "um" if split_name(name)[0] < 3 else "urad"
+def error_vector(
+    machine: Machine, effects: tuple[Effect, ...], q: Any, channels: Mapping[str, Any] | None = None
+) -> Any:
+    """(6·frames,) errors at positions ``q`` (metres, radians) under a model; ``channels``: numbers or expressions by name."""
+    positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)} | dict(channels or {})
+    rows = assemble(effects, machine.frames, positions)
+    return ca.vertcat(*[component for row in rows for component in row])
 
 
-def split_name(name: str) -> tuple[int, bool, str]:
-    """Take an ISO 230-1 name apart: component index in ``XYZABC``, whether it is of the average line, axis name.
+def at_rest(machine: Machine, joint: int) -> np.ndarray:
+    """(3, 3) a joint's orientation in the base frame with all axes at zero."""
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return np.asarray(data.oMi[joint].rotation)
 
-    ``E_C0Y`` → (5, True, "Y"); ``E_XX`` → (0, False, "X").
-    """
-    rest = name.removeprefix("E_")
-    average = rest[1] == "0"
-    return DIRECTIONS.index(rest[0]), average, rest[2:] if average else rest[1:]
+
+def base_vector(turn: np.ndarray, direction: str) -> Vector:
+    """A direction of the base in a frame that is turned by ``turn`` against it."""
+    x, y, z = (float(v) if abs(v) > 1e-12 else 0.0 for v in turn["XYZ".index(direction)])
+    return x, y, z
+
+
+def motion_joint(machine: Machine, axis: str) -> int:
+    """The joint of an axis's motion frame."""
+    return next(frame.joint for frame in machine.frames if (frame.axis, frame.role) == (axis, "motion"))

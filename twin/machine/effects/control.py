@@ -8,8 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.control import Correction
-from twin.machine.effects.along import along
-from twin.machine.effects.base import Effect, Frame, Parameter
+from twin.machine.effects.base import Effect, Frame, Parameter, along
 from twin.machine.machine import Axis
 
 PREFIX: Final = "control:"
@@ -34,14 +33,10 @@ class ControlCorrection(Effect):
     def __init__(self, axis: Axis, correction: Correction, kind: str, classes: tuple[str, ...]) -> None:
         self.name = f"{PREFIX}{kind} {axis.name}"
         self.axis = axis
+        self.frame = Frame(axis.name, "motion")
         self.correction = correction
         self.kind = kind
         self.classes = classes
-
-    @property
-    def frame(self) -> Frame:
-        """The motion frame of its axis."""
-        return Frame(self.axis.name, "motion")
 
     def with_tool(self, tool_length_mm: float) -> ControlCorrection:
         """The same table with a tool of that length in the spindle."""

@@ -82,7 +82,7 @@ class Empirical(Effect):
         self.along = along
         self.columns = tuple(columns)
         self.coefficients = dict(coefficients)
-        self._frame = frame
+        self.frame = frame
         self._turning = turning
         known = {key: (i, k) for i, per in enumerate(self.names(columns)) for k, key in enumerate(per)}
         self._terms = terms(self.columns)
@@ -93,11 +93,6 @@ class Empirical(Effect):
         """Names of all coefficients that some columns can have, by direction, in the order of their functions."""
         own = [label(columns, term) for term in terms(columns)]
         return [[f"{direction}[{one}]" for one in own] for direction in DIRECTIONS]
-
-    @property
-    def frame(self) -> Frame:
-        """The frame nearest the base on its side, or the last one before what carries the targets."""
-        return self._frame
 
     @property
     def ranges(self) -> Mapping[str, tuple[float, float]]:

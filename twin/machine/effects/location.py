@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Any, Final, final
 
-from twin.machine.effects.base import Effect, Frame, Parameter, split_name
+from twin.machine.effects.base import Effect, Frame, Parameter
+from twin.machine.effects.names import motion, split_name, unit_of
+from twin.machine.effects.places import single
+from twin.machine.effects.specification import EXTENDING, NOT_TWICE, Advice, Drawing, Specification
 
 
 @final
@@ -21,21 +24,34 @@ class AxisLocation(Effect):
         self.name = name
         self.offset = offset
         self._component, _, self._axis = split_name(name)
-
-    @property
-    def frame(self) -> Frame:
-        """The location frame of its axis."""
-        return Frame(self._axis, "location")
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        return {self._component: 0.0 * positions[self._axis] + self.offset}
+        self.frame = Frame(self._axis, "location")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The offset."""
-        return (Parameter(self.name, "um" if self._component < 3 else "urad", self.offset),)
+        return (Parameter(self.name, unit_of(self.name), self.offset),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
         return ({self._component: 0.0 * positions[self._axis] + 1.0},)
+
+
+AXIS_LOCATION: Final = Specification(
+    name="axis_location",
+    kind="machine",
+    title=motion,
+    family="places of rotary axes",
+    advice=Advice(
+        "Set-up: the place and tilt of {axis}'s axis in the control's kinematics, and how they were measured.",
+        f"Enter the new place in the control, or {EXTENDING}.",
+        NOT_TWICE,
+    ),
+    evidence=lambda of: f"{of.where}: the axis's average line lies {of.measure} from where the model has it",
+    largest={"um": 20_000.0, "urad": 20_000.0},
+    places=lambda machine: machine.location_names,
+    forms=lambda machine, where, state, payloads: single(
+        ("offset", unit_of(where)), lambda value: AxisLocation(where, value)
+    ),
+    constant=True,
+    drawn=Drawing(beyond=True),
+)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
-from twin.machine.effects.base import Effect, Frame, Parameter, split_name
+from twin.machine.effects.base import Effect, Frame, Parameter
+from twin.machine.effects.names import direction_of, split_name
+from twin.machine.effects.places import single
+from twin.machine.effects.specification import EXTENDED, Advice, Specification
 from twin.machine.machine import Axis
 
 
@@ -28,16 +31,8 @@ class Squareness(Effect):
         self.name = name
         self.angle_urad = angle_urad
         component, _, self._axis = split_name(name)
+        self.frame = Frame(self._axis, "motion")
         self._lever = np.cross(axis.machine_axes[component - 3], axis.direction)
-
-    @property
-    def frame(self) -> Frame:
-        """The motion frame of its axis."""
-        return Frame(self._axis, "motion")
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        return {i: self.angle_urad * shape for i, shape in self._shape(positions).items()}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -46,9 +41,35 @@ class Squareness(Effect):
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
-        return (self._shape(positions),)
-
-    def _shape(self, positions: Mapping[str, Any]) -> dict[int, Any]:
         # An angle in µrad over a distance in mm gives 1e-3 µm.
         q = positions[self._axis]
-        return {i: q * (1e-3 * self._lever[i]) for i in range(3) if self._lever[i] != 0.0}
+        return ({i: q * (1e-3 * self._lever[i]) for i in range(3) if self._lever[i] != 0.0},)
+
+
+def _title(where: str) -> str:
+    _, _, axis = split_name(where)
+    others = [letter for letter in "XYZ" if letter not in (axis, direction_of(where).upper())]
+    return (
+        f"{axis} out of square to {others[0]}"
+        if len(others) == 1
+        else f"{axis} out of square about {direction_of(where)}"
+    )
+
+
+SQUARENESS: Final = Specification(
+    name="squareness",
+    kind="machine",
+    title=_title,
+    advice=Advice(
+        "Service: levelling of the machine, fixing of column and guideways; ask for a collision or a move.",
+        f"{EXTENDED}. After levelling, measure again.",
+        "Do not level the machine and go on with the numbers of before.",
+    ),
+    evidence=lambda of: f"{of.where}: the axes are out of square by {of.measure} more than the model says",
+    largest={"urad": 10_000.0},
+    places=lambda machine: machine.squareness_names,
+    forms=lambda machine, where, state, payloads: single(
+        ("angle", "urad"), lambda value: Squareness(where, value, machine.by_name[split_name(where)[2]])
+    ),
+    constant=True,
+)

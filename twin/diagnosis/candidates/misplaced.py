@@ -6,33 +6,70 @@ E_CB, or puts a rotary axis's errors before the whole chain (Ellingsdalen 2021, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, zip_longest
 from typing import Any, Final
 
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.catalogue import Candidate, Cell
-from twin.diagnosis.functions import Functions, given
-from twin.diagnosis.signatures import Column, Part, first_component, of_components, of_values, scaled_to
+from twin.diagnosis.candidates.candidate import Build, Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.signatures import Column, Part, first_component, of_components, of_values, scaled_to
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
-from twin.machine.machine import DIRECTIONS, Axis, Machine
-from twin.measurement.table import Measurements, state_of
+from twin.machine.effects.specification import Advice, Found, Specification
+from twin.machine.machine import DIRECTIONS, Axis
+from twin.numerics.functions import Functions
+from twin.numerics.functions import given as known
 
-EFFECT: Final = "misplaced"
 BASE: Final = "the base"
 
 
-def misplaced(machine: Machine, data: Measurements, calibration: Calibration) -> list[Candidate]:
+def _title(where: str) -> str:
+    curve, _, other = where.partition(" as ")
+    if other:
+        return f"calibration: curve {curve} belongs under {other}"
+    if where.endswith("exchanged"):
+        return f"calibration: curves of {where.removesuffix(' exchanged')} exchanged"
+    axis, _, joint = where.partition(" at ")
+    return f"calibration: errors of {axis} put at {joint if joint.startswith('the ') else f'joint {joint}'}"
+
+
+def _evidence(of: Found) -> str:
+    curve, _, other = of.where.partition(" as ")
+    if other:
+        return f"the calibration's curve {curve} is what the machine does as {other}"
+    if of.where.endswith("exchanged"):
+        return f"in the calibration, the curves of {of.where.removesuffix(' exchanged')} stand under each other's names"
+    axis, _, joint = of.where.partition(" at ")
+    return f"the calibration's error motions of {axis} act at {joint} instead of {axis}'s own joint"
+
+
+MISPLACED: Final = Specification(
+    name="misplaced",
+    kind="calibration",
+    title=_title,
+    family="curves of the calibration in the wrong place",
+    advice=Advice(
+        "Whoever made the calibration file.",
+        "Correct the file and diagnose again.",
+        "Do not look for it in the machine: nothing mechanical is wrong here.",
+    ),
+    evidence=_evidence,
+    seldom=True,
+    whole=True,
+    plain_forms=0,
+)
+
+
+def misplaced(given: Given) -> Catalogue:
     """Every curve as another component, every axis's curves at another joint and before the chain, and what is exchanged."""
-    state = state_of(data, machine)
+    machine, data, calibration, state = given.machine, given.data, given.calibration, given.state
     index = {axis.name: first_component(machine, axis.name) for axis in machine.axes}
     motions = [effect for effect in calibration.effects if isinstance(effect, ErrorMotion)]
     if not motions:
-        return []
-    curves = given(np.stack([np.broadcast_to(_values(motion, state), len(data)) for motion in motions], axis=1))
+        return Catalogue(())
+    curves = known(np.stack([np.broadcast_to(_values(motion, state), len(data)) for motion in motions], axis=1))
     found = []
     for k, motion in enumerate(motions):
         component, _, name = split_name(motion.name)
@@ -66,7 +103,7 @@ def misplaced(machine: Machine, data: Measurements, calibration: Calibration) ->
         column = _swapped_axes(a, b, motions, state, index) if a.side == b.side and a.linear == b.linear else None
         if column is not None:
             found.append(_one(f"{a.name} and {b.name} exchanged", column))
-    return found
+    return Catalogue(tuple(found))
 
 
 def _kind(motion: ErrorMotion) -> bool:
@@ -119,10 +156,8 @@ def _scaled(motion: ErrorMotion, name: str, factor: float) -> ErrorMotion:
     )
 
 
-def _one(
-    where: str, column: Column, build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None = None
-) -> Candidate:
-    return Candidate(EFFECT, where, "machine", (("share", "1"),), (Cell((column,)),), 1.0, build)
+def _one(where: str, column: Column, build: Build | None = None) -> Candidate:
+    return Candidate(MISPLACED, where, (("share", "1"),), (Cell((column,)),), 1.0, build)
 
 
 def _values(motion: ErrorMotion, state: Mapping[str, Any]) -> np.ndarray:
@@ -130,9 +165,7 @@ def _values(motion: ErrorMotion, state: Mapping[str, Any]) -> np.ndarray:
     return np.asarray(values, dtype=float)
 
 
-def _renamed(
-    motion: ErrorMotion, name: str, calibration: Calibration
-) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None:
+def _renamed(motion: ErrorMotion, name: str, calibration: Calibration) -> Build | None:
     """What moves a curve to another name; None where the curve that stands there is of another kind."""
     there = calibration.curves.get(name)
     if there is not None and (there.basis != motion.basis.name or there.domain != motion.domain):
@@ -155,3 +188,6 @@ def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.nda
     """
     masked = Functions(curves.points, curves.count, lambda rows: curves.values(rows) * carried[rows, None])
     return [Part(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
+
+
+SOURCE: Final = Source((MISPLACED,), misplaced)

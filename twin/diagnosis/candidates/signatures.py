@@ -13,11 +13,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.functions import Functions, Rows, given, of_state, pieces
 from twin.identification.network import View
 from twin.machine.effects import Effect, Frame
-from twin.machine.effects.along import along
+from twin.machine.effects.base import along
 from twin.machine.machine import Axis, Machine
+from twin.numerics.functions import Functions, Rows, given, of_state, pieces
 from twin.numerics.spatial import cross_matrix
 
 LARGEST: Final = 1000.0
@@ -175,6 +175,19 @@ def of_values(parts: Mapping[int, np.ndarray]) -> Column:
     """A column from (n,) values in error components, µm or µrad a unit."""
     functions = given(np.stack([np.asarray(values, dtype=float) for values in parts.values()], axis=1))
     return of_components([(at, functions, k, 1.0) for k, at in enumerate(parts)])
+
+
+def reading(fields: Sequence[Field], mask: np.ndarray, weight: float, scale: float = LARGEST) -> tuple[Column, ...]:
+    """One column a field, moved by ``weight`` wherever a (n,) mask is set.
+
+    Args:
+        fields: what moves.
+        mask: of the readings.
+        weight: metres or radians a unit of it.
+        scale: units that make a column as large as plausible.
+    """
+    function = given(mask[:, None].astype(float))
+    return tuple(Column((Part(field, function, 0, weight),), scale) for field in fields)
 
 
 def scaled_to(parts: Sequence[Part]) -> Column:

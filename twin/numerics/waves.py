@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.functions import Functions, Rows, pieces
+from twin.numerics.functions import Functions, Rows, pieces
 
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors below it are not sought."""

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.signatures import Column, along_command, of_values
+from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.signatures import along_command, of_values
+from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
 ON_THE_FLY: Final = 1.0
 """s: rows that follow one another faster, while an axis moves, were read on the way."""
+
+TIME_SKEW: Final = Specification(
+    name="time_skew",
+    kind="instrument",
+    title=lambda where: f"readings and positions of {where} not taken at the same moment",
+    family="delay between readings and positions",
+    advice=Advice(
+        "Who measured: how readings and positions of {axis} are brought together: trigger, filter, delay of the instrument.",
+        f"{REST} Better, measure again at standstill, or at half the feed.",
+        NOTHING,
+    ),
+    evidence=lambda of: (
+        f"readings and positions of {of.where} were taken {abs(of.size):.3g} {of.unit} apart while it moved"
+    ),
+    largest={"s": 1.0},
+)
 
 
 def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]:
@@ -45,20 +63,18 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     return {axis.name: back[:, i] for i, axis in enumerate(machine.axes) if np.any(back[:, i] != 0.0)}
 
 
-def time_skews(
-    data: Measurements, machine: Machine, missing: list[tuple[str, str, str]]
-) -> Iterator[tuple[str, Column]]:
-    """What a second between a position and its reading does: the axis had gone on by its velocity.
-
-    Args:
-        data: the measurements.
-        machine: the machine.
-        missing: where the axes are put that nothing is known of.
-    """
-    moving = velocities(data, machine)
+def time_skews(given: Given) -> Catalogue:
+    """What a second between a position and its reading does: the axis had gone on by its velocity."""
+    machine, moving = given.machine, velocities(given.data, given.machine)
+    found, missing = [], []
     for axis in machine.axes:
         if axis.name in moving:
             gone_on = moving[axis.name] * axis.scale / UM
-            yield axis.name, of_values({i: gone_on * part for i, part in along_command(machine, axis)})
-        elif not np.any(np.isfinite(data.feed_mm_min)):
-            missing.append(("time_skew", axis.name, "feed_mm_min"))
+            column = of_values({i: gone_on * part for i, part in along_command(machine, axis)})
+            found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Cell((column,)),), 1.0))
+        elif not np.any(np.isfinite(given.data.feed_mm_min)):
+            missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
+    return Catalogue(tuple(found), tuple(missing))
+
+
+SOURCE: Final = Source((TIME_SKEW,), time_skews)

@@ -1,0 +1,40 @@
+"""All lengths are read too long or too short: the refractive index that the instrument reckons with is another one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.signatures import reading
+from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
+
+PPM: Final = 1e-6
+LARGEST_PPM: Final = 20.0
+"""Air 20 K from the temperature set on the instrument."""
+PLAUSIBLE: Final = 100.0
+"""ppm: a column is in units of it."""
+
+REFRACTION_SCALE: Final = Specification(
+    name="refraction_scale",
+    kind="instrument",
+    title=lambda where: "all lengths read too long or too short",
+    family="scale of all lengths",
+    advice=Advice(
+        "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
+    ),
+    evidence=lambda of: f"all lengths are read {of.measure} too long",
+    largest={"ppm": LARGEST_PPM},
+    varies="with the frame",
+    drawn=Drawing(size_of="distance", by_state=True),
+)
+
+
+def refraction_scale(given: Given) -> Catalogue:
+    """One number for all readings."""
+    columns = reading([("length", 0)], np.ones(len(given.data)), PPM, PLAUSIBLE)
+    return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Cell(columns),), 1.0),))
+
+
+SOURCE: Final = Source((REFRACTION_SCALE,), refraction_scale)

@@ -1,0 +1,139 @@
+"""An error motion of a rotary axis that repeats with its turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import pi
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.machine.effects.base import Effect, Frame, Parameter
+from twin.machine.effects.names import direction_of, split_name, unit_of
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, Together
+from twin.machine.machine import DIRECTIONS, Machine
+from twin.numerics.elementary import cos, sin
+from twin.numerics.waves import highest_order, waves
+
+ORDERS: Final = 30
+"""Harmonics of an error motion that are tried."""
+TEETH: Final = 200
+"""Of a rotary axis's own angle error, which gears and encoders make: as far as the positions measured can tell them from lower ones."""
+FEWEST: Final = 4
+"""Angles below which none is tried."""
+
+
+@final
+class Harmonic(Effect):
+    """One harmonic of an error motion of a rotary axis: a·cos(nθ) + b·sin(nθ).
+
+    Args:
+        name: the error motion, ``E_XB``.
+        order: n.
+        cosine: a, µm or µrad.
+        sine: b, µm or µrad.
+    """
+
+    def __init__(self, name: str, order: int, cosine: float, sine: float) -> None:
+        self.name = f"harmonic:{name}[{order}]"
+        self.order = order
+        self.cosine = cosine
+        self.sine = sine
+        self._unit = unit_of(name)
+        self._component, _, self._axis = split_name(name)
+        self.frame = Frame(self._axis, "motion")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Cosine and sine part."""
+        return self._number("cos", self._unit, self.cosine), self._number("sin", self._unit, self.sine)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The order as well."""
+        return {"order": self.order, **super().numbers}
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`."""
+        angle = positions[self._axis] * (self.order * pi / 180.0)
+        return {self._component: self.cosine * cos(angle) + self.sine * sin(angle)}
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        angle = positions[self._axis] * (self.order * pi / 180.0)
+        return ({self._component: cos(angle)}, {self._component: sin(angle)})
+
+
+def _places(machine: Machine) -> tuple[str, ...]:
+    return tuple(name for name in machine.motion_names if not machine.by_name[name[3:]].linear)
+
+
+def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> Harmonic:
+    return Harmonic(where, round(numbers["order"]), numbers["cos"], numbers["sin"])
+
+
+def _angles(state: State, where: str) -> np.ndarray:
+    return np.unique(np.round(np.mod(state[split_name(where)[2]], 360.0), 3))
+
+
+def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    return [where for where in _places(machine) if len(_angles(state, where)) >= FEWEST], []
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    component, _, name = split_name(where)
+    axis, distinct = machine.by_name[name], _angles(state, where)
+    most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 2 * ORDERS else ORDERS)
+    teeth = max(highest_order(distinct, TEETH), most)
+    tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
+        return (Harmonic(where, round(fixed["order"]), float(values[0]), float(values[1])),)
+
+    def units(fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
+        order = round(fixed["order"])
+        return Harmonic(where, order, 1.0, 0.0), Harmonic(where, order, 0.0, 1.0)
+
+    unit = unit_of(where)
+    functions = waves(np.radians(state[name]), 1.0, 1.0, teeth)
+    columns = [(teeth + n - 1, n - 1) for n in tried]
+    return Forms(
+        (("cos", unit), ("sin", unit)),
+        build,
+        units,
+        tuple({"order": float(n)} for n in tried),
+        together=Together(functions, columns, Frame(name, "motion"), ((component, 1.0),)),
+    )
+
+
+def _title(where: str) -> str:
+    component, _, axis = split_name(where)
+    if component < 3:
+        return f"shift of {axis} along {direction_of(where)} that repeats as it turns"
+    if DIRECTIONS[component] == axis:
+        return f"angle error of {axis} that repeats as it turns"
+    return f"wobble of {axis} about {direction_of(where)} that repeats as it turns"
+
+
+HARMONIC: Final = Specification(
+    name="harmonic",
+    kind="machine",
+    title=_title,
+    family="errors that repeat with the turn",
+    advice=Advice(
+        "Service: what turns with {axis}: bearing and encoder (once a turn), worm or gear teeth (many times a turn).",
+        f"{EXTENDED}.",
+        "Do not check {axis} in steps of this period or a multiple: it would not show.",
+    ),
+    evidence=lambda of: f"{of.where}: an error that repeats with the turn of the axis",
+    parameters=("order", "cos", "sin"),
+    places=_places,
+    expected=lambda machine: "an error motion of a rotary axis",
+    make=_made,
+    forms=_forms,
+    candidates=_candidates,
+    curve=True,
+    plain_forms=6,
+    drawn=Drawing(period=lambda numbers: 360.0 / numbers.get("order", 1.0)),
+)

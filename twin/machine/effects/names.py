@@ -1,0 +1,46 @@
+"""ISO 230-1 names of error motions, squareness and location: taken apart, and in words."""
+
+from __future__ import annotations
+
+from twin.machine.machine import DIRECTIONS
+
+
+def split_name(name: str) -> tuple[int, bool, str]:
+    """Take an ISO 230-1 name apart: component index in ``XYZABC``, whether it is of the average line, axis name.
+
+    ``E_C0Y`` → (5, True, "Y"); ``E_XX`` → (0, False, "X").
+    """
+    rest = name.removeprefix("E_")
+    average = rest[1] == "0"
+    return DIRECTIONS.index(rest[0]), average, rest[2:] if average else rest[1:]
+
+
+def unit_of(name: str) -> str:
+    """The unit of an ISO 230-1 name: ``um`` of a translation, ``urad`` of a rotation."""
+    return "um" if split_name(name)[0] < 3 else "urad"
+
+
+def axis_of(where: str) -> str:
+    """The axis that a place is of; the place itself if it is of none: ``E_ZY by Z`` → Y."""
+    first = where.split(" ")[0]
+    return split_name(first)[2] if first.startswith("E_") else first
+
+
+def direction_of(name: str) -> str:
+    """The direction of an ISO 230-1 name, along which or about which: x, y or z."""
+    return "xyz"[split_name(name)[0] % 3]
+
+
+def motion(name: str) -> str:
+    """An error motion in words: ``E_ZY`` → error of Y in z; ``E_BX`` → tilt of X about y."""
+    component, average, axis = split_name(name)
+    direction = direction_of(name)
+    if average:
+        return (
+            f"axis of {axis} displaced along {direction}"
+            if component < 3
+            else f"axis of {axis} tilted about {direction}"
+        )
+    if DIRECTIONS[component] == axis:
+        return f"position of {axis}" if component < 3 else f"angle of {axis}"
+    return f"error of {axis} in {direction}" if component < 3 else f"tilt of {axis} about {direction}"

@@ -1,0 +1,99 @@
+"""Lost motion that changes along the travel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin.machine.effects import places
+from twin.machine.effects.base import AlongAxis, Parameter, along, channel
+from twin.machine.effects.specification import EXTENDED, NOT_TWICE, Advice, Drawing, Found, Specification
+from twin.machine.machine import Axis, Machine
+from twin.numerics.curves import POWER
+
+PLACES: Final = 201
+"""Positions at which the extremes of a curve are looked for."""
+
+
+@final
+class ReversalCurve(AlongAxis):
+    """Lost motion that changes along the travel: the curve measured upwards less the one measured downwards, Σ c_k u^k.
+
+    u = (2q − lo − hi)/(hi − lo) over the axis's range.
+
+    Args:
+        axis: the axis; its range is limited.
+        coefficients: c_0, c_1, … µm or µrad, along the command.
+    """
+
+    def __init__(self, axis: Axis, coefficients: tuple[float, ...]) -> None:
+        super().__init__("reversal_curve", axis)
+        self.coefficients = coefficients
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficients."""
+        return tuple(self._number(f"c{k}", self.unit, value) for k, value in enumerate(self.coefficients))
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`; needs ``approach_<axis>``."""
+        side = 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)
+        return along(self.axis, side * POWER.value(positions[self.axis.name], self.axis.domain, self.coefficients))
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        side = 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)
+        functions = POWER.functions(positions[self.axis.name], self.axis.domain, len(self.coefficients))
+        return tuple(along(self.axis, side * function) for function in functions)
+
+    def lost_motion(self) -> tuple[float, float]:
+        """Smallest and largest reversal over the axis's range, µm or µrad."""
+        q = np.linspace(*self.axis.domain, PLACES)
+        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), PLACES)
+        return float(sizes.min()), float(sizes.max())
+
+
+def _limited(machine: Machine) -> tuple[str, ...]:
+    return tuple(axis.name for axis in machine.axes if axis.lower is not None and axis.upper is not None)
+
+
+def _wanted(names: Sequence[str]) -> tuple[str, ...]:
+    """As many coefficients as are given, two at least."""
+    return tuple(f"c{k}" for k in range(len(names) or 2))
+
+
+def _evidence(of: Found) -> str:
+    effect = of.effects[0] if of.effects else None
+    if not isinstance(effect, ReversalCurve):
+        return ""
+    low, high = effect.lost_motion()
+    return (
+        f"{of.where} stands apart depending on the side it came from, and by how much changes along its travel: "
+        f"from {low:.3g} {of.unit} to {high:.3g} {of.unit}"
+    )
+
+
+REVERSAL_CURVE: Final = Specification(
+    name="reversal_curve",
+    kind="machine",
+    title=lambda where: f"lost motion of {where} that changes along its travel",
+    family="lost motion that changes along the travel",
+    advice=Advice(
+        "Service: wear of {axis}'s screw and nut where it works most, tension of the screw, friction of the guideway.",
+        f"{EXTENDED}: it knows from which side {{axis}} comes, and where it is.",
+        f"{NOT_TWICE} Do not enter one backlash in the control: it is right at one place only.",
+    ),
+    evidence=_evidence,
+    parameters=("c0", "c1"),
+    wanted=_wanted,
+    largest={"um": 1000.0, "urad": 5000.0},
+    places=_limited,
+    expected=lambda machine: "an axis of limited range",
+    channels=places.approach,
+    make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
+    curve=True,
+    more_of="reversal",
+    drawn=Drawing(split=lambda where: f"approach_{where}", also=places.approach),
+)

@@ -1,0 +1,83 @@
+"""A structure that grows: the tool side moves with the temperature of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+from twin.machine.effects.base import Parameter, channel
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.places import single
+from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
+from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
+from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
+from twin.machine.machine import Machine
+
+
+@final
+class ThermalGrowth(ToolSideShift):
+    """The tool side moves along a direction of the base with a sensor: c·(T − 20 °C).
+
+    Args:
+        side: which way.
+        sensor: of column ``T_<sensor>_degC``.
+        coefficient: c, µm/K.
+    """
+
+    def __init__(self, side: ToolSide, sensor: str, coefficient: float) -> None:
+        super().__init__(f"thermal_growth:{side.direction} by {sensor}", side)
+        self.sensor = sensor
+        self.coefficient = coefficient
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficient."""
+        return (self._number("coefficient", "um/K", self.coefficient),)
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs ``T_<sensor>_degC``."""
+        warm = channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC
+        return (self._shifted(warm),)
+
+
+def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
+    direction, _, sensor = where.partition(" by ")
+    side = tool_side(machine, direction)
+    if side is None or not sensor:
+        raise THERMAL_GROWTH.no_place(machine, where)
+    return ThermalGrowth(side, sensor, numbers["coefficient"])
+
+
+def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    sensors, ways = [name[2:-5] for name in state if name.startswith("T_")], directions(machine)
+    if not sensors and ways:
+        return [], [(", ".join(ways), "T_<sensor>_degC")]
+    return [f"{way} by {sensor}" for way in ways for sensor in sensors], []
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    return single(("coefficient", "um/K"), lambda value: _made(machine, where, {"coefficient": value}, ()))
+
+
+THERMAL_GROWTH: Final = Specification(
+    name="thermal_growth",
+    kind="machine",
+    title=lambda where: f"growth along {where[:1].lower()} with the temperature of {where.partition(' by ')[2]}",
+    family="growth with temperature",
+    advice=Advice(
+        "Shop and service: what warms at that sensor: coolant, drives, sun, draught.",
+        f"Keep the temperature steady, or {EXTENDING} and say the temperature (--temperature).",
+        "Do not shift a zero against it: the next temperature asks for another.",
+    ),
+    evidence=lambda of: f"the tool side moves along {of.where} as that sensor warms",
+    parameters=("coefficient",),
+    largest={"um/K": 500.0},
+    places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
+    open_places=True,
+    expected=lambda machine: "X, Y or Z of the base by <sensor>",
+    make=_made,
+    forms=_forms,
+    candidates=_candidates,
+    varies="with time",
+    drawn=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
+)

@@ -1,0 +1,65 @@
+"""Shifts of the whole tool side along a direction of the base."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twin.machine.effects.base import Effect, Frame, Vector, at_rest, base_vector
+from twin.machine.machine import Machine
+
+
+class ToolSide(NamedTuple):
+    """The tool side along one direction of the base.
+
+    Attributes:
+        frame: the frame nearest the base on the tool side.
+        direction: ``X``, ``Y`` or ``Z`` of the base.
+        vector: that direction in the frame.
+    """
+
+    frame: Frame
+    direction: str
+    vector: Vector
+
+
+class ToolSideShift(Effect):
+    """The tool side moves along a direction of the base, in proportion to the first parameter.
+
+    Args:
+        name: of the effect.
+        side: which way.
+    """
+
+    def __init__(self, name: str, side: ToolSide) -> None:
+        self.name = name
+        self.frame = side.frame
+        self._side = side
+
+    def _shifted(self, shape: Any) -> dict[int, Any]:
+        """A shift of ``shape`` along the direction, by component."""
+        return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
+
+
+def directions(machine: Machine) -> tuple[str, ...]:
+    """Directions of the base; none where nothing moves on the tool side."""
+    return ("X", "Y", "Z") if _first(machine) is not None else ()
+
+
+def tool_side(machine: Machine, direction: str) -> ToolSide | None:
+    """The tool side along a direction of the base; None where nothing moves on it, or there is no such direction."""
+    first = _first(machine)
+    if first is None or direction not in tuple("XYZ"):
+        return None
+    return ToolSide(first[0], direction, base_vector(first[1], direction))
+
+
+def _first(machine: Machine) -> tuple[Frame, np.ndarray] | None:
+    """The error frame nearest the base on the tool side, and the base's directions in it (rows), at rest; None if there is none."""
+    supports = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
+    sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool"]
+    if not sides:
+        return None
+    first = min(sides, key=lambda frame: supports.index(frame.joint))
+    return Frame(first.axis, first.role), at_rest(machine, first.joint)
