@@ -22,8 +22,8 @@ from twin._common.errors import InputError
 from twin._common.files import write_json
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.problem import Problem
-from twin.diagnosis.readings import readings
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.result import SCHEMA
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

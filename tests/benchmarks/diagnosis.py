@@ -20,8 +20,9 @@ from tests.diagnosis.rivals import UNHIDDEN, Design
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
-from twin.diagnosis.diagnose import search
-from twin.diagnosis.readings import readings
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection.rows import posed
+from twin.diagnosis.selection.searcher import selected
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, load
@@ -51,14 +52,15 @@ def time_taken(machine: Machine) -> None:
 
     def by_bic(data: Measurements) -> tuple[tuple[str, str], ...]:
         placed = readings(data, machine, calibration)
-        problem, known, _ = placed.without(placed.bad)
+        asked = placed.without(placed.bad)
+        problem, known = asked.problem, asked.known
         candidates = [one for one in known.candidates if one.effect not in UNHIDDEN]
         return rivals.stepwise_bic(problem, candidates, design=Design(problem, candidates))
 
     print("from readings to names, s of processor:")
     for points in POINTS:
         data = measured(machine, points)
-        names = timed(lambda data=data: search(readings(data, machine, calibration)), REPEATS)  # type: ignore[misc]
+        names = timed(lambda data=data: selected(posed(readings(data, machine, calibration))), REPEATS)  # type: ignore[misc]
         whole = timed(lambda data=data: diagnose(data, machine), REPEATS)  # type: ignore[misc]
         other = timed(lambda data=data: by_bic(data), REPEATS)  # type: ignore[misc]
         print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the whole answer")

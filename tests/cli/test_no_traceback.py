@@ -24,9 +24,9 @@ from twin._common.errors import InputError, printable
 from twin.compensation.toolpath import axis_words
 from twin.compute.native import compiler
 from twin.compute.parallel import Workers
-from twin.diagnosis import words
 from twin.diagnosis.candidates.flaws import flaw
-from twin.diagnosis.evidence import evidence
+from twin.diagnosis.judgement.evidence import evidence
+from twin.diagnosis.wording import words
 from twin.identification.axis_run import AxisLayout, load_readings
 from twin.identification.spread import Misfit
 from twin.identification.unknowns import CurveSpace

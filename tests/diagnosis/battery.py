@@ -30,15 +30,15 @@ from tests.truth import hidden
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, in_order
-from twin.diagnosis.account import equivalent
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import of_unit
-from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.estimate import estimate
-from twin.diagnosis.pool import Form
-from twin.diagnosis.problem import Problem
-from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Findings, Structure
+from twin.diagnosis.estimate.estimate import estimate
+from twin.diagnosis.judgement.in_place import equivalent
+from twin.diagnosis.problem.pool import Form
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection.searcher import Searcher
+from twin.diagnosis.selection.structure import Findings, Structure
 from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift
 from twin.machine.machine import Machine
@@ -132,7 +132,8 @@ def measured(
         calibration = _doubted(calibration)
     instrument = LaserTracker() if noise == "tracker" else None
     placed = readings(data, machine, calibration, instrument)
-    problem, known, scatter = placed.without(placed.bad)
+    posed = placed.without(placed.bad)
+    problem = posed.problem
     used = problem.network.data
     rows = np.searchsorted(data.lines, used.lines)
     true = (
@@ -140,7 +141,7 @@ def measured(
         if kind == "tracker"
         else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
     )
-    return problem, Searcher(problem, known, scatter), problem.network.whitening @ np.linalg.cholesky(true)
+    return problem, Searcher(posed), problem.network.whitening @ np.linalg.cholesky(true)
 
 
 def _doubted(calibration: Calibration) -> Calibration:
@@ -283,7 +284,7 @@ class DataSet:
         machine = Machine.load("dmu50")
         self.problem, self.searcher, self._root = measured(self._rng, machine, case.noise, case.poses, case.uncertain)
         self._families: dict[str, list[Candidate]] = {}
-        for candidate in self.searcher.known.candidates:
+        for candidate in self.searcher.posed.known.candidates:
             if candidate.effect not in UNHIDDEN:
                 self._families.setdefault(candidate.effect, []).append(candidate)
 
@@ -382,7 +383,7 @@ def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
         key=lambda one: explained[one.index] - pool.cost(one, float(dof[one.index])),
     )
     only = Structure((form,), None, None, problem, ())
-    found = Findings(problem, searcher.known, searcher.scatter, (), pool, pool, only)
+    found = Findings(replace(searcher.posed, problem=problem), (), pool, pool, only)
     return not equivalent(found, form, [])
 
 

@@ -30,9 +30,9 @@ from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, To
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.pool import SEEN
-from twin.diagnosis.problem import Problem
+from twin.diagnosis.problem.pool import SEEN
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.selection.searcher import Searcher
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate is as good a name."""
@@ -331,7 +331,7 @@ def said_of(case: Case, task: tuple[int, int]) -> dict[str, list[Said]]:
     number, draws = task
     data = DataSet(case, number)
     problem, searcher = data.problem, data.searcher
-    candidates = searcher.known.candidates
+    candidates = searcher.posed.known.candidates
     design = Design(problem, candidates)
     choice = [candidate for candidate in candidates if case.every or candidate.effect not in UNHIDDEN]
     found: dict[str, list[Said]] = {}

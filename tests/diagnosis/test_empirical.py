@@ -21,7 +21,7 @@ from twin import cli
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
 from twin.compensation.execute import execute_file
-from twin.diagnosis.patterns import patterns
+from twin.diagnosis.selection.patterns import patterns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions

@@ -11,7 +11,7 @@ import pytest
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.readings import readings
+from twin.diagnosis.problem.readings import readings
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import load

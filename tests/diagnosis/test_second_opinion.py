@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
-from twin.diagnosis.second_opinion import CREDIBLE, Key, SecondOpinion, SingleEffect, compared, second_opinion
-from twin.diagnosis.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
+from twin.diagnosis.judgement.second_opinion import CREDIBLE, Key, SecondOpinion, SingleEffect, compared, second_opinion
+from twin.diagnosis.judgement.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
 
 DRAWS = 2000
 

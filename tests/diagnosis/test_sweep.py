@@ -16,13 +16,13 @@ from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import of_effect
-from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.folds import parts as parts_of
-from twin.diagnosis.pool import ALARMS, SAMPLED
-from twin.diagnosis.problem import Problem
-from twin.diagnosis.products import Products
-from twin.diagnosis.readings import readings
-from twin.diagnosis.sweep import Block, Signatures
+from twin.diagnosis.problem.pool import ALARMS, SAMPLED
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.products import Products
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.problem.sweep import Block, Signatures
+from twin.diagnosis.selection.folds import parts as parts_of
+from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, load, state_of
@@ -50,8 +50,8 @@ def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     """Some 900 points, and a calibration that is not exactly known."""
     data = measured(dmu50, tmp_path_factory.mktemp("data"), 40)
     placed = readings(data, dmu50, _doubted(Calibration.default(dmu50)))
-    problem, known, scatter = placed.without(placed.bad)
-    return problem, Searcher(problem, known, scatter)
+    posed = placed.without(placed.bad)
+    return posed.problem, Searcher(posed)
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +164,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
     machine, data = problem.network.machine, problem.network.data
     state, block = state_of(data, machine), Block(problem.view, slice(None))
     seen = set()
-    for candidate in searcher.known.candidates:
+    for candidate in searcher.posed.known.candidates:
         if candidate.build is None:
             continue
         for cell in (candidate.cells[0], candidate.cells[-1]):
@@ -195,8 +195,8 @@ def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_pat
     for poses in (SAMPLED // 6 - 120, SAMPLED // 3):
         data = measured(dmu50, tmp_path, poses)
         placed = readings(data, dmu50, Calibration.default(dmu50))
-        problem, known, scatter = placed.without(placed.bad)
-        levels.append(Searcher(problem, known, scatter).pool.level)
+        posed = placed.without(placed.bad)
+        levels.append(Searcher(posed).pool.level)
     assert min(levels) >= ALARMS
     assert levels[0] == pytest.approx(levels[1], rel=0.5)
 

@@ -11,12 +11,12 @@ from scipy import stats
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis.candidates.signatures import of_base
-from twin.diagnosis.diagnose import Searcher
-from twin.diagnosis.likelihood import Likelihood
-from twin.diagnosis.patterns import Pattern, patterns
-from twin.diagnosis.problem import Problem
-from twin.diagnosis.readings import readings
-from twin.diagnosis.unnamed import log_tail, scan
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection.likelihood import Likelihood
+from twin.diagnosis.selection.patterns import Pattern, patterns
+from twin.diagnosis.selection.searcher import Searcher
+from twin.diagnosis.selection.unnamed import log_tail, scan
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import load
@@ -33,8 +33,8 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
     path = tmp_path_factory.mktemp("unnamed") / "m.csv"
     data = load(hidden.write(path, plan, hidden.noisy(exact, rng, "isotropic", SIGMA_MM), u_mm=SIGMA_MM), dmu50)
     placed = readings(data, dmu50, calibration)
-    problem, known, scatter = placed.without(placed.bad)
-    return Searcher(problem, known, scatter)
+    posed = placed.without(placed.bad)
+    return Searcher(posed)
 
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:

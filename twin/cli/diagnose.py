@@ -80,7 +80,9 @@ def diagnose(
     if json_file is not None:
         write_json(json_file, found.to_dict())
     if html_file is not None:
-        from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
+        from twin.diagnosis.wording.report import (
+            diagnosis_html,  # matplotlib takes its time, and only this option needs it
+        )
 
         write_whole(html_file, diagnosis_html(found))
     echo(found.to_text(), end="")

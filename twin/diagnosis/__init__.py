@@ -34,9 +34,9 @@ had settled, they are off by the side it came from. Such a reversal has `read_ba
 column `readback_<axis>_<unit>` beside them decide.
 
 Beside the causes, every column and every pair of columns is tested for a pattern without a name, on each side of the machine:
-short waves, steps, lost motion that depends on the position (`twin.diagnosis.unnamed`). Where one is left, the causes are judged
-anew by likelihood beside it (`twin.diagnosis.structure`). A cause that carries most of what goes with its columns keeps its name,
-and what its form leaves is given in µm as unexplained; a cause that only imitates a part of a pattern is not named.
+short waves, steps, lost motion that depends on the position (`twin.diagnosis.selection.unnamed`). Where one is left, the causes are
+judged anew by likelihood beside it (`twin.diagnosis.selection.structure`). A cause that carries most of what goes with its columns
+keeps its name, and what its form leaves is given in µm as unexplained; a cause that only imitates a part of a pattern is not named.
 
 With few readings, many causes fit and predict nothing. Where held-out positions or poses fit much worse than those in the fit, only
 those causes are named that are significant against the residual and lower the held-out error; the others are listed as not named. With
@@ -44,14 +44,14 @@ those causes are named that are significant against the residual and lower the h
 
 The verdict is `consistent`, `explained` (the causes carry nine tenths), `ambiguous` (a cause these data cannot tell from others,
 which are named, with points that would tell them) or `unexplained`. Each cause carries the probability that a second, Bayesian
-method gives it (sum of single effects, `twin.diagnosis.second_opinion`); where the two disagree, the verdict is `ambiguous`. Causes
-of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left out and pitch
-errors at evenly spaced positions, where another period fits as well (`promised: false`). Every figure of gain is that of the
-calibration as it is written, evaluated on the readings anew; held out is what the claim is about: positions or poses for functions
-of position, rounds or blocks of time for changes in time, with an interval from six groups on. The causes are those found on all
-readings; each is fitted to the other groups, and stays only where it is worth it there. So what was selected has seen all readings,
-and the payload's mass and centre stay as all readings have them: held-out figures are slightly favourable. `--extended` writes the
-calibration with what was found of the machine, parameters and covariance (`effects:` entries
+method gives it (sum of single effects, `twin.diagnosis.judgement.second_opinion`); where the two disagree, the verdict is
+`ambiguous`. Causes of the instrument never enter a calibration, nor do curves through few positions that foretell none of those left
+out and pitch errors at evenly spaced positions, where another period fits as well (`promised: false`). Every figure of gain is that
+of the calibration as it is written, evaluated on the readings anew; held out is what the claim is about: positions or poses for
+functions of position, rounds or blocks of time for changes in time, with an interval from six groups on. The causes are those found
+on all readings; each is fitted to the other groups, and stays only where it is worth it there. So what was selected has seen all
+readings, and the payload's mass and centre stay as all readings have them: held-out figures are slightly favourable. `--extended`
+writes the calibration with what was found of the machine, parameters and covariance (`effects:` entries
 `{effect: pitch_error, where: X, parameters: {amplitude: 1.9, period: 10.0, phase: 0.5}}` beside the curves), and `compensate`,
 `scene` and `info` use it:
 
@@ -81,7 +81,7 @@ Where more than scatter is left, sizes carry the larger of two uncertainties: th
 shows from round to round or from place to place. `--html` writes one page: its first screen says what is wrong, how much it
 makes at the tool, what to do and what not; then expected, seen, tried, why this one, what it could be mistaken for, what
 changes, what to measure next. `notebooks/02_diagnose.ipynb` follows one case from parts that are off to the measurement that
-tells two causes apart; `twin.diagnosis.plots` (extra `plots`) has the pictures.
+tells two causes apart; `twin.diagnosis.wording.plots` (extra `plots`) has the pictures.
 
 How often it is right, on 200 draws a row (`python -m tests.diagnosis.battery ROW --poses 100 --seed 11`; effects drawn from the
 whole catalogue and scaled to a noncentrality λ after projection; scatter alike in all directions, or that of a tracker):
@@ -114,6 +114,7 @@ pattern that no catalogue has):
 """
 
 from twin.diagnosis.diagnose import diagnose
-from twin.diagnosis.result import Cause, Diagnosis
+from twin.diagnosis.diagnosis import Diagnosis
+from twin.diagnosis.result import Cause
 
 __all__ = ["Cause", "Diagnosis", "diagnose"]

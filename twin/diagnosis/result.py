@@ -14,6 +14,8 @@ from twin.machine.effects import Effect
 from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.diagnosis/1"
+Next = Mapping[str, Any]
+"""A point worth measuring next, as the JSON has it."""
 Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
 
 
@@ -62,8 +64,8 @@ class Cause:
         promised: whether it is in the extended calibration; not what repeats at the positions measured, but foretells none left out.
         bounded: whether a parameter stands at a physical bound, or a time constant at the length of the measurement.
         rivals: what came next in its place and is ruled out, best first.
-        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.second_opinion`; None beside patterns without a name.
-        credible: 95 % credible set of the effect that corresponds to it there, or that was found in its place.
+        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.judgement.second_opinion`; None beside patterns
+        without a name. credible: 95 % credible set of the effect that corresponds to it there, or that was found in its place.
     """
 
     effect: str
@@ -279,10 +281,9 @@ class Gain:
     tool_length_mm: float
 
 
-@final
 @dataclass(frozen=True)
-class Diagnosis:
-    """The answer.
+class Answer:
+    """The answer in numbers (`twin.diagnosis.diagnosis.Diagnosis` says it in words as well).
 
     Attributes:
         verdict: ``consistent``, ``explained``, ``ambiguous`` or ``unexplained``.
@@ -320,7 +321,7 @@ class Diagnosis:
     looks_like: Mapping[tuple[str, str], str]
     not_evaluated: tuple[tuple[str, str, str], ...]
     gain: Gain | None
-    next_measurement: tuple[Mapping[str, Any], ...]
+    next_measurement: tuple[Next, ...]
     trends: tuple[Trend, ...]
     ranking: tuple[tuple[str, str, float, float], ...]
     tried: int
@@ -381,17 +382,6 @@ class Diagnosis:
             "notices": list(self.data.notices),
             "warnings": to_json(self.warnings),
         }
-
-    def to_text(self) -> str:
-        """For people, in lines of at most 100 characters."""
-        from twin.diagnosis.text import diagnosis_text  # which needs this class
-
-        return diagnosis_text(self)
-
-    def _repr_html_(self) -> str:
-        from twin.diagnosis.text import diagnosis_brief
-
-        return diagnosis_brief(self)
 
 
 def readable_unit(unit: str) -> str:

@@ -22,7 +22,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError, nearest
 from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.candidates.catalogue import catalogue
-from twin.diagnosis.problem import TOLD_APART, Problem
+from twin.diagnosis.problem.problem import TOLD_APART, Problem
 from twin.identification.fitting import fitting
 from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns

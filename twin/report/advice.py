@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
-from twin.diagnosis.words import listed, lower
+from twin.diagnosis.wording.words import listed, lower
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import options_of
 from twin.report.after import After

@@ -9,7 +9,7 @@ import re
 from typing import Final
 
 from twin._common.provenance import SourceWarning
-from twin.diagnosis.words import tied
+from twin.diagnosis.wording.words import tied
 from twin.display.page import bullets, document, escaped
 from twin.report.advice import Step
 from twin.report.numbers import UNKNOWN, expanded, figure, place

@@ -1,8 +1,8 @@
 """Measured points against a calibration: what is left of them, and what they say of each error motion at each stop.
 
-Stations and targets of unknown place are fitted, nothing else (`twin.diagnosis.readings`). A point of a curve is the curve's value
-and what the readings there would change it by, everything else held (component plus residual, as in regression diagnostics: Larsen
-and McCleary 1972); with the 95 % interval from the readings' own scatter.
+Stations and targets of unknown place are fitted, nothing else (`twin.diagnosis.problem.readings`). A point of a curve is the curve's
+value and what the readings there would change it by, everything else held (component plus residual, as in regression diagnostics:
+Larsen and McCleary 1972); with the 95 % interval from the readings' own scatter.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import first_component
-from twin.diagnosis.panels import groups_of, means
-from twin.diagnosis.readings import readings
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.wording.panels import groups_of, means
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from twin.control import Left
-from twin.diagnosis.words import capital, listed, probability
+from twin.diagnosis.wording.words import capital, listed, probability
 from twin.display.page import bullets, embedded, escaped, facts, table
 from twin.report.after import Level
 from twin.report.contributions import Contribution

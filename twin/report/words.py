@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from twin.diagnosis.words import capital, plain
+from twin.diagnosis.wording.words import capital, plain
 from twin.machine.effects import split_name
 from twin.machine.effects.names import motion
 from twin.machine.machine import Machine

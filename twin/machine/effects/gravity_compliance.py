@@ -108,7 +108,7 @@ def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] 
 
     Any payload is four numbers to each joint: its mass and its first moments, times the joint's compliance, here as shares of the
     largest. That it is the same to all joints, and how heavy it can be, is seen to where several are found
-    (`twin.diagnosis.payload`). No such form where the joint's own weight does not load it: nothing distinguishes the two.
+    (`twin.diagnosis.selection.payload`). No such form where the joint's own weight does not load it: nothing distinguishes the two.
     """
     axis, told = machine.by_name[where], tuple(known or ())
     load = np.stack(loads_of(machine)(state)[where], axis=1)

@@ -1,0 +1,22 @@
+"""The answer, in words as well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from twin.diagnosis.result import Answer
+from twin.diagnosis.wording.text import diagnosis_brief, diagnosis_text
+
+
+@final
+@dataclass(frozen=True)
+class Diagnosis(Answer):
+    """What the simulation gets wrong about measured data, and why; see `Answer` for the numbers."""
+
+    def to_text(self) -> str:
+        """For people, in lines of at most 100 characters."""
+        return diagnosis_text(self)
+
+    def _repr_html_(self) -> str:
+        return diagnosis_brief(self)

@@ -1,0 +1,166 @@
+"""Effects without a known cause, made of the patterns that no named cause explains.
+
+Their coefficients are what is most likely at the variances of the patterns, beside the causes as they are written. They enter a
+calibration only where readings held out confirm them, and hold only within the ranges that were measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.errors import InputError
+from twin.diagnosis.judgement.held_out import held_out_patterns
+from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.problem.problem import Problem, rms, unwhitened
+from twin.diagnosis.result import Extension, HeldOut, Term
+from twin.diagnosis.selection.left_out import ENOUGH
+from twin.diagnosis.selection.likelihood import Likelihood
+from twin.diagnosis.selection.unnamed import Trace
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Empirical
+from twin.machine.empirical_entry import acting_frame, usable, where_of
+from twin.machine.machine import Machine
+from twin.numerics.covariance import Covariance
+
+DIRECTIONS: Final = 3
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Extended:
+    """What is made of the patterns.
+
+    Attributes:
+        extension: what is said of it.
+        effects: those that are written; none where held-out readings do not confirm them.
+        covariance: of their parameters.
+        written: numbers of the patterns they are made of.
+        left_um: RMS a coordinate of the patterns that are not written beside these.
+    """
+
+    extension: Extension
+    effects: tuple[Empirical, ...]
+    covariance: Covariance
+    written: tuple[int, ...]
+    left_um: float
+
+
+def extend(sized: Sized, calibration: Calibration) -> Extended:
+    """Make an effect of each pattern, and hold readings out to see whether they gain.
+
+    Args:
+        sized: the causes that stand, with their sizes.
+        calibration: the model that was judged.
+    """
+    found, forms = sized.found, sized.forms
+    likelihood = found.structure.likelihood
+    if likelihood is None or not likelihood.traces:
+        return _nothing(Extension((), 0.0, None, False, "it goes with no column of the table"))
+    machine, problem = found.problem.network.machine, found.problem
+    model = likelihood.fit(forms, found.structure.model)
+    left = problem.residual - sized.estimate.signature.sum(axis=1)
+    which, values, covariance = likelihood.most_likely(model, likelihood.slope_with(left))
+    terms: list[Term] = []
+    effects: list[Empirical] = []
+    written: list[int] = []
+    kept = np.zeros(len(which), dtype=bool)
+    moved, stays = np.zeros((2, len(problem.residual)))
+    taken = [effect.name for effect in calibration.extra]
+    for k, trace in enumerate(likelihood.traces):
+        own = likelihood.group[which] // DIRECTIONS == k
+        made = likelihood.made(which[own], values[own])
+        term = _term(trace, machine, _rms(problem, made), taken)
+        if term.reason is None:
+            effects.append(_effect(term, trace, machine, likelihood, k, which[own], values[own]))
+            taken.append(effects[-1].name)
+            written.append(k)
+            kept |= own
+            moved += made
+        else:
+            stays += made
+        terms.append(term)
+    held = held_out_patterns(found, forms, written) if effects else None
+    reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
+    extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
+    if reason is not None:
+        return _nothing(extension)
+    names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
+    matrix = locked(covariance[np.ix_(kept, kept)])
+    return Extended(extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays))
+
+
+def _nothing(extension: Extension) -> Extended:
+    return Extended(extension, (), Covariance.none(), (), 0.0)
+
+
+def _rms(problem: Problem, made: np.ndarray) -> float:
+    """µm a coordinate of what (3n,) whitened shifts do to the readings, beside the set-up."""
+    return rms(unwhitened(problem, problem.project(made)), problem.network.read)
+
+
+def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:
+    """What an effect of a pattern would be, and why there can be none."""
+    pattern = trace.pattern
+    columns = pattern.waves(trace.level)
+    along = _along(trace)
+    reason = None
+    unknown = [one.column for one in columns if not usable(one.column, machine)]
+    if unknown:
+        reason = f"it goes with {' and '.join(unknown)}, which a later program does not know"
+    elif size == 0.0:
+        reason = "beside the causes nothing of it is left"
+    else:
+        try:
+            acting_frame(pattern.side, along, machine)
+        except InputError as error:
+            reason = error.what
+    ranges = {one.column: one.range for one in columns if one.range is not None}
+    return Term(where_of(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
+
+
+def _along(trace: Trace) -> Literal["base", "tool", "work"]:
+    if trace.pattern.field == "base":
+        return "base"
+    return "tool" if trace.pattern.side == "tool" else "work"
+
+
+def _effect(
+    term: Term, trace: Trace, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
+) -> Empirical:
+    """The effect of one pattern.
+
+    Args:
+        term: its place.
+        trace: the pattern.
+        machine: the machine.
+        likelihood: of all patterns.
+        k: number of this one.
+        which: numbers of its columns that are followed.
+        values: how much of each, µm.
+    """
+    columns = trace.pattern.waves(trace.level)
+    # Columns of a direction stand together, in the order of the functions.
+    names = np.array(Empirical.names(columns)).ravel()
+    own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
+    chosen = names[np.searchsorted(own, which)].tolist()
+    frame, turning = acting_frame(trace.pattern.side, _along(trace), machine)
+    numbers = dict(zip(chosen, values.tolist(), strict=True))
+    return Empirical(term.where, _along(trace), columns, numbers, frame, turning)
+
+
+def _unproven(held: HeldOut | None) -> str | None:
+    """Why held-out readings do not show that the effects gain; None where they do."""
+    if held is None:
+        return "nothing could be held out to confirm it"
+    if held.ci95_um is None:
+        return f"fewer than {ENOUGH} {held.of} could be held out, too few to confirm it"
+    if held.ci95_um[0] <= 0.0:
+        return (
+            f"{held.of} held out do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
+        )
+    return None

@@ -1,0 +1,198 @@
+"""A second opinion beside the search: Bayesian probabilities of the causes, and credible sets that contain the cause with 95 %.
+
+The search names one set of causes. The sum of single effects (`twin.diagnosis.judgement.single_effects`) on the same whitened,
+projected readings gives a probability to every cause, and does so by other means. Where the two disagree, neither is certain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from twin.diagnosis.judgement.single_effects import ODDS, Alternatives, Fit, SingleEffects
+from twin.diagnosis.problem.pool import Form, Pool
+from twin.diagnosis.selection.search import ROUGHLY
+
+CREDIBLE: Final = 0.95
+"""Posterior probability that a credible set holds at least."""
+MOST: Final = 12
+"""Effects at most."""
+Key = tuple[str, str]
+"""Effect and where."""
+
+
+@final
+@dataclass(frozen=True)
+class SingleEffect:
+    """One effect that is one of many causes.
+
+    Attributes:
+        log_odds: natural log of the odds that there is an effect, against none.
+        posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
+        credible: the smallest set of causes that holds `CREDIBLE` of it, the likeliest first.
+    """
+
+    log_odds: float
+    posterior: Mapping[Key, float]
+    credible: tuple[Key, ...]
+
+    @property
+    def found(self) -> bool:
+        """Whether the odds bound the rate of false alarms at one in 20."""
+        return self.log_odds >= float(np.log(ODDS))
+
+    def probability(self, keys: Collection[Key]) -> float:
+        """Posterior probability that the effect exists and is one of some causes."""
+        share = sum(self.posterior.get(key, 0.0) for key in set(keys))
+        return float(min(share, 1.0) / (1.0 + np.exp(-self.log_odds)))
+
+
+@final
+@dataclass(frozen=True)
+class SecondOpinion:
+    """Independent single effects.
+
+    Attributes:
+        effects: those found, the strongest first, and last one that was not.
+    """
+
+    effects: tuple[SingleEffect, ...]
+
+    @property
+    def found(self) -> tuple[SingleEffect, ...]:
+        """The effects whose odds bound the rate of false alarms."""
+        return tuple(effect for effect in self.effects if effect.found)
+
+    def probability(self, keys: Collection[Key]) -> float:
+        """Posterior probability that at least one effect is one of some causes."""
+        return float(1.0 - np.prod([1.0 - effect.probability(keys) for effect in self.effects]))
+
+
+@final
+@dataclass(frozen=True)
+class Compared:
+    """What the second opinion says of one cause of the search.
+
+    Attributes:
+        probability: that the cause, or one that it is equivalent to, exists.
+        credible: credible set of the effect that corresponds to it; empty if no effect does.
+        instead: credible set of the effect that is found in its place; empty where there is none.
+    """
+
+    probability: float
+    credible: tuple[Key, ...]
+    instead: tuple[Key, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Comparison:
+    """Search and second opinion side by side.
+
+    Attributes:
+        causes: in the order of the search's groups.
+        further: effects found that correspond to no cause of the search and stand in the place of none.
+    """
+
+    causes: tuple[Compared, ...]
+    further: tuple[SingleEffect, ...]
+
+    @property
+    def disagree(self) -> bool:
+        """Whether an effect was found that the search explains otherwise or not at all.
+
+        A cause that only the search names is no disagreement: the second opinion finds fewer effects at the same rate of false alarms.
+        """
+        return bool(self.further) or any(cause.instead for cause in self.causes)
+
+
+def second_opinion(pool: Pool, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
+    """Posterior of the causes of a pool.
+
+    The prior of a form is its part of the search's price: effects share it as they share the rate of false alarms, the places of an
+    effect by their number of independent forms. A size known beforehand, or bounded by physics, is part of it.
+
+    Args:
+        pool: the data and the forms; what was forbidden to the search is judged by its own prior here.
+        start: forms that the search chose: the iteration starts from them as well as from nothing.
+        most: effects at most.
+    """
+    effects = SingleEffects(_alternatives(pool), pool.slope, pool.cross, pool.dof)
+    found = effects.fitted(most, [form.index for form in start])
+    keys = [form.key for form in pool.forms]
+    ordered = sorted(found, key=lambda effect: (not effect.found, -effect.log_odds))
+    return SecondOpinion(tuple(_by_key(effect, keys, pool.key_of) for effect in ordered))
+
+
+def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
+    """Compare the causes of the search with the second opinion.
+
+    Each effect corresponds to at most one group, so that the posterior probability in common is largest. An effect found that is left
+    over disagrees with the search if no effect corresponds to one of the groups, in whose place it then stands, or if its credible set
+    has no key in common with any group. Two effects with the same likeliest cause are one cause in two forms.
+
+    Args:
+        opinion: of the same data.
+        groups: a cause and those equivalent to it, for each cause the search names.
+    """
+    common = np.array([[effect.probability(group) for effect in opinion.effects] for group in groups])
+    rows, columns = linear_sum_assignment(-common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
+    partner = {
+        int(g): int(e)
+        for g, e in zip(rows, columns, strict=True)
+        if set(groups[g]).intersection(opinion.effects[e].credible)
+    }
+    likeliest = {opinion.effects[e].credible[0] for e in partner.values()}
+    left = [e for e, effect in enumerate(opinion.effects) if effect.found and e not in partner.values()]
+    left = [e for e in left if opinion.effects[e].credible[0] not in likeliest]
+    alone = [g for g in range(len(groups)) if g not in partner]
+    named = {key for group in groups for key in group}
+    instead: dict[int, int] = {}
+    further = []
+    for e in left:
+        free = [g for g in alone if g not in instead]
+        if free:
+            instead[max(free, key=lambda g: common[g, e])] = e
+        elif named.isdisjoint(opinion.effects[e].credible):
+            further.append(opinion.effects[e])
+
+    def credible(index: int | None) -> tuple[Key, ...]:
+        return () if index is None else opinion.effects[index].credible
+
+    causes = tuple(
+        Compared(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
+        for g, group in enumerate(groups)
+    )
+    return Comparison(causes, tuple(further))
+
+
+def _alternatives(pool: Pool) -> list[Alternatives]:
+    found = []
+    for rows, columns, inner in pool.blocks():
+        forms = [pool.forms[i] for i in rows]
+        largest, centre, width = np.ones(columns.shape), np.zeros(columns.shape), np.zeros(len(rows))
+        for i, form in enumerate(forms):
+            if np.isfinite(form.candidate.largest):
+                largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
+            if form.candidate.specification.whole:
+                centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
+        # A form's part of the price of the search, which counts independent forms.
+        prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])
+        found.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
+    return found
+
+
+def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffect:
+    """Sum over the forms of each cause."""
+    total = np.bincount(number[: len(effect.posterior)], effect.posterior)
+    names = dict(zip(number.tolist(), keys, strict=True))
+    order = np.argsort(-total, kind="stable")
+    ordered = {names[int(i)]: float(total[i]) for i in order if total[i] > 0.0}
+    held = int(np.searchsorted(np.cumsum(total[order]), CREDIBLE)) + 1
+    credible = tuple(names[int(i)] for i in order[:held])
+    return SingleEffect(effect.log_odds, MappingProxyType(ordered), credible)

@@ -1,0 +1,118 @@
+"""The causes that stand with their sizes, and without those that are not beyond what differs from group to group."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.distributions import f_log_sf
+from twin.diagnosis.estimate.estimate import Estimate, estimate
+from twin.diagnosis.estimate.misfit import MANY
+from twin.diagnosis.judgement.evidence import between_positions
+from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.selection.structure import Findings
+from twin.machine.effects import Effect
+from twin.numerics.covariance import Covariance
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sized:
+    """The causes that stand, with their sizes.
+
+    Attributes:
+        found: the causes that were selected, and the patterns beside them.
+        forms: the causes that stand.
+        beside: the same forms beside the patterns.
+        estimate: their sizes, fitted without the patterns.
+        dropped: causes that are not beyond what differs from group to group.
+        doubts: of each cause, why it is not promised between the measured positions; empty where it is.
+    """
+
+    found: Findings
+    forms: tuple[Form, ...]
+    beside: tuple[Form, ...]
+    estimate: Estimate
+    dropped: tuple[Form, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def excess(self) -> float:
+        """Of the misfit over what scatter alone lets expect."""
+        problem = self.found.problem
+        return max(problem.chi2 - problem.dof, self.estimate.explained, 1e-30)
+
+    @property
+    def promised(self) -> list[bool]:
+        """Whether each cause is in the extended calibration."""
+        return [not doubt for doubt in self.doubts]
+
+    @property
+    def effects(self) -> list[Effect]:
+        """Of the causes that are promised."""
+        return [
+            one for own, promise in zip(self.estimate.effects, self.promised, strict=True) if promise for one in own
+        ]
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of the parameters of `effects`."""
+        wanted = {parameter.name for effect in self.effects for parameter in effect.parameters}
+        names, matrix = self.estimate.covariance.names, self.estimate.covariance.matrix
+        at = [i for i, name in enumerate(names) if name in wanted]
+        return Covariance(tuple(names[i] for i in at), locked(np.array(matrix[np.ix_(at, at)])))
+
+    def others(self, form: Form) -> list[Form]:
+        """The causes beside one of `forms`."""
+        return [one for one in self.forms if one is not form]
+
+    def log_p(self, form: Form) -> float:
+        """Log of a cause's chance, its price paid, where all that causes leave counts as scatter, be it a pattern or not."""
+        return log_p_beside(self.found, self.estimate, self.forms, form)
+
+
+def sized(found: Findings) -> Sized:
+    """The causes with their sizes, one by one without those that groups of readings do not confirm.
+
+    Args:
+        found: the causes that were selected, and the patterns beside them.
+    """
+    forms = list(found.structure.forms)
+    dropped: list[Form] = []
+    while True:
+        estimated = estimate(found.problem, forms, found.posed.scatter.dof, found.structure.beside)
+        if found.structure.traces:
+            judged = [(log_p_beside(found, estimated, forms, form), form) for form in forms]
+        else:
+            judged = [
+                (_log_p(against) + form.price, form)
+                for form, against in zip(forms, estimated.against, strict=True)
+                if MANY <= against[2] < np.inf
+            ]
+        worst = max(judged, key=lambda one: one[0], default=None)
+        if worst is None or worst[0] <= np.log(found.pool.level):
+            break
+        dropped.append(worst[1])
+        forms = [form for form in forms if form is not worst[1]]
+    beside = tuple(found.beside.forms[form.index] for form in forms)
+    doubts = tuple(between_positions(found.pool, forms, form) for form in forms)
+    return Sized(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
+
+
+def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
+    """As `Sized.log_p`."""
+    explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
+    left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
+    chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.pool.dof)
+    return min(float(chance) + form.price, 0.0)
+
+
+def _log_p(against: tuple[float, int, float]) -> float:
+    """Of a cause that is not there, by its Wald statistic (F with the groups' degrees of freedom, Hotelling's T² with one cause)."""
+    statistic, width, count = against
+    free = count - width
+    return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0

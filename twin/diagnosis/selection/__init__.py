@@ -1,0 +1,1 @@
+"""Which causes and which patterns without a name account for the misfit."""

@@ -1,0 +1,244 @@
+"""Whether anything without a name is left beside set-up and causes: a variance component for every column and pair of columns.
+
+The residual r is tested for a random function of each pattern (`twin.diagnosis.selection.patterns`): with its functions φ the
+statistic is rᵀMφ(φᵀMφ + 1/τ)⁻¹φᵀMr, the score of the variance (Lin 1997, Biometrika 84, 309) taken at a plausible one, τ. Under
+scatter alone it is a sum of χ² with known weights, whose tail is found by the saddlepoint (Kuonen 1999, Biometrika 86, 929).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from scipy import special
+
+from twin._common.units import UM
+from twin.diagnosis.candidates.signatures import Fields
+from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.selection.patterns import Pattern
+from twin.numerics.functions import Rows, pieces
+
+ALARMS: Final = 0.01
+"""Share of data sets with nothing in them in which a pattern is found."""
+EXACT: Final = 24
+"""Tests whose chance is worked out by eigenvalues, the most significant by two moments."""
+DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
+"""Of the frame: each alone, and all."""
+SEEN: Final = 1e-10
+PLAUSIBLE: Final = 100.0
+"""Noncentrality along a direction that the test is sharpest for: its score is taken at that variance, not at none."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One test of one pattern.
+
+    Attributes:
+        pattern: of which columns.
+        level: order up to which its functions are taken.
+        directions: of its frame.
+        log_p: of the score by chance, without the price of the search.
+        log_price: natural log of how many tests share the alarms.
+        explained: of the misfit, beyond what scatter alone would.
+    """
+
+    pattern: Pattern
+    level: int
+    directions: tuple[int, ...]
+    log_p: float
+    log_price: float
+    explained: float
+
+    @property
+    def found(self) -> bool:
+        """Whether it is more than chance, the search paid for."""
+        return self.log_paid < np.log(ALARMS)
+
+    @property
+    def log_paid(self) -> float:
+        """Log of the chance of as much anywhere, the search paid for."""
+        return min(self.log_p + self.log_price, 0.0)
+
+
+def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[Trace]:
+    """The most significant test of each pattern, most significant first.
+
+    Args:
+        problem: the data.
+        tried: patterns to look for.
+        forms: causes beside which they are sought.
+        dof: degrees of freedom the scatter is known with.
+    """
+    if not tried:
+        return []
+    beside, left = _beside(problem, forms)
+    scores = _Scores(problem, beside, left)
+    tests: list[tuple[float, Pattern, int, tuple[int, ...], float]] = []
+    for pattern in tried:
+        slope, gram = scores.of(pattern)
+        for level in pattern.levels:
+            chosen = pattern.order <= level
+            moments = _moments(slope[:, chosen], gram[:, chosen][:, :, chosen])
+            for directions in DIRECTIONS:
+                found, mean, variance = moments[:, list(directions)].sum(axis=1)
+                if variance > 0.0:
+                    tests.append((_two_moments(found, mean, variance), pattern, level, directions, found - mean))
+    price = float(np.log(max(len(tests), 1)))
+    tests.sort(key=lambda one: one[0])
+    best: dict[int, Trace] = {}
+    for number, (log_p, pattern, level, directions, more) in enumerate(tests):
+        if number < EXACT:
+            log_p = scores.exact((pattern, level, directions), dof)
+        trace = Trace(pattern, level, directions, log_p, price, float(more))
+        if id(pattern) not in best or log_p < best[id(pattern)].log_p:
+            best[id(pattern)] = trace
+    return sorted(best.values(), key=lambda one: one.log_p)
+
+
+def _beside(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """(3n, k) O and (3n,) residual of xᵀ(1 − OOᵀ)y, which is xᵀMy with the causes free; rows held out are zero in both."""
+    basis = problem.kept(problem.basis @ problem.root)
+    if forms:
+        columns = problem.signature([column for form in forms for column in form.cell.columns])
+        own = problem.project(columns)
+        gram = columns.T @ own
+        values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
+        seen = values > SEEN * values[-1]
+        basis = np.concatenate([basis, own @ (vectors[:, seen] / np.sqrt(values[seen]))], axis=1)
+    residual = problem.kept(problem.residual)
+    return basis, residual - basis @ (basis.T @ residual)
+
+
+@final
+class _Scores:
+    """Scores of patterns beside what is free.
+
+    Args:
+        problem: the data.
+        beside: (3n, k) as of `_beside`.
+        left: (3n,).
+    """
+
+    def __init__(self, problem: Problem, beside: np.ndarray, left: np.ndarray) -> None:
+        n = len(problem.view.rows)
+        self._kept = np.ones(n, dtype=bool)
+        self._kept[problem.held] = False
+        self._beside, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
+        self._view = problem.view
+        self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
+        """(3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
+        rows, weight, taken, along = self._along(pattern)
+        slope = np.zeros((3, len(pattern.order)))
+        gram = np.zeros((3, len(pattern.order), len(pattern.order)))
+        lost = np.zeros((3, len(pattern.order), taken.shape[2]))
+        alike = np.ptp(weight) <= 1e-9 * weight.max()
+        for some in pieces(len(rows)):
+            made = pattern.at(rows[some])
+            slope += along[:, some] @ made
+            lost += made.T @ taken[:, some]
+            for i in range(1 if alike else 3):
+                gram[i] += made.T @ (made * weight[some, i, None])
+        if alike:
+            gram[1:] = gram[0]
+        return slope, gram - lost @ lost.transpose(0, 2, 1)
+
+    def exact(self, trace: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
+        """Log of the chance of a score: the pattern, its level, its directions."""
+        pattern, level, directions = trace
+        rows = self._along(pattern)[0]
+        chosen = pattern.order <= level
+        count = len(directions) * int(chosen.sum())
+        lost, slope, gram = np.zeros((count, self._beside.shape[2])), np.zeros(count), np.zeros((count, count))
+        for some in pieces(len(rows)):
+            here = rows[some]
+            fields = self._fields(pattern, here)[:, :, list(directions)]
+            made = pattern.at(here)[:, chosen]
+            whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
+            lost += whole.T @ self._beside[here].reshape(3 * len(here), -1)
+            slope += whole.T @ self._left[here].reshape(-1)
+            gram += whole.T @ whole
+        gram -= lost @ lost.T
+        size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
+        deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), int(chosen.sum()))
+        values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
+        values = np.maximum(values, 0.0)
+        score = float(np.sum((vectors.T @ (slope * deviation)) ** 2 / (1.0 + values)))
+        return log_tail(values / (1.0 + values), score, dof)
+
+    def _along(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of a side; of them weight (r, 3), what is free (3, r, k) and the residual (3, r) along each direction of a frame."""
+        key = pattern.side, pattern.field
+        if key not in self._of:
+            rows = np.flatnonzero(pattern.own & self._kept)
+            fields = self._fields(pattern, rows)
+            self._of[key] = (
+                rows,
+                np.einsum("nki,nki->ni", fields, fields),
+                np.einsum("nki,nkq->inq", fields, self._beside[rows]),
+                np.einsum("nki,nk->in", fields, self._left[rows]),
+            )
+        return self._of[key]
+
+    def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
+        return Fields(self._view, rows).of(pattern.field) * UM
+
+
+def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
+    """(3, d) score, its mean and its variance under scatter alone, along each of d directions."""
+    found = np.zeros((3, len(slope)))
+    for i, (along, own) in enumerate(zip(slope, gram, strict=True)):
+        size = float(np.trace(own))
+        if size > SEEN:
+            # (G + 1/τ)⁻¹; the weights of the χ² are the eigenvalues of 1 − (G + 1/τ)⁻¹/τ.
+            inverse = np.linalg.inv(own + size / PLAUSIBLE * np.eye(len(own)))
+            weights = np.eye(len(own)) - inverse * (size / PLAUSIBLE)
+            found[:, i] = along @ inverse @ along, np.trace(weights), 2.0 * np.sum(weights**2)
+    return found
+
+
+def _two_moments(score: float, mean: float, variance: float) -> float:
+    """Log of the chance of a score under the scaled χ² with its mean and variance (Satterthwaite 1946)."""
+    return float(log_chance(np.array(2.0 * score * mean / variance), 2.0 * mean**2 / variance, np.inf))
+
+
+def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
+    """Log of the chance that Σ wᵢχ²₁ is larger than a value times χ²/dof of a scatter that is estimated.
+
+    The saddlepoint of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm stays finite however small the chance.
+
+    Args:
+        weights: not negative.
+        value: of the sum.
+        dof: of the estimate of the scatter; infinite where it is given.
+    """
+    w = weights[weights > SEEN * max(float(weights.max(initial=0.0)), 1e-300)]
+    if len(w) == 0 or value <= 0.0:
+        return 0.0
+    count = np.ones(len(w))
+    target = value
+    if np.isfinite(dof):
+        w, count, target = np.append(w, -value / dof), np.append(count, dof), 0.0
+    if target <= float(count @ w):
+        return float(np.log(0.5))
+    low, high = 0.0, 0.5 / float(w.max()) * (1.0 - 1e-15)
+
+    def slope(zeta: float) -> float:
+        return float(np.sum(count * w / (1.0 - 2.0 * zeta * w)) - target)
+
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slope(middle) < 0.0 else (low, middle)
+    zeta = 0.5 * (low + high)
+    generating = -0.5 * float(np.sum(count * np.log1p(-2.0 * zeta * w)))
+    curvature = 2.0 * float(np.sum(count * w**2 / (1.0 - 2.0 * zeta * w) ** 2))
+    first = np.sqrt(max(2.0 * (zeta * target - generating), 0.0))
+    second = zeta * np.sqrt(curvature)
+    if first < 1e-4:
+        return float(np.log(0.5))
+    return float(special.log_ndtr(-(first + np.log(second / first) / first)))
