@@ -84,13 +84,14 @@ class _At(Mapping[str, Any]):
 
 
 def of_state(
-    state: Mapping[str, Any], shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]]
+    state: Mapping[str, Any], shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]], *, whole: bool = False
 ) -> tuple[Functions, list[list[tuple[int, int]]]]:
     """What an effect's formula gives: one function for every component of every shape.
 
     Args:
         state: positions and channels of all points, (n,) each.
         shapes: part of the state → component → values, of each shape; the same components wherever it is asked.
+        whole: whether the formula needs all points at once.
 
     Returns:
         The functions, and of each shape its components, each with the number of its function.
@@ -98,8 +99,11 @@ def of_state(
     points = len(next(iter(state.values())))
     everywhere = np.arange(points)
 
-    first = shapes(_At(state, slice(0, 1)))
+    first = shapes(state if whole else _At(state, slice(0, 1)))
     order = [(k, i) for k, shape in enumerate(first) for i in shape]
+    own = [[(i, n) for n, (of, i) in enumerate(order) if of == k] for k in range(len(first))]
+    if whole:
+        return given(np.stack([np.broadcast_to(first[k][i], points) for k, i in order], axis=1)), own
 
     def values(rows: Rows) -> np.ndarray:
         made = shapes(_At(state, rows))
@@ -108,5 +112,4 @@ def of_state(
             found[:, column] = made[k][i]
         return found
 
-    own = [[(i, n) for n, (of, i) in enumerate(order) if of == k] for k in range(len(first))]
     return Functions(points, len(order), values), own

@@ -14,7 +14,7 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.identification.network import View
-from twin.machine.effects import Effect, Frame
+from twin.machine.effects import Effect
 from twin.machine.effects.base import along
 from twin.machine.machine import Axis, Machine
 from twin.numerics.functions import Functions, Rows, given, of_state, pieces
@@ -122,7 +122,7 @@ def of_effect(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> lis
         machine: the machine.
         state: positions and channels of all points.
     """
-    return _of_shapes(effect.frame, machine, state, effect.derivatives)
+    return _of_shapes([effect], machine, state, effect.derivatives)
 
 
 def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
@@ -132,17 +132,18 @@ def of_unit(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Colum
 
 def of_units(effects: Sequence[Effect], machine: Machine, state: Mapping[str, Any]) -> list[Column]:
     """The same of several effects in one frame, whose functions are worked out together."""
-    return _of_shapes(effects[0].frame, machine, state, lambda some: [effect.components(some) for effect in effects])
+    return _of_shapes(effects, machine, state, lambda some: [effect.components(some) for effect in effects])
 
 
 def _of_shapes(
-    frame: Frame,
+    effects: Sequence[Effect],
     machine: Machine,
     state: Mapping[str, Any],
     shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]],
 ) -> list[Column]:
+    frame = effects[0].frame
     at = first_component(machine, frame.axis, frame.role)
-    functions, each = of_state(state, shapes)
+    functions, each = of_state(state, shapes, whole=any(effect.history for effect in effects))
     return [of_components([(at + i, functions, k, 1.0) for i, k in own]) for own in each]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
 import numpy as np
@@ -54,6 +54,8 @@ class Effect(ABC):
     """ISO 230-1 name (``E_XX``, ``E_C0Y``, ``E_X0C``), or the effect's own."""
     frame: Frame
     """Where it acts."""
+    history: ClassVar[bool] = False
+    """Whether its value at a reading depends on the readings before, in time."""
 
     @property
     @abstractmethod

@@ -24,6 +24,7 @@ from twin.machine.effects.pitch_error import PITCH_ERROR
 from twin.machine.effects.reversal import REVERSAL
 from twin.machine.effects.reversal_curve import REVERSAL_CURVE
 from twin.machine.effects.specification import Specification
+from twin.machine.effects.spindle_growth import SPINDLE_GROWTH
 from twin.machine.effects.squareness import SQUARENESS
 from twin.machine.effects.table_load import TABLE_LOAD
 from twin.machine.effects.thermal_drift import THERMAL_DRIFT
@@ -48,6 +49,7 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     CROSS_AXIS,
     THERMAL_GROWTH,
     THERMAL_DRIFT,
+    SPINDLE_GROWTH,
     TABLE_LOAD,
     GRAVITY_COMPLIANCE,
     PAYLOAD,

@@ -1,0 +1,182 @@
+"""A spindle that grows as it turns: the tool side moves with the speed, and follows it slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from twin.machine.effects.base import Parameter, channel
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
+from twin.machine.effects.thermal_drift import REACH, constants
+from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
+from twin.machine.machine import Machine
+
+SPEED: Final = "spindle_rpm"
+TIME: Final = "time_s"
+EXPONENTS: Final = (1.0, 1.5, 2.0)
+"""That are tried: friction of a greased bearing grows with the speed, that of a churning one with its square."""
+LEAST_EXPONENT: Final = 0.5
+LARGEST_EXPONENT: Final = 3.0
+SPARSE: Final = 3
+"""Of the time constants of a drift, every so many are tried."""
+
+
+class _Lag(NamedTuple):
+    """How far the growth has come, and its derivatives by the exponent and the time constant."""
+
+    value: Any
+    by_exponent: Any
+    by_constant: Any
+
+
+@final
+class SpindleGrowth(ToolSideShift):
+    """The tool side moves along a direction of the base: A times the first-order lag of (n/n_max)^p with time constant τ.
+
+    A lag L of what drives it, s: dL/dt = (s − L)/τ (Bryan 1990, CIRP Annals 39, 645, of thermal effects that follow their cause). Of
+    readings, the speed of each holds since the one before it in time, the first since time zero; of a program, the speed that is given
+    holds since time zero.
+
+    Args:
+        side: which way.
+        amplitude: A, µm, once the speed n_max has been held long enough.
+        exponent: p.
+        time_constant: τ, s.
+        highest_rpm: n_max.
+    """
+
+    history = True
+
+    def __init__(
+        self, side: ToolSide, amplitude: float, exponent: float, time_constant: float, highest_rpm: float
+    ) -> None:
+        super().__init__(f"spindle_growth:{side.direction}", side)
+        self.amplitude = amplitude
+        self.exponent = exponent
+        self.time_constant = time_constant
+        self.highest_rpm = highest_rpm
+
+    def changed(self, amplitude: float, exponent: float, time_constant: float) -> SpindleGrowth:
+        """The same with other numbers."""
+        return SpindleGrowth(self._side, amplitude, exponent, time_constant, self.highest_rpm)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitude, exponent, time constant."""
+        return (
+            self._number("amplitude", "um", self.amplitude),
+            self._number("exponent", "1", self.exponent),
+            self._number("time_constant", "s", self.time_constant),
+        )
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The speed that the amplitude is of as well."""
+        return {**super().numbers, "highest_rpm": self.highest_rpm}
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs ``spindle_rpm`` and ``time_s``."""
+        lag = self._lag(positions)
+        return (
+            self._shifted(lag.value),
+            self._shifted(self.amplitude * lag.by_exponent),
+            self._shifted(self.amplitude * lag.by_constant),
+        )
+
+    def _lag(self, positions: Mapping[str, Any]) -> _Lag:
+        share = np.asarray(channel(positions, SPEED, self.name), dtype=float) / self.highest_rpm
+        time = np.asarray(channel(positions, TIME, self.name), dtype=float)
+        driven = np.power(share, self.exponent)
+        by_exponent = driven * np.log(np.where(share > 0.0, share, 1.0))
+        if time.ndim == 0:
+            return _step(_Lag(0.0, 0.0, 0.0), driven, by_exponent, time, self.time_constant)
+        found = np.zeros((3, len(time)))
+        order, last = np.argsort(time, kind="stable"), _Lag(0.0, 0.0, 0.0)
+        passed = np.diff(time[order], prepend=0.0)
+        for row, since in zip(order.tolist(), passed.tolist(), strict=True):
+            last = _step(last, driven[row], by_exponent[row], max(since, 0.0), self.time_constant)
+            found[:, row] = last
+        return _Lag(*found)
+
+
+def _step(last: _Lag, driven: Any, by_exponent: Any, passed: Any, constant: float) -> _Lag:
+    """The lag after some seconds of one speed."""
+    left = np.exp(-passed / constant)
+    return _Lag(
+        driven + (last.value - driven) * left,
+        by_exponent + (last.by_exponent - by_exponent) * left,
+        last.by_constant * left + (last.value - driven) * left * passed / constant**2,
+    )
+
+
+def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> SpindleGrowth:
+    side = tool_side(machine, where)
+    if side is None:
+        raise SPINDLE_GROWTH.no_place(machine, where)
+    return SpindleGrowth(side, *numbers.values())
+
+
+def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    ways = directions(machine)
+    missing = [name for name in (SPEED, TIME) if name not in state]
+    if not missing and np.ptp(state[SPEED]) > 0.0:
+        return list(ways), []
+    what = ", ".join(missing) or f"readings at different {SPEED}"
+    return [], [(way, what) for way in ways]
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    highest = float(state[SPEED].max())
+
+    def of(value: float, fixed: Mapping[str, float]) -> tuple[SpindleGrowth, ...]:
+        numbers = {"amplitude": value, **fixed, "highest_rpm": highest}
+        return (_made(machine, where, numbers, ()),)
+
+    tried = product(EXPONENTS, constants(state[TIME])[::SPARSE])
+    trials = tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried)
+    return Forms(
+        (("amplitude", "um"),),
+        lambda values, fixed: of(float(values[0]), fixed),
+        lambda fixed: of(1.0, fixed),
+        trials,
+        tests=3.0,
+    )
+
+
+def _kept(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
+    exponent = min(max(values[1], LEAST_EXPONENT), LARGEST_EXPONENT)
+    least, most = (share * effect.time_constant for share in REACH)
+    return effect.changed(values[0], exponent, min(max(values[2], least), most, longest))
+
+
+SPINDLE_GROWTH: Final = Specification(
+    name="spindle_growth",
+    kind="machine",
+    title=lambda where: f"growth along {where.lower()} with the speed of the spindle",
+    family="growth with the speed of the spindle",
+    advice=Advice(
+        "Shop: at which speeds it was measured, and for how long. Service: preload, grease and cooling of the spindle bearings.",
+        f"Run the spindle at the speed of the cut until it has settled, or {EXTENDING} and say speed and time.",
+        "Do not touch off the tool at another speed than it cuts with.",
+    ),
+    evidence=lambda of: (
+        f"the tool side moves along {of.where} by {of.measure} at the highest speed, and follows the speed with a time constant of "
+        f"{of.numbers['time_constant']:.3g} s"
+    ),
+    parameters=("amplitude", "exponent", "time_constant", "highest_rpm"),
+    largest={"um": 500.0},
+    places=directions,
+    expected=lambda machine: "X, Y or Z of the base",
+    channels=lambda where: (SPEED, TIME),
+    make=_made,
+    forms=_forms,
+    candidates=_candidates,
+    bent=("exponent", "time_constant"),
+    kept=_kept,
+    varies="with time",
+    drawn=Drawing(columns=lambda where: (SPEED, TIME), of_base=True),
+)
