@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -63,6 +63,52 @@ class Estimate:
     against: tuple[tuple[float, int, float], ...] = ()
 
 
+@dataclass
+class _Part:
+    """One cause while all are fitted together.
+
+    Attributes:
+        form: the cause.
+        fixed: its non-linear parameters, where they are not fitted with the others.
+        scales: (w,) units of its columns that are plausible.
+        columns: (3n, w) what a unit of each of its numbers does; of those that change with the numbers, as they are now.
+        values: (w,) its numbers.
+        effects: that are made of it; none for an instrument's.
+        bent: whether its columns change with its numbers.
+        moments: second moments of the numbers of a drift whose likelihood is not that of a normal distribution.
+    """
+
+    form: Form
+    fixed: dict[str, float]
+    scales: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    effects: tuple[Effect, ...]
+    bent: bool
+    moments: np.ndarray | None = None
+
+    def put(self, values: np.ndarray, longest: float) -> None:
+        """Other numbers."""
+        self.values = values
+        if self.bent:
+            self.effects = (_kept(self.form, self.effects[0], values, longest),)
+            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
+        else:
+            self.effects = _built(self.form, values, self.fixed)
+
+    def turn(self, problem: Problem, state: Mapping[str, Any]) -> None:
+        """Columns as they are at the numbers of now."""
+        if self.bent:
+            derived = of_effect(self.effects[0], problem.network.machine, state)
+            self.scales = np.array([column.scale for column in derived])
+            self.columns = problem.signature(derived) / self.scales
+            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
+
+    def made(self, problem: Problem, state: Mapping[str, Any]) -> np.ndarray:
+        """(3n,) what it does to the whitened readings."""
+        return _made(problem, state, self.effects) if self.bent else np.asarray(self.columns @ self.values)
+
+
 def estimate(
     problem: Problem, forms: Sequence[Form], scatter: float = float("inf"), beside: Beside | None = None
 ) -> Estimate:
@@ -76,108 +122,116 @@ def estimate(
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
-    machine = problem.network.machine
-    state = state_of(problem.network.data, machine)
-    scales = [np.array([column.scale for column in form.cell.columns]) for form in forms]
-    columns = [problem.signature(form.cell.columns) / own for form, own in zip(forms, scales, strict=True)]
-    _, start = _solved(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
-    values = list(np.split(start, np.cumsum([len(own) for own in scales])[:-1]))
-    effects: list[tuple[Effect, ...]] = [
-        () if form.candidate.build is None else form.candidate.build(value, form.cell.fixed)
-        for form, value in zip(forms, values, strict=True)
-    ]
-    curved = [form.candidate.drift is None and _bent(form, found) for form, found in zip(forms, effects, strict=True)]
-    fixed = [dict(form.cell.fixed) for form in forms]
-    loose: dict[int, np.ndarray] = {}
-    for k, form in enumerate(forms):
-        if form.candidate.drift is not None:
-            others = [column for form in forms if form is not forms[k] for column in form.cell.columns]
-            drift = fit_drift(problem, form.candidate.drift, others)
-            straight = drift.time_constant == STRAIGHT
-            unit = form.candidate.drift.columns(drift.time_constant)
-            fixed[k] = {} if straight else {"time_constant": drift.time_constant}
-            scales[k] = np.array([column.scale for column in unit])
-            columns[k], values[k] = problem.signature(unit) / scales[k], drift.values
-            effects[k] = () if form.candidate.build is None else form.candidate.build(drift.values, fixed[k])
-            if drift.moments is not None:
-                loose[k] = drift.moments
-            curved[k] = drift.moments is None and not straight
-    longest = [_longest(form) for form in forms]
-    for _ in range(STEPS if any(curved) else 1):
-        blocks, current, sizes = [], [], []
-        for k, (found, bent) in enumerate(zip(effects, curved, strict=True)):
-            if bent:
-                derived = of_effect(found[0], machine, state)
-                sizes.append(np.array([column.scale for column in derived]))
-                blocks.append(problem.signature(derived) / sizes[-1])
-                current.append(np.array([p.value for p in found[0].parameters]))
-            else:
-                sizes.append(scales[k])
-                blocks.append(columns[k])
-                current.append(values[k])
-        made = [
-            _made(problem, machine, state, effects[k]) if curved[k] else columns[k] @ current[k]
-            for k in range(len(forms))
-        ]
-        left = problem.residual - np.sum(made, axis=0) if made else problem.residual
-        whole = np.concatenate(blocks, axis=1)
-        inverse, step = _solved(problem, whole, left, np.concatenate(sizes))
-        moved = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
-        at = 0
-        for k, block in enumerate(blocks):
-            own = step[at : at + block.shape[1]]
-            at += block.shape[1]
-            if curved[k]:
-                effects[k] = (_kept(forms[k], effects[k][0], current[k] + own, longest[k]),)
-            else:
-                values[k] = values[k] + own
-                if forms[k].candidate.build is not None:
-                    effects[k] = forms[k].candidate.build(values[k], fixed[k])  # type: ignore[misc]
-        if moved < STILL:
-            break
-    made = [
-        _made(problem, machine, state, effects[k]) if curved[k] else columns[k] @ values[k] for k in range(len(forms))
-    ]
-    signature = np.stack(made, axis=1) if made else np.zeros((len(problem.residual), 0))
-    total = signature.sum(axis=1)
-    left = problem.residual - total
-    after = float(left @ problem.project(left))
-    by_patterns = None if beside is None else _with_patterns(problem, whole, inverse, np.concatenate(sizes), beside)
+    state = state_of(problem.network.data, problem.network.machine)
+    parts = _begun(problem, forms)
+    inverse = _fitted(problem, parts, state)
+    signature = np.stack([part.made(problem, state) for part in parts], axis=1)
+    whole = np.concatenate([part.columns for part in parts], axis=1)
+    size = np.concatenate([part.scales for part in parts])
+    left = problem.residual - signature.sum(axis=1)
+    explained = problem.chi2 - float(left @ problem.project(left))
     count = float("inf")
+    by_patterns = None if beside is None else _with_patterns(problem, whole, inverse, size, beside)
     if more_left(problem, left, whole.shape[1], scatter):
-        size = np.concatenate(sizes)
         wide, count = widened(problem, whole * size, left, inverse / np.outer(size, size))
         inverse = wide * np.outer(size, size)
     if by_patterns is not None:
         inverse = larger(inverse, by_patterns)
-    against = []
-    quantities, rows, apart, names, at = [], [], [], [], 0
-    for k, form in enumerate(forms):
-        width = blocks[k].shape[1]
-        part = slice(at, at + width)
-        now = values[k] if not curved[k] else np.array([p.value for p in effects[k][0].parameters])
-        own_size = sizes[k] if k not in loose else scales[k]
-        against.append(_wald(now / own_size, inverse[part, part] / np.outer(own_size, own_size), count))
-        block = inverse[at : at + width, at : at + width]
-        matrix = np.eye(width) if curved[k] else _matrix(form, fixed[k], width)
-        own = loose.get(k, matrix @ block @ matrix.T)
-        direct = form.candidate.space is not None or curved[k] or k in loose
-        shown = _of_either_form(problem, forms, form, own if direct else block)
-        quantities.append(_quantities(form, fixed[k], effects[k], values[k], shown))
-        if effects[k]:
+    return _told(problem, parts, inverse, signature, explained, count)
+
+
+def _begun(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
+    """All causes as they are linear, and each drift at its most likely time constant beside the others."""
+    scales = [np.array([column.scale for column in form.cell.columns]) for form in forms]
+    columns = [problem.signature(form.cell.columns) / own for form, own in zip(forms, scales, strict=True)]
+    _, start = _solved(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+    values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
+    parts = []
+    for form, own, made, found in zip(forms, scales, columns, values, strict=True):
+        fixed = dict(form.cell.fixed)
+        effects = _built(form, found, fixed)
+        part = _Part(form, fixed, own, made, found, effects, form.candidate.drift is None and _bent(form, effects))
+        parts.append(part)
+    for part in parts:
+        _drifting(problem, part, [column for form in forms if form is not part.form for column in form.cell.columns])
+    return parts
+
+
+def _drifting(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
+    """Put a drift where its likelihood is largest."""
+    drift = part.form.candidate.drift
+    if drift is None:
+        return
+    found = fit_drift(problem, drift, others)
+    straight = found.time_constant == STRAIGHT
+    unit = drift.columns(found.time_constant)
+    part.fixed = {} if straight else {"time_constant": found.time_constant}
+    part.scales = np.array([column.scale for column in unit])
+    part.columns, part.values = problem.signature(unit) / part.scales, found.values
+    part.effects = _built(part.form, found.values, part.fixed)
+    part.moments = found.moments
+    part.bent = found.moments is None and not straight
+
+
+def _fitted(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Steps until nothing moves; the covariance of all numbers at the last one."""
+    longest = [_longest(part.form) for part in parts]
+    for _ in range(STEPS if any(part.bent for part in parts) else 1):
+        for part in parts:
+            part.turn(problem, state)
+        left = problem.residual - np.sum([part.made(problem, state) for part in parts], axis=0)
+        sizes = np.concatenate([part.scales for part in parts])
+        inverse, step = _solved(problem, np.concatenate([part.columns for part in parts], axis=1), left, sizes)
+        moved = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
+        ends = np.cumsum([len(part.values) for part in parts])[:-1]
+        for part, own, most in zip(parts, np.split(step, ends), longest, strict=True):
+            part.put(part.values + own, most)
+        if moved < STILL:
+            break
+    return inverse
+
+
+def _told(
+    problem: Problem,
+    parts: Sequence[_Part],
+    inverse: np.ndarray,
+    signature: np.ndarray,
+    explained: float,
+    count: float,
+) -> Estimate:
+    """Parameters with their covariance, as they are reported and as a calibration has them."""
+    forms = [part.form for part in parts]
+    against, quantities, rows, apart, names, at = [], [], [], [], [], 0
+    for part in parts:
+        width = part.columns.shape[1]
+        own_rows = slice(at, at + width)
+        block = inverse[own_rows, own_rows]
+        against.append(_wald(part.values / part.scales, block / np.outer(part.scales, part.scales), count))
+        matrix = np.eye(width) if part.bent else _matrix(part.form, part.fixed, width)
+        own = matrix @ block @ matrix.T if part.moments is None else part.moments
+        direct = part.form.candidate.space is not None or part.bent or part.moments is not None
+        shown = _of_either_form(problem, forms, part.form, own if direct else block)
+        quantities.append(_quantities(part.form, part.fixed, part.effects, part.values, shown))
+        if part.effects:
             placed = np.zeros((len(own), len(inverse)))
-            if k not in loose:
-                placed[:, at : at + width] = matrix
+            if part.moments is None:
+                placed[:, own_rows] = matrix
             rows.append(placed)
-            apart.append(own if k in loose else np.zeros_like(own))
-            names += [parameter.name for effect in effects[k] for parameter in effect.parameters]
+            apart.append(np.zeros_like(own) if part.moments is None else own)
+            names += [parameter.name for effect in part.effects for parameter in effect.parameters]
         at += width
-    whole_matrix = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
-    spread = whole_matrix @ inverse @ whole_matrix.T
-    if loose:
+    placed = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
+    spread = placed @ inverse @ placed.T
+    if any(part.moments is not None for part in parts):
         spread += block_diag(*apart)
     covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
-    return Estimate(tuple(quantities), tuple(effects), covariance, signature, problem.chi2 - after, tuple(against))
+    effects = tuple(part.effects for part in parts)
+    return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(against))
+
+
+def _built(form: Form, values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+    build = form.candidate.build
+    return () if build is None else build(values, fixed)
 
 
 def _with_patterns(
@@ -222,14 +276,14 @@ def _solved(
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
-def _made(problem: Problem, machine: object, state: object, effects: Sequence[Effect]) -> np.ndarray:
+def _made(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect]) -> np.ndarray:
     """(3n,) what effects do to the whitened readings."""
     view, frames = problem.view, problem.network.machine.frames
     index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
     found = np.zeros((len(view.rows), 3))
     for effect in effects:
         at = 6 * index[effect.frame.axis, effect.frame.role]
-        for i, values in effect.components(state).items():  # type: ignore[arg-type]
+        for i, values in effect.components(state).items():
             found += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
     return found.reshape(-1)
 
