@@ -284,7 +284,8 @@ class DataSet:
         machine = Machine.load("dmu50")
         self.problem, self.searcher, self._root = measured(self._rng, machine, case.noise, case.poses, case.uncertain)
         self._families: dict[str, list[Candidate]] = {}
-        for candidate in self.searcher.posed.known.candidates:
+        # By name: what is drawn does not depend on the order they are tried in.
+        for candidate in sorted(self.searcher.posed.known.candidates, key=lambda one: one.key):
             if candidate.effect not in UNHIDDEN:
                 self._families.setdefault(candidate.effect, []).append(candidate)
 
