@@ -35,7 +35,7 @@ from twin.numerics.covariance import Covariance
 from twin.numerics.curves import BASES, FGBernstein, basis_named, conversion
 
 EPS = float(np.finfo(float).eps)
-POWER, FOURIER, BERNSTEIN = BASES
+POWER, FOURIER, BERNSTEIN = (basis() for basis in BASES)
 TURN = 2.0 * np.pi
 Matrix = list[list[Fraction]]
 KINDS: tuple[Literal["polynomial", "trigonometric"], ...] = ("polynomial", "trigonometric")
@@ -556,8 +556,7 @@ def test_a_polynomial_found_by_a_diagnosis_is_added_to_a_bernstein_curve(
     domain, name = (0.0, 500.0), "E_XX"
     root, more = rng.standard_normal((there, there)), rng.standard_normal((added, added))
     curve = Curve(name, "um", domain, "bernstein", tuple(rng.standard_normal(there).tolist()), root @ root.T)
-    found = basis_named(basis)
-    assert found is not None
+    found = basis_named(basis)()
     motion = ErrorMotion(name, found, domain, tuple(rng.standard_normal(added).tolist()), wrapped=False)
     nothing: MappingProxyType[str, float] = MappingProxyType({})
     calibration = Calibration(dmu50, "before", MappingProxyType({name: curve}), nothing, nothing)
@@ -632,10 +631,8 @@ def test_an_estimate_is_the_same_curve_and_uncertainty_in_either_basis(dmu50: Ma
         assert twin(q) == pytest.approx(curve(q), abs=1e-11)
         variances = []
         for written, calibration in ((curve, one), (twin, other)):
-            basis_of = basis_named(written.basis)
-            assert basis_of is not None
             count = len(written.coefficients)
-            functions = np.stack(basis_of.functions(q, written.domain, count), axis=1)
+            functions = np.stack(written.family.functions(q, written.domain, count), axis=1)
             matrix = calibration.covariance.of([f"{name}[{k}]" for k in range(count)]).matrix
             variances.append(np.einsum("ij,jk,ik->i", functions, matrix, functions))
         assert variances[1] == pytest.approx(variances[0], rel=1e-8)

@@ -226,7 +226,8 @@ def _curve(
     positions = np.linspace(lo, hi, CURVE_POINTS)
     functions = [_functions(effect, axis.name, positions) for effect in effects]
     counts = [f.shape[1] for f in functions]
-    if curves[0].basis == curves[1].basis and counts[0] != counts[1]:
+    families = curves[0].family, curves[1].family
+    if families[0] == families[1] and families[0].nested and counts[0] != counts[1]:
         fewer = "first" if counts[0] < counts[1] else "second"
         notes.append(f"the {fewer} has {min(counts)} coefficients, the other {max(counts)}: those it has not are zero")
     # Both in one orthonormal basis of all functions that either is made of.
@@ -237,7 +238,7 @@ def _curve(
         _side(effect, matrix, covariance) for effect, matrix, covariance in zip(effects, into, covariances, strict=True)
     ]
     change = sides[1].into @ sides[1].values - sides[0].into @ sides[0].values
-    if curves[0].basis == curves[1].basis and curves[0].coefficients == curves[1].coefficients:
+    if families[0] == families[1] and curves[0].coefficients == curves[1].coefficients:
         change = np.zeros_like(change) if curves[0].domain == curves[1].domain else change
     return Pair(
         name=name,

@@ -135,7 +135,7 @@ def _renamed(
 ) -> Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]] | None:
     """What moves a curve to another name; None where the curve that stands there is of another kind."""
     there = calibration.curves.get(name)
-    if there is not None and (there.basis != motion.basis.name or there.domain != motion.domain):
+    if there is not None and (there.family != motion.basis or there.domain != motion.domain):
         return None
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
