@@ -53,8 +53,10 @@ from twin.machine.effects import (
 from twin.machine.effects.registry import PAYLOAD, at_rest, base_vector, gravity_compliance, loads_of, tool_base_frame
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 from twin.measurement.table import Measurements, state_of
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, conversion
 
+CUBIC: Final = 3
+"""Degree of what is added to a curve that is no polynomial."""
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 ORDERS: Final = 30
@@ -294,11 +296,15 @@ def _curves(machine: Machine, state: Mapping[str, Any], calibration: Calibration
         q, along = state[axis.name], int(np.argmax(np.abs(axis.direction)))
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
-            curve = calibration.curves.get(name)
-            if curve is not None:
-                curve = curve.in_powers()
+            given = calibration.curves.get(name)
+            curve = None if given is None else given.in_powers()
             if curve is not None:
                 domain, degrees = curve.domain, max(DEGREES, len(curve.coefficients) - 1)
+            elif given is not None:
+                # Of another kind: no more than can be added to it.
+                domain, degrees = given.domain, CUBIC
+                if conversion(POWER, given.family, CUBIC + 1, len(given.coefficients)) is None:
+                    continue
             elif axis.linear and axis.lower is not None and axis.upper is not None:
                 domain, degrees = (axis.lower, axis.upper), DEGREES
             else:

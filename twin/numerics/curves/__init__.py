@@ -30,3 +30,7 @@ from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
 __all__ = ["BASES", "POWER", "Basis", "FGBernstein", "bases_for", "basis_named", "conversion", "of_legendre"]
+
+__doc__ = f"{__doc__}\nA basis is named by `basis:` in a calibration file:\n\n" + "".join(
+    f"- `{basis.name}`: {basis.formula}\n" for basis in BASES
+)

@@ -7,10 +7,11 @@ from typing import Final
 from twin._common.errors import InputError, nearest
 from twin.numerics.curves.basis import Basis
 from twin.numerics.curves.bernstein import Bernstein
+from twin.numerics.curves.cubic_spline import CubicSpline
 from twin.numerics.curves.fourier import Fourier
 from twin.numerics.curves.power import Power
 
-BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein)
+BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein, CubicSpline)
 POWER: Final = Power()
 
 
