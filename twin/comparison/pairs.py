@@ -134,15 +134,15 @@ class Apart:
 
     Attributes:
         name: its name.
-        why: in words.
         given_by: ``first`` or ``second`` if only one has it, else ``both``.
+        why: in words.
         peak: its largest amount where it is given; NaN if both give it.
         unit: of it.
     """
 
     name: str
-    why: str
     given_by: Literal["first", "second", "both"]
+    why: str
     peak: float
     unit: str
 
@@ -203,7 +203,7 @@ def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> 
         peak, unit = abs(float({**owner.squareness, **owner.location}[name])), unit_of(name)
     else:
         peak, unit = float("nan"), ""
-    return Apart(name, f"the {other} calibration says nothing of it, which is not the same as zero", given, peak, unit)
+    return Apart(name, given, f"the {other} calibration says nothing of it, which is not the same as zero", peak, unit)
 
 
 def _curve(
@@ -219,7 +219,7 @@ def _curve(
         if not lo < hi:
             spans = " and ".join(f"{c.domain[0]:g} to {c.domain[1]:g}" for c in curves)
             return Apart(
-                name, f"its domains have nothing in common: {spans} {axis.unit}", "both", np.nan, unit_of(name)
+                name, "both", f"its domains have nothing in common: {spans} {axis.unit}", np.nan, unit_of(name)
             )
         if (lo, hi) != curves[0].domain or (lo, hi) != curves[1].domain:
             notes.append(f"compared from {lo:g} to {hi:g} {axis.unit}, which both cover")
