@@ -151,14 +151,15 @@ def test_leading_dimensions() -> None:
 # Smooth through zero
 
 
-def test_casadi_is_numpy_and_smooth_through_zero() -> None:
+@pytest.mark.parametrize("fused", [False, True])
+def test_casadi_is_numpy_and_smooth_through_zero(fused: bool) -> None:
     v = ca.SX.sym("v", 3)
-    expression = ca.vec(rotation_exp(v))
+    expression = fused_angles(rotation_exp(v)) if fused else ca.vec(rotation_exp(v))
     slope = ca.jacobian(expression, v)
     function = ca.Function("f", [v], [expression, slope])
 
     def flat(x: np.ndarray) -> np.ndarray:
-        return rotation_exp(x).T.ravel()
+        return fused_angles(rotation_exp(x)) if fused else rotation_exp(x).T.ravel()
 
     for x in (np.zeros(3), *(size * d for size in (1e-300, 1e-12, 1e-6, 1e-3, 0.2, 0.9) for d in directions(5, 7))):
         value, rate = (np.asarray(one) for one in function(x))
@@ -209,6 +210,7 @@ def test_no_step_at_zero() -> None:
         (lambda: rotation_exp([1.0, 2.0]), "wrong shape"),
         (lambda: rotation_exp([1.0, np.inf, 0.0]), "no number"),
         (lambda: rotation_exp(ca.SX.sym("x", 4)), "wrong shape"),
+        (lambda: fused_angles(ca.SX.sym("x", 2, 2)), "wrong shape"),
         (lambda: fused_angles(rotation_exp([2.0, 0.0, 0.0])), "point up"),
         (lambda: tilt([1.0, 0.0, 0.0]), "point up"),
     ],

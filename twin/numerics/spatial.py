@@ -11,8 +11,8 @@ the matrix and these mistakes of the paper put right:
 - eq. 8 jumps by 2π where ψ passes zero, and leaves the range (−π, π] the text gives: ψ = atan2(−Y₁, Y₂);
 - eq. 13 and 14 add fused-like angles: that is no composition of rotations.
 
-`rotation_exp` takes NumPy arrays, vectorised over leading dimensions, and CasADi SX expressions alike; the others take arrays. Angles
-are in radians.
+`rotation_exp` and `fused_angles` take NumPy arrays, vectorised over leading dimensions, and CasADi SX expressions alike; the others take
+arrays. Angles are in radians.
 """
 
 from __future__ import annotations
@@ -77,13 +77,13 @@ def rotation_log(matrix: Any) -> np.ndarray:
     return locked(vectors.reshape(r.shape[:-1]))
 
 
-def fused_angles(matrix: Any) -> np.ndarray:
+def fused_angles(matrix: Any) -> Any:
     """Fused-like angles of a matrix: θ and φ of its z axis as `tilt`, ψ of its y axis seen along z (eq. 5, 6, 8).
 
     Their digits go with cos θ and cos φ: to 1e-14 up to 85°.
 
     Args:
-        matrix: (..., 3, 3) rotations.
+        matrix: (..., 3, 3) rotations; or one as an SX expression, (3, 3), which is not checked to be one.
 
     Returns:
         (..., 3) θ, φ in (−π/2, π/2) and ψ in (−π, π], rad.
@@ -91,6 +91,11 @@ def fused_angles(matrix: Any) -> np.ndarray:
     Raises:
         InputError: a matrix that is no rotation, or whose z axis does not point up.
     """
+    if isinstance(matrix, ca.SX):
+        if matrix.shape != (3, 3):
+            raise InputError("a matrix of the wrong shape", expected="(3, 3)", value=matrix.shape)
+        x, y, z = (matrix[p, 2] for p in range(3))
+        return ca.vertcat(ca.atan2(-y, z), ca.atan2(x, z), ca.atan2(-matrix[0, 1], matrix[1, 1]))
     r = _matrix(matrix)
     turn = np.arctan2(-r[..., 0, 1], r[..., 1, 1])
     return locked(np.concatenate([tilt(r[..., 2]), turn[..., None]], axis=-1))
