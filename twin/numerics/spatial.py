@@ -11,7 +11,7 @@ the matrix and these mistakes of the paper put right:
 - eq. 8 jumps by 2π where ψ passes zero, and leaves the range (−π, π] the text gives: ψ = atan2(−Y₁, Y₂);
 - eq. 13 and 14 add fused-like angles: that is no composition of rotations.
 
-`rotation_exp` and `fused_angles` take NumPy arrays, vectorised over leading dimensions, and CasADi SX expressions alike; the others take
+`rotation_exp` and `fused_angles` take NumPy arrays, vectorised over leading dimensions, and CasADi SX expressions; the others take
 arrays. Angles are in radians.
 """
 
