@@ -11,7 +11,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.machine.display import motion_html
 from twin.machine.effects import ErrorMotion, unit_of
-from twin.numerics.curves import POWER, Basis, basis_named, conversion
+from twin.numerics.curves import POWER, Basis, basis_of, conversion
 
 
 @final
@@ -48,7 +48,7 @@ class Curve:
         Raises:
             InputError: there is none of that name, or none with these knots.
         """
-        return basis_named(self.basis)(self.knots)
+        return basis_of(self.basis, self.knots)
 
     def motion(self, *, wrapped: bool) -> ErrorMotion:
         """The effect that this curve is.
@@ -91,7 +91,7 @@ class Curve:
         Raises:
             InputError: no such basis; one that cannot make this curve.
         """
-        matrix = conversion_of(self.name, self.family, basis_named(basis)(), len(self.coefficients), count)
+        matrix = conversion_of(self.name, self.family, basis_of(basis), len(self.coefficients), count)
         return replace(
             self,
             basis=basis,

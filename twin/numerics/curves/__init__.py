@@ -26,10 +26,20 @@ It matters for control points of rough data (relative error, ordinary → accura
 
 from twin.numerics.curves.basis import Basis
 from twin.numerics.curves.conversion import conversion, of_legendre
-from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named
+from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named, basis_of
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
-__all__ = ["BASES", "POWER", "Basis", "FGBernstein", "bases_for", "basis_named", "conversion", "of_legendre"]
+__all__ = [
+    "BASES",
+    "POWER",
+    "Basis",
+    "FGBernstein",
+    "bases_for",
+    "basis_named",
+    "basis_of",
+    "conversion",
+    "of_legendre",
+]
 
 __doc__ = f"{__doc__}\nA basis is named by `basis:` in a calibration file:\n\n" + "".join(
     f"- `{basis.name}`: {basis.formula}\n" for basis in BASES

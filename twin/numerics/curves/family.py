@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 from twin._common.errors import InputError, nearest
@@ -27,6 +28,16 @@ def basis_named(name: str) -> type[Basis]:
         expected = f"one of {', '.join(known)}"
         raise InputError("no such basis", expected=expected, value=name, nearest=nearest(name, known))
     return found
+
+
+@cache
+def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
+    """A basis by its name and knots, made once.
+
+    Raises:
+        InputError: there is none of that name, or none with these knots.
+    """
+    return basis_named(name)(knots)
 
 
 def bases_for(*, rotary: bool, endless: bool) -> tuple[Basis, ...]:
