@@ -122,15 +122,8 @@ class Tally:
 
     def plus(self, other: Tally) -> Tally:
         """Both together."""
-        return Tally(
-            self.machines + other.machines,
-            self.point + other.point,
-            self.sums + other.sums,
-            self.squares + other.squares,
-            self.measures + other.measures,
-            self.totals + other.totals,
-            np.maximum(self.largest, other.largest),
-        )
+        added = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)}
+        return Tally(**added | {"largest": np.maximum(self.largest, other.largest)})
 
 
 @final
@@ -237,7 +230,7 @@ class Population:
         def spreads(pair: tuple[Spread, Spread]) -> dict[str, Any]:
             return {"rms": pair[0].to_dict(), "max": pair[1].to_dict()}
 
-        told = [self.validated.count(answer) for answer in (True, False, None)]
+        answers = {"yes": True, "no": False, "too_few_draws": None}
         return {
             "schema": SCHEMA,
             "machines": self.machines,
@@ -249,7 +242,7 @@ class Population:
             "by_draws": summary(self.by_draws_um),
             "first_order": summary(self.first_order_um),
             "where": self.where,
-            "first_order_enough": dict(zip(("yes", "no", "too_few_draws"), told, strict=True)),
+            "first_order_enough": {name: self.validated.count(answer) for name, answer in answers.items()},
             "as_it_is": spreads(self.as_it_is),
             "compensated": spreads(self.compensated),
             **json_form(self, leave_out=LED),

@@ -53,14 +53,10 @@ class _Compiled:
     numbers: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.numbers = {
-            "scale": self.problem.scale,
-            "lower": self.problem.bounds[:, 0],
-            "upper": self.problem.bounds[:, 1],
-            "first": self.problem.limits[:, 0],
-            "last": self.problem.limits[:, 1],
-        } | {f"k_{name}": values for name, values in zip(ROUTINES, self.constants, strict=True)}
-        self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in self.numbers.items()}
+        (lower, upper), (first, last) = self.problem.bounds.T, self.problem.limits.T
+        numbers = {"scale": self.problem.scale, "lower": lower, "upper": upper, "first": first, "last": last}
+        numbers |= {f"k_{name}": values for name, values in zip(ROUTINES, self.constants, strict=True)}
+        self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in numbers.items()}
         self.library.solve.argtypes = (ctypes.POINTER(_SolveJob),)
         self.library.solve.restype = None
 
