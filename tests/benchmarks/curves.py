@@ -148,7 +148,7 @@ def ways(q: np.ndarray, y: np.ndarray, degree: int, at: np.ndarray) -> dict[str,
     ):
         orthogonal, triangle = np.linalg.qr(matrix(q))
         found[name] = matrix(at) @ np.linalg.solve(triangle, orthogonal.T @ y)
-    found["Bernstein, HRA"] = basis.evaluate(basis.least_squares(q, y[:, None]), at)[:, 0]
+    found["Bernstein, HRA"] = (basis.collocation(at) @ basis.least_squares(q, y[:, None]))[:, 0]
     return found
 
 

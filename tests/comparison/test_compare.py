@@ -118,7 +118,7 @@ def test_squareness_alone_is_named_and_is_what_geometry_says_at_the_tool() -> No
     assert found.tool.everything.max_um == pytest.approx(12e-3 * y.max(), rel=1e-4)
     assert found.tool.everything.rms_um == pytest.approx(12e-3 * np.sqrt(np.mean(y**2)), rel=1e-4)
     assert found.tool.everything_aligned.rms_um < found.tool.everything.rms_um
-    assert found.tool.left.as_it_is_max_um == pytest.approx(found.tool.everything.max_um, rel=1e-3)
+    assert found.tool.left.as_it_is.max_um == pytest.approx(found.tool.everything.max_um, rel=1e-3)
     assert "Only the squareness E_C0Y changed, by +12.0" in found.meaning[0]
     back = twin.compare(newer, older, tool_length_mm=120.0, poses=60)
     assert back.culprits.errors[0].largest == pytest.approx(-12.0, abs=1e-9)
@@ -364,7 +364,7 @@ def test_what_is_left_is_what_the_newer_machine_does_with_the_older_ones_command
     good = ~solved.where(twin.Status.OUT_OF_RANGE)
     reached = twin.Kinematics(MACHINE, newer, tool_length_mm=120.0).forward(solved.positions[good])
     distance = np.linalg.norm(reached.point_mm - meant.point_mm[good], axis=1) * 1e3
-    assert found.tool.left.as_it_is_max_um == pytest.approx(distance.max(), rel=1e-9)
+    assert found.tool.left.as_it_is.max_um == pytest.approx(distance.max(), rel=1e-9)
     assert found.tool.left.poses == np.count_nonzero(good)
 
 

@@ -17,6 +17,7 @@ from tests.compensation.heads import body
 from tests.machine.errors import random_calibration
 from tests.truth.machine import AXES, RANGES, TruthMachine, run_iso
 from tests.truth.reference import dmu50_pose
+from tests.uncertainty.sampled import sampled
 from twin import cli, compensate
 from twin._common.arrays import locked
 from twin._common.errors import InputError
@@ -547,7 +548,7 @@ def test_the_uncertainty_of_a_reversal_counts_half(dmu50: Machine, tmp_path: Pat
         assert found.standard_um[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
     assert tool.at(q).expanded_um[0] == 0.0
     assert tool.over_volume(200).rms_um == pytest.approx(1.959964, rel=1e-4)
-    drawn = tool.monte_carlo(q, np.random.default_rng(3), approach=[[0.0, 1.0, 0.0, 0.0, 0.0]])
+    drawn = sampled(tool, q, np.random.default_rng(3), approach=[[0.0, 1.0, 0.0, 0.0, 0.0]])
     assert drawn.covariance[0, 1, 1] == pytest.approx(1.0, rel=0.05)  # 10,000 draws: 1.4 % standard error
     report = done(PROGRAM, dmu50, known).report.uncertainty
     assert report.point is not None and report.point.expanded_max == pytest.approx(1.959964, rel=1e-3)

@@ -23,7 +23,7 @@ from tests.machine.errors import random_calibration
 from twin.compute import batch
 from twin.compute.native import Taken, compiler, in_use, loading, solver, store
 from twin.compute.native.compiler import Compiler, CompilerError
-from twin.compute.native.problem import Outcome
+from twin.compute.native.problem import BatchOutcome
 from twin.compute.native.tape import Tape, UnknownOperationError
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Solution, Status
@@ -42,8 +42,10 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def spoilt(rows: int, axes: int) -> Outcome:
-    return Outcome(np.full((rows, axes), 7e7), np.full(rows, 7e7), np.full(rows, 7e7), np.full(rows, 77, np.uint8), 0)
+def spoilt(rows: int, axes: int) -> BatchOutcome:
+    return BatchOutcome(
+        np.full((rows, axes), 7e7), np.full(rows, 7e7), np.full(rows, 7e7), np.full(rows, 77, np.uint8), 0
+    )
 
 
 @pytest.fixture
@@ -54,7 +56,7 @@ def eager(libraries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loading, "WORTH_COMPILING", 0)
     monkeypatch.setattr(loading, "_failed", {})
     # Room for results as nobody would leave it: fresh memory is full of zeros, and zero means converged.
-    monkeypatch.setattr(Outcome, "empty", staticmethod(spoilt))
+    monkeypatch.setattr(BatchOutcome, "empty", staticmethod(spoilt))
 
 
 @pytest.fixture

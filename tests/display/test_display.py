@@ -145,7 +145,6 @@ def everything(
         "map": tool.over_volume(50),
         "pose uncertainty": tool.at(q),
         "unknown map": ToolUncertainty(real).over_volume(50),
-        "monte carlo": tool.monte_carlo(q[:3], np.random.default_rng(1), 1000),
         "population": draw_machines(known, trials=2000, poses=20, seed=1, workers=Workers(1)),
         "forecast": judge(thesis_plan.plan(dmu50), dmu50, tool_length_mm=TOOL_MM),
     }

@@ -11,10 +11,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tests.numerics.independence import independence_factors
 from twin._common.errors import InputError
 from twin.measurement.instruments.multi_axis import MultiAxis, nine_beams, six_beams
 from twin.measurement.instruments.multi_axis_solve import measure, plausible_of, question, self_calibrate
-from twin.numerics.observability import determinability, independence_factors
+from twin.numerics.observability import determinability
 
 TABLE_1 = (
     np.array(

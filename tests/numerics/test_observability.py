@@ -9,8 +9,9 @@ import pytest
 import scipy.linalg
 import statsmodels.api as sm
 
+from tests.numerics.independence import independence_factors
 from twin._common.errors import InputError
-from twin.numerics.observability import Determinability, Unknown, determinability, independence_factors, observability
+from twin.numerics.observability import Determinability, Unknown, determinability, observability
 
 
 def plain(count: int, plausible: float = 1.0) -> list[Unknown]:

@@ -24,7 +24,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements, load
-from twin.numerics.curves import BASES
+from twin.numerics.curves import POWER
 
 SEED = 20200714
 """Of the halves: the day the series was begun."""
@@ -211,9 +211,8 @@ def plate(drill: Machine, tmp_path_factory: pytest.TempPathFactory) -> Measureme
 
 def straight(machine: Machine, *wanted: str) -> Unknowns:
     """Scales as straight lines, and the squareness: the model of the publication, but a scale for each axis."""
-    power = next(basis for basis in BASES if not basis.periodic)
     ranges = {f"E_{axis.name * 2}": (axis.lower or 0.0, axis.upper or 0.0) for axis in machine.axes}
-    curves = [CurveSpace(name, power, ranges[name], first=1, count=2) for name in SCALES if name in wanted]
+    curves = [CurveSpace(name, POWER, ranges[name], first=1, count=2) for name in SCALES if name in wanted]
     return Unknowns(machine, curves, [name for name in wanted if name == SQUARENESS])
 
 

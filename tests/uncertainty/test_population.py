@@ -12,6 +12,7 @@ import pytest
 
 from tests.machine.errors import random_calibration
 from tests.truth.machine import TruthMachine
+from tests.uncertainty.sampled import sampled
 from tests.uncertainty.test_uncertainty import LENGTH, nudged, with_covariance
 from twin import cli
 from twin._common.arrays import locked
@@ -70,7 +71,7 @@ def test_against_exact_order_statistics_and_theory(dmu50: Machine, uncertain: Ca
     found = draw_machines(kinematics, trials=trials, poses=6, seed=4, workers=HERE)
     tool = ToolUncertainty(kinematics)
     sides = drawn_sides(found.positions)
-    other = tool.monte_carlo(found.positions, np.random.default_rng(5), trials, approach=sides)
+    other = sampled(tool, found.positions, np.random.default_rng(5), trials, approach=sides)
     u = found.standard_um
     noise = 1.0 / np.sqrt(trials)
     # Standard error of a 2.5 % quantile of a normal distribution 2.67 u/√n, of two independent ones √2 of it; five of them.
@@ -121,7 +122,7 @@ def test_where_first_order_is_not_enough(dmu50: Machine) -> None:
     found = draw_machines(kinematics, trials=20_000, poses=8, seed=1, workers=HERE)
     assert found.validated.count(False) >= 2
     # The same by sorted draws, pose by pose.
-    other = ToolUncertainty(kinematics).monte_carlo(found.positions, np.random.default_rng(7), 20_000)
+    other = sampled(ToolUncertainty(kinematics), found.positions, np.random.default_rng(7), 20_000)
     agree = [a is b for a, b in zip(found.validated, other.validated, strict=True) if None not in (a, b)]
     assert len(agree) >= 5 and all(agree)
     no = np.array([answer is False for answer in found.validated])

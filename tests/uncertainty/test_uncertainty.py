@@ -15,6 +15,7 @@ from scipy import stats
 
 from tests.machine.errors import random_calibration
 from tests.truth.machine import TruthMachine
+from tests.uncertainty.sampled import sampled
 from twin import cli
 from twin._common.arrays import locked
 from twin._common.errors import InputError
@@ -22,8 +23,9 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.at_tool import POSES_A_STEP, ToolUncertainty, numerical_tolerance, radius_95
+from twin.uncertainty.at_tool import POSES_A_STEP, ToolUncertainty, radius_95
 from twin.uncertainty.budget import error_budget, volume
+from twin.uncertainty.population import numerical_tolerance
 
 LENGTH = 120.0
 
@@ -85,7 +87,7 @@ def test_first_order_against_monte_carlo(dmu50: Machine, uncertain: Calibration)
     q = volume(dmu50, 4, seed=5)
     first = tool.at(q)
     trials = 100_000
-    drawn = tool.monte_carlo(q, np.random.default_rng(6), trials)
+    drawn = sampled(tool, q, np.random.default_rng(6), trials)
     assert drawn.validated == (True,) * len(q)
     spread = np.sqrt(np.einsum("nii->ni", first.covariance))
     noise = 1.0 / np.sqrt(trials)
@@ -95,7 +97,7 @@ def test_first_order_against_monte_carlo(dmu50: Machine, uncertain: Calibration)
     assert np.abs(drawn.mean / spread).max() < 5 * noise
     # The 95 % quantile of a length: its own error is 2 % of a standard deviation at 1e4 draws, 0.6 % here; U is up to 0.54 % large.
     assert np.abs(drawn.radius_um / first.expanded_um - 1).max() < 0.01
-    again = tool.monte_carlo(q, np.random.default_rng(6), trials)
+    again = sampled(tool, q, np.random.default_rng(6), trials)
     assert np.array_equal(again.interval_um, drawn.interval_um)
 
 
@@ -111,14 +113,14 @@ def test_where_first_order_is_not_enough_it_is_not_validated(dmu50: Machine) -> 
     )
     tool = ToolUncertainty(Kinematics(dmu50, calibration, tool_length_mm=300.0))
     rng = np.random.default_rng(7)
-    coarse = tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 10_000)
+    coarse = sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 10_000)
     assert coarse.validated == (False,)
     assert (coarse.difference_um > coarse.tolerance_um).any()
     small = replace(calibration, joint=Covariance(("E_A0B",), locked(np.array([[1.0]]))))
     tool = ToolUncertainty(Kinematics(dmu50, small, tool_length_mm=300.0))
-    assert tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 200_000).validated == (True,)
+    assert sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 200_000).validated == (True,)
     # Two digits ask for ends to 0.5 … 5 % of u, and a thousand trials give them to 8 %.
-    assert tool.monte_carlo([250.0, 225.0, 0.0, 0.0, 0.0], rng, 1000, digits=2).validated == (None,)
+    assert sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 1000, digits=2).validated == (None,)
 
 
 def test_numerical_tolerance() -> None:
@@ -183,8 +185,6 @@ def test_no_covariance_is_unknown_and_not_zero(dmu50: Machine, calibration: Cali
     over = tool.over_volume(50).to_dict()
     assert over["known"] is False and over["rms_um"] is None and over["expanded_um"] is None
     assert json.loads(json.dumps(over, allow_nan=False)) == over
-    with pytest.raises(InputError, match="covariance"):
-        tool.monte_carlo([250.0, 225.0, -200.0, 30.0, 0.0], np.random.default_rng(0))
 
 
 def test_what_has_no_covariance_is_named(dmu50: Machine, uncertain: Calibration) -> None:

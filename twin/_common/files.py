@@ -27,7 +27,8 @@ not settle: no program and no table is made of such a file. `simulated: true` sa
 
 A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k
 (1 − x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, the curve between its smallest and largest
-coefficient. `fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself. Outside its domain a
+coefficient. `fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself. `cubic_spline` has
+`knots: [0, 120, 500]` beside its coefficients, both ends of the domain among them (`twin doc curves`). Outside its domain a
 curve is an error; an unlimited axis is wrapped into it. A linear axis moves, then errs: T(q)·E(q); a rotary axis is located,
 errs in the frame that does not turn, then moves: L·E(θ)·R(θ); E = Trans(e_X, e_Y, e_Z)·Exp([e_A, e_B, e_C]).
 

@@ -21,6 +21,7 @@ from twin.cli.options import conditions, positive
 from twin.cli.outputs import JsonOption, command
 from twin.cli.terminal import echo
 from twin.comparison import compare as compared
+from twin.comparison import text_of
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 
@@ -73,7 +74,7 @@ def compare(
         )
     if json_file is not None:
         write_json(json_file, found.to_dict())
-    echo(found.to_text(), end="")
+    echo(text_of(found), end="")
     if outputs:
         echo(f"\nwritten: {json_file}")
     if found.unjudged:

@@ -3,9 +3,9 @@
     twin compare last_year.yaml this_year.yaml --tool-length 120 --tolerance 0.01 --json changes.json
 
 For the yearly check, after a collision, for drift. `twin.compare(older, newer)` is the same from a script; its result has every
-number. The verdict is `changed`, `unchanged`, `same` (the very same numbers), `reworded` (the numbers changed and the tool did not:
-one error takes away what another adds) or `unknown`. The exit status is 0 whatever changed, and 3 if an error could not be
-compared or judged; all of these are listed.
+number, `twin.comparison.text_of` puts it into words. The verdict is `changed`, `unchanged`, `same` (the very same numbers),
+`reworded` (the numbers changed and the tool did not: one error takes away what another adds) or `unknown`. The exit status is 0
+whatever changed, and 3 if an error could not be compared or judged; all of these are listed.
 
 **What is compared.** Curves as functions over what both domains have in common, whatever basis and degree they are written in;
 squareness, locations and the parameters of `effects:` as numbers. An error only one of the two gives is not compared: saying nothing
@@ -35,6 +35,7 @@ had in common: the same instrument's scale, the same temperature.
 
 from twin.comparison.compare import compare
 from twin.comparison.result import Changes, Culprits, ErrorChange
-from twin.comparison.tool import AtTool, Left, Moved
+from twin.comparison.text import text_of
+from twin.comparison.tool import Displaced, Moved, Remaining, ToolChange
 
-__all__ = ["AtTool", "Changes", "Culprits", "ErrorChange", "Left", "Moved", "compare"]
+__all__ = ["Changes", "Culprits", "Displaced", "ErrorChange", "Moved", "Remaining", "ToolChange", "compare", "text_of"]

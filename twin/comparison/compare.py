@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -14,7 +14,7 @@ from twin._common.provenance import merged
 from twin.comparison.pairs import Apart, Pair, joint_spread, paired
 from twin.comparison.result import Changes, Culprits, ErrorChange
 from twin.comparison.significance import SHARE, fewest, holm, simultaneous_factor, whiten
-from twin.comparison.tool import POSES, Cause, at_tool
+from twin.comparison.tool import POSES, Cause, JudgedErrors, at_tool
 from twin.comparison.words import meaning_of
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions, options_of
@@ -69,55 +69,61 @@ def compare(
     first, second, datum, moved = _in_one_datum(first, second)
     pairs, apart = paired(first, second)
     apart = tuple(one for one in apart if one.name not in moved)
-    errors = [_change(pair, pair.change, pair.spread) for pair in pairs]
-    known = [i for i, pair in enumerate(pairs) if pair.status == "known"]
-    p_values = [whiten(pairs[i].change, pairs[i].spread, pairs[i].exact).p_value for i in known]
-    for i, p, adjusted in zip(known, p_values, holm(p_values), strict=True):
-        errors[i] = replace(errors[i], p_value=p, p_adjusted=adjusted)
     progress("comparing", 0.05)
-    joint_p, dof, culprits, still, causes = _together([pairs[i] for i in known], first, second)
-    for i, fixed in zip(known, still, strict=True):
-        errors[i] = replace(errors[i], fixed=max(errors[i].fixed, fixed))
-    limited = [known_at(at, side) for side in (first, second)]
-    left_out = tuple(
-        dict.fromkeys(
-            (name, options_of([channel])) for _, missing in limited for channel, by in missing.items() for name in by
-        )
-    )
+    errors, whole = _judged(pairs, first, second)
+    sides, left_out = _given(at, first, second)
     absent = {name for name, _ in left_out}
     doubtful = absent | {error.name for error in errors if error.fixed > 0.0}
-    sides = [side.where(lambda name: name not in absent) for side, _ in limited]
+    known = JudgedErrors(
+        classes={p.name: p.iso_class for p in pairs if p.status != "unknown" and p.name not in doubtful},
+        drawn=[p.name for p in pairs if p.status == "known" and p.name not in doubtful],
+        share=SHARE,
+        causes={name: cause for name, cause in whole.causes.items() if name not in absent},
+        whole_model=not absent,
+    )
+    tool = at_tool(
+        sides[0], sides[1], known, tool_length_mm=tool_length_mm, conditions=at, poses=poses, progress=progress
+    )
     found = Changes(
         machine=machine,
         warnings=merged(first.warnings, second.warnings),
         first=names[0],
         second=names[1],
-        errors=tuple(errors),
+        errors=errors,
         apart=apart,
-        joint_p_value=joint_p,
-        joint_dof=dof,
-        culprits=culprits,
-        tool=at_tool(
-            sides[0],
-            sides[1],
-            judged={
-                pair.name: pair.iso_class for pair in pairs if pair.status != "unknown" and pair.name not in doubtful
-            },
-            drawn=[pairs[i].name for i in known if pairs[i].name not in doubtful],
-            share=SHARE,
-            causes={name: cause for name, cause in causes.items() if name not in absent},
-            whole_model=not absent,
-            tool_length_mm=tool_length_mm,
-            conditions=at,
-            poses=poses,
-            progress=progress,
-        ),
+        joint_p_value=whole.p_value,
+        joint_dof=whole.dof,
+        culprits=whole.culprits,
+        tool=tool,
         tolerance_mm=tolerance_mm,
         left_out=left_out,
         notices=(*notices, datum, *_notices(first, second, pairs, apart)),
     )
     progress("comparing", 1.0)
     return replace(found, meaning=meaning_of(found))
+
+
+def _judged(
+    pairs: Sequence[Pair], first: Calibration, second: Calibration
+) -> tuple[tuple[ErrorChange, ...], _Together]:
+    """The change of every error by itself, p-values adjusted for their number, and of all known ones together."""
+    errors = [_change(pair, pair.change, pair.spread) for pair in pairs]
+    known = [i for i, pair in enumerate(pairs) if pair.status == "known"]
+    p_values = [whiten(pairs[i].change, pairs[i].spread, pairs[i].exact).p_value for i in known]
+    whole = _together([pairs[i] for i in known], first, second)
+    for i, p, adjusted, fixed in zip(known, p_values, holm(p_values), whole.fixed, strict=True):
+        errors[i] = replace(errors[i], p_value=p, p_adjusted=adjusted, fixed=max(errors[i].fixed, fixed))
+    return tuple(errors), whole
+
+
+def _given(
+    at: Conditions, first: Calibration, second: Calibration
+) -> tuple[list[Calibration], tuple[tuple[str, str], ...]]:
+    """Both calibrations without the effects whose channels nobody gave, and those effects with what they need."""
+    limited = [known_at(at, side) for side in (first, second)]
+    needs = [(name, options_of([channel])) for _, gone in limited for channel, by in gone.items() for name in by]
+    absent = {name for name, _ in needs}
+    return [side.where(lambda name: name not in absent) for side, _ in limited], tuple(dict.fromkeys(needs))
 
 
 def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
@@ -199,15 +205,28 @@ def _called(calibration: Calibration, otherwise: str) -> str:
     return otherwise if calibration.path is None else str(calibration.path)
 
 
-def _together(
-    pairs: Sequence[Pair], first: Calibration, second: Calibration
-) -> tuple[float, int, Culprits, list[float], dict[str, Cause]]:
-    """χ² of all known changes, the fewest errors that account for them, what of each lies along no variance at all.
+@final
+@dataclass(frozen=True)
+class _Together:
+    """All known changes together.
 
-    And the changes of those fewest, as something that acts.
+    Attributes:
+        p_value, dof: of their χ²; NaN and 0 if there is none.
+        culprits: the fewest errors that account for them.
+        fixed: of every change, how much lies along no variance at all.
+        causes: the changes of those fewest, as something that acts.
     """
+
+    p_value: float
+    dof: int
+    culprits: Culprits
+    fixed: tuple[float, ...]
+    causes: Mapping[str, Cause]
+
+
+def _together(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _Together:
     if not pairs:
-        return float("nan"), 0, Culprits((), (), (), float("nan")), [], {}
+        return _Together(float("nan"), 0, Culprits((), (), (), float("nan")), (), {})
     change = np.concatenate([pair.change for pair in pairs])
     exact = block_diag(*(pair.exact for pair in pairs))
     white = whiten(change, joint_spread(pairs, (first.covariance, second.covariance)), exact)
@@ -240,7 +259,7 @@ def _together(
         pairs[one.pair].name: _acting(pairs[one.pair], one.change, effects[pairs[one.pair].name])
         for one in found.culprits
     }
-    return white.p_value, white.rank, culprits, still, causes
+    return _Together(white.p_value, white.rank, culprits, tuple(still), causes)
 
 
 def _acting(pair: Pair, change: np.ndarray, effect: Effect) -> Cause:

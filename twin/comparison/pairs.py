@@ -134,15 +134,15 @@ class Apart:
 
     Attributes:
         name: its name.
-        why: in words.
         given_by: ``first`` or ``second`` if only one has it, else ``both``.
+        why: in words.
         peak: its largest amount where it is given; NaN if both give it.
         unit: of it.
     """
 
     name: str
-    why: str
     given_by: Literal["first", "second", "both"]
+    why: str
     peak: float
     unit: str
 
@@ -203,7 +203,7 @@ def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> 
         peak, unit = abs(float({**owner.squareness, **owner.location}[name])), unit_of(name)
     else:
         peak, unit = float("nan"), ""
-    return Apart(name, f"the {other} calibration says nothing of it, which is not the same as zero", given, peak, unit)
+    return Apart(name, given, f"the {other} calibration says nothing of it, which is not the same as zero", peak, unit)
 
 
 def _curve(
@@ -219,14 +219,15 @@ def _curve(
         if not lo < hi:
             spans = " and ".join(f"{c.domain[0]:g} to {c.domain[1]:g}" for c in curves)
             return Apart(
-                name, f"its domains have nothing in common: {spans} {axis.unit}", "both", np.nan, unit_of(name)
+                name, "both", f"its domains have nothing in common: {spans} {axis.unit}", np.nan, unit_of(name)
             )
         if (lo, hi) != curves[0].domain or (lo, hi) != curves[1].domain:
             notes.append(f"compared from {lo:g} to {hi:g} {axis.unit}, which both cover")
     positions = np.linspace(lo, hi, CURVE_POINTS)
     functions = [_functions(effect, axis.name, positions) for effect in effects]
     counts = [f.shape[1] for f in functions]
-    if curves[0].basis == curves[1].basis and counts[0] != counts[1]:
+    families = curves[0].family, curves[1].family
+    if families[0] == families[1] and families[0].nested and counts[0] != counts[1]:
         fewer = "first" if counts[0] < counts[1] else "second"
         notes.append(f"the {fewer} has {min(counts)} coefficients, the other {max(counts)}: those it has not are zero")
     # Both in one orthonormal basis of all functions that either is made of.
@@ -237,7 +238,7 @@ def _curve(
         _side(effect, matrix, covariance) for effect, matrix, covariance in zip(effects, into, covariances, strict=True)
     ]
     change = sides[1].into @ sides[1].values - sides[0].into @ sides[0].values
-    if curves[0].basis == curves[1].basis and curves[0].coefficients == curves[1].coefficients:
+    if families[0] == families[1] and curves[0].coefficients == curves[1].coefficients:
         change = np.zeros_like(change) if curves[0].domain == curves[1].domain else change
     return Pair(
         name=name,

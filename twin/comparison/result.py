@@ -4,19 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, to_json
 from twin.comparison.pairs import Apart, Status
 from twin.comparison.significance import FALSE_ALARMS, SHARE
-from twin.comparison.tool import AtTool
+from twin.comparison.tool import ToolChange
 from twin.display import card, finite, first_rows, measured, note, pairs, readable, table
 from twin.machine.machine import Machine
 
 SCHEMA: Final = "twin.comparison/1"
 Verdict = Literal["same", "unchanged", "changed", "reworded", "unknown"]
+AT_TOOL: Final = MappingProxyType(
+    {
+        "judged": "judged_aligned",
+        "by_class": "by_class_aligned",
+        "by_cause": "fewest_alone_aligned",
+        "by_error": "by_error_aligned",
+    }
+)
+"""Names in JSON of what is looked at after the workpiece has been aligned."""
 CANCELLED: Final = 0.05
 """Changes that leave no more than this part of their own sizes at the tool take each other away there."""
 
@@ -29,9 +40,9 @@ class ErrorChange:
     Attributes:
         name: ISO 230-1 name, or the effect's own.
         kind: ``curve``, ``number`` (squareness, location) or ``effect``.
-        unit: ``um`` or ``urad``; of an effect, of the number ``label``.
-        axis: the axis it belongs to.
         iso_class: class of ISO/TR 16907.
+        axis: the axis it belongs to.
+        unit: ``um`` or ``urad``; of an effect, of the number ``label``.
         status: ``known``; ``same``: the very same numbers; ``unknown``: how uncertain it is is not known on both sides.
         label: of an effect, which of its numbers ``largest`` is of: the one that is most standard uncertainties off.
         rms: of a curve over what both cover; else the amount of ``largest``.
@@ -47,9 +58,9 @@ class ErrorChange:
 
     name: str
     kind: Literal["curve", "number", "effect"]
-    unit: str
-    axis: str
     iso_class: str
+    axis: str
+    unit: str
     status: Status
     label: str
     rms: float
@@ -71,21 +82,10 @@ class ErrorChange:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where it is unknown."""
-        return {
-            "error": self.name,
-            "kind": self.kind,
-            "class": self.iso_class,
-            "axis": self.axis,
-            "unit": self.unit,
-            "status": self.status,
+        renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
+        found = json_form(self, rename=renamed, leave_out=("fixed", "notes"))
+        return found | {
             "number": self.label or None,
-            "rms": self.rms,
-            "largest": self.largest,
-            "at": finite(self.at),
-            "u": finite(self.u),
-            "band95": finite(self.band),
-            "p_value": finite(self.p_value),
-            "p_adjusted": finite(self.p_adjusted),
             "significant": self.significant,
             "without_uncertainty": self.fixed,
             "notes": list(self.notes),
@@ -141,7 +141,7 @@ class Changes:
     joint_p_value: float
     joint_dof: int
     culprits: Culprits
-    tool: AtTool
+    tool: ToolChange
     tolerance_mm: float | None
     left_out: tuple[tuple[str, str], ...]
     notices: tuple[str, ...]
@@ -188,7 +188,7 @@ class Changes:
         if tool.judged is None or self.unjudged or tool.judged.rms_um > tool.judged.limit_um:
             return False
         names = {error.name for error in (*self.errors, *self.culprits.errors) if error.significant}
-        alone = np.sqrt(sum(tool.by_error[name][0] ** 2 for name in names))
+        alone = np.sqrt(sum(tool.by_error[name].rms_um ** 2 for name in names))
         return len(names) > 1 and bool(tool.judged.rms_um <= CANCELLED * alone)
 
     @property
@@ -207,7 +207,7 @@ class Changes:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON (``schema: twin.comparison/1``); null where something is unknown."""
-        tool = self.tool
+        culprits = self.culprits
         return {
             "schema": SCHEMA,
             "machine": self.machine.name,
@@ -225,39 +225,17 @@ class Changes:
                 "errors": [
                     {**error.to_dict(), "alternatives": list(others), "trend": trend or None}
                     for error, others, trend in zip(
-                        self.culprits.errors, self.culprits.alternatives, self.culprits.trends, strict=True
+                        culprits.errors, culprits.alternatives, culprits.trends, strict=True
                     )
                 ],
-                "left_p_value": finite(self.culprits.left_p_value),
-                "shows_from": [
-                    {"error": name, "size": size, "unit": unit} for name, size, unit in self.culprits.shows_from
-                ],
+                "left_p_value": finite(culprits.left_p_value),
+                "shows_from": [{"error": name, "size": size, "unit": unit} for name, size, unit in culprits.shows_from],
             },
-            "not_compared": [
-                {
-                    "error": one.name,
-                    "given_by": one.given_by,
-                    "why": one.why,
-                    "peak": finite(one.peak),
-                    "unit": one.unit,
-                }
-                for one in self.apart
-            ],
+            "not_compared": [json_form(one, rename={"name": "error"}) for one in self.apart],
             "left_out_at_tool": [{"effect": name, "needs": needs} for name, needs in self.left_out],
-            "tool": {
-                "tool_length_mm": tool.tool_length_mm,
-                "poses": tool.poses,
-                "everything": tool.everything.to_dict(),
-                "everything_aligned": tool.everything_aligned.to_dict(),
-                "judged_aligned": None if tool.judged is None else tool.judged.to_dict(),
-                "by_class_aligned": {name: row.to_dict() for name, row in tool.by_class.items()},
-                "fewest_alone_aligned": {name: row.to_dict() for name, row in tool.by_cause.items()},
-                "by_error_aligned": {
-                    name: {"rms_um": rms, "max_um": largest} for name, (rms, largest) in tool.by_error.items()
-                },
-            },
+            "tool": json_form(self.tool, rename=AT_TOOL, leave_out=("left",)),
             "first_compensating_second": {
-                **tool.left.to_dict(),
+                **json_form(self.tool.left),
                 "tolerance_mm": self.tolerance_mm,
                 "good_enough": self.good_enough,
             },
@@ -267,7 +245,7 @@ class Changes:
 
     def _repr_html_(self) -> str:
         other = [error for error in self.errors if error.status != "same"]
-        other.sort(key=lambda error: (not error.significant, -self.tool.by_error.get(error.name, (0.0, 0.0))[0]))
+        other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
         shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
         whole = self.tool.everything_aligned
         headers = ("error", "class", "largest change", "beyond chance", "at the tool, µm RMS")
@@ -288,17 +266,15 @@ class Changes:
         ).text
 
     def _cells(self, error: ErrorChange) -> tuple[str, ...]:
-        rms = self.tool.by_error.get(error.name)
         return (
             error.name,
             error.iso_class,
             measured(error.largest, error.u, readable(error.unit)),
             "unknown" if error.significant is None else "yes" if error.significant else "no",
-            "" if rms is None else f"{rms[0]:.3g}",
+            f"{self._alone_um(error):.3g}" if error.name in self.tool.by_error else "",
         )
 
-    def to_text(self) -> str:
-        """The account, as the command line prints it."""
-        from twin.comparison.text import text_of  # what it prints is made of this
-
-        return text_of(self)
+    def _alone_um(self, error: ErrorChange) -> float:
+        """RMS at the tool of an error alone, as far as it was judged."""
+        found = self.tool.by_error.get(error.name)
+        return 0.0 if found is None else found.rms_um

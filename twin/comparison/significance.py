@@ -136,7 +136,7 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
 
 @final
 @dataclass(frozen=True)
-class Candidate:
+class ChangeCandidate:
     """One way in which one error may have changed.
 
     Attributes:
@@ -202,34 +202,23 @@ def fewest(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> Fe
     if not candidates:
         return Fewest((), white.p_value, 0, (float("nan"),) * len(pairs))
     level = SHARE / len(candidates)
-    chosen: list[int] = []
-    seen: set[frozenset[int]] = set()
-    while frozenset(chosen) not in seen:
-        seen.add(frozenset(chosen))
-        gains = _gains(candidates, chosen, white.value)
-        best = min(range(len(candidates)), key=lambda i: gains[i][0])
-        if gains[best][0] > np.log(level):
-            break
-        chosen = [i for i in chosen if candidates[i].pair != candidates[best].pair] + [best]
-        _exchange(candidates, chosen, white.value)
-        _prune(candidates, chosen, white.value, float(np.log(level)))
-    order = sorted(chosen, key=lambda i: _alone(candidates, chosen, i, white.value)[0])
-    basis = _basis([candidates[i] for i in chosen], len(white.value))
+    search = _Search(candidates, white.value)
+    search.run(float(np.log(level)))
+    basis = search.basis()
     left = float(np.sum((white.value - basis @ (basis.T @ white.value)) ** 2))
     freedom = len(white.value) - basis.shape[1]
-    starts = np.concatenate([[0], np.cumsum([len(pair.change) for pair in pairs])])
-    culprits = tuple(_culprit(candidates, chosen, i, white, pairs, starts) for i in order)
+    order = sorted(search.chosen, key=lambda i: search.beside_others(i)[0])
     shows = np.full(len(pairs), np.nan)
     for one in candidates:
         if len(pairs[one.pair].change) == 1:
             u = float(np.abs(one.directions[0, 0]))
             shows[one.pair] = u * (normal_isf(level / 2.0) + normal_isf(0.05))
     left_p = float(chi2_sf(left, freedom)) if freedom else 1.0
-    return Fewest(culprits, left_p, len(candidates), tuple(shows.tolist()))
+    return Fewest(tuple(map(search.culprit, order)), left_p, len(candidates), tuple(shows.tolist()))
 
 
-def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> list[Candidate]:
-    found: list[Candidate] = []
+def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> list[ChangeCandidate]:
+    found: list[ChangeCandidate] = []
     start = 0
     for i, (pair, straight) in enumerate(zip(pairs, linear, strict=True)):
         rows = slice(start, start + len(pair.change))
@@ -249,91 +238,97 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
             keep = size > DEPENDENT * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
             if np.any(keep):
                 found.append(
-                    Candidate(i, whole, locked(directions @ right[keep].T / size[keep]), locked(left[:, keep]))
+                    ChangeCandidate(i, whole, locked(directions @ right[keep].T / size[keep]), locked(left[:, keep]))
                 )
     return found
 
 
-def _basis(candidates: Sequence[Candidate], rows: int) -> np.ndarray:
-    """(r, k) orthonormal, of what some candidates span together."""
-    if not candidates:
-        return np.zeros((rows, 0))
-    left, size, _ = np.linalg.svd(np.concatenate([one.columns for one in candidates], axis=1), full_matrices=False)
-    return np.asarray(left[:, size > DEPENDENT])
+@final
+class _Search:
+    """Stepwise selection among candidates.
 
+    Attributes:
+        candidates: the ways in which single errors may have changed.
+        value: (r,) the whitened change.
+        chosen: indices of the candidates selected.
+    """
 
-def _gain(one: Candidate, basis: np.ndarray, value: np.ndarray) -> tuple[float, float, int]:
-    """Logarithm of the p-value, gain of χ² and degrees of freedom of one candidate beside a basis."""
-    if not basis.shape[1]:
-        gain = float(np.sum((one.columns.T @ value) ** 2))
-        return float(chi2_log_sf(gain, one.columns.shape[1])), gain, one.columns.shape[1]
-    columns = one.columns - basis @ (basis.T @ one.columns)
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    left = left[:, size > DEPENDENT]
-    if not left.shape[1]:
-        return 0.0, 0.0, 0
-    gain = float(np.sum((left.T @ value) ** 2))
-    return float(chi2_log_sf(gain, left.shape[1])), gain, left.shape[1]
+    def __init__(self, candidates: Sequence[ChangeCandidate], value: np.ndarray) -> None:
+        self.candidates = candidates
+        self.value = value
+        self.chosen: list[int] = []
 
+    def run(self, level: float) -> None:
+        """Add the best candidate while the logarithm of its p-value is at most ``level``; exchange and remove in between."""
+        seen: set[frozenset[int]] = set()
+        while frozenset(self.chosen) not in seen:
+            seen.add(frozenset(self.chosen))
+            gains = self._gains(self.basis())
+            best = min(range(len(gains)), key=lambda i: gains[i][0])
+            if gains[best][0] > level:
+                break
+            pair = self.candidates[best].pair
+            self.chosen = [i for i in self.chosen if self.candidates[i].pair != pair] + [best]
+            self._exchange()
+            while self.chosen:
+                weakest = max(self.chosen, key=lambda i: self.beside_others(i)[0])
+                if self.beside_others(weakest)[0] <= level:
+                    break
+                self.chosen.remove(weakest)
 
-def _gains(candidates: Sequence[Candidate], chosen: Sequence[int], value: np.ndarray) -> list[tuple[float, float, int]]:
-    basis = _basis([candidates[i] for i in chosen], len(value))
-    return [_gain(one, basis, value) for one in candidates]
+    def basis(self, without: int | None = None) -> np.ndarray:
+        """(r, k) orthonormal, of what those chosen span together, but for one of them."""
+        columns = [self.candidates[i].columns for i in self.chosen if i != without]
+        if not columns:
+            return np.zeros((len(self.value), 0))
+        left, size, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
+        return np.asarray(left[:, size > DEPENDENT])
 
+    def beside_others(self, which: int) -> tuple[float, float, int]:
+        """Gain of one of those chosen beside the others; see `_gain`."""
+        return self._gain(self.candidates[which], self.basis(without=which))
 
-def _alone(
-    candidates: Sequence[Candidate], chosen: Sequence[int], which: int, value: np.ndarray
-) -> tuple[float, float, int]:
-    others = _basis([candidates[i] for i in chosen if i != which], len(value))
-    return _gain(candidates[which], others, value)
+    def culprit(self, which: int) -> Culprit:
+        """One of those chosen, estimated beside the others, and what would do as well in its place."""
+        own = self.candidates[which]
+        stacked = np.concatenate([self.candidates[i].columns for i in self.chosen], axis=1)
+        inverse = np.linalg.pinv(stacked, rcond=DEPENDENT)
+        before = self.chosen[: self.chosen.index(which)]
+        at = sum(self.candidates[i].columns.shape[1] for i in before)
+        rows = slice(at, at + own.columns.shape[1])
+        estimate = own.directions @ (inverse @ self.value)[rows]
+        covariance = own.directions @ (inverse @ inverse.T)[rows, rows] @ own.directions.T
+        gains = self._gains(self.basis(without=which))
+        taken = {self.candidates[i].pair for i in self.chosen}
+        mine = gains[which][1] - 2.0 * gains[which][2]
+        rivals = dict.fromkeys(
+            self.candidates[i].pair
+            for i in np.argsort([gain[0] for gain in gains], kind="stable")
+            if self.candidates[i].pair not in taken and mine - (gains[i][1] - 2.0 * gains[i][2]) < ODDS
+        )
+        return Culprit(own.pair, locked(estimate), locked(covariance), float(np.exp(gains[which][0])), tuple(rivals))
 
+    def _exchange(self) -> None:
+        """Exchange each of those chosen for a better one, if there is one."""
+        for place, which in enumerate(list(self.chosen)):
+            taken = {self.candidates[i].pair for i in self.chosen if i != which}
+            gains = self._gains(self.basis(without=which))
+            free = [i for i, one in enumerate(self.candidates) if one.pair not in taken]
+            best = min(free, key=lambda i: gains[i][0])
+            if gains[best][0] < gains[which][0]:
+                self.chosen[place] = best
 
-def _exchange(candidates: Sequence[Candidate], chosen: list[int], value: np.ndarray) -> None:
-    """Exchange each of those chosen for a better one, if there is one."""
-    for place, which in enumerate(list(chosen)):
-        others = [i for i in chosen if i != which]
-        taken = {candidates[i].pair for i in others}
-        gains = _gains(candidates, others, value)
-        best = min((i for i in range(len(candidates)) if candidates[i].pair not in taken), key=lambda i: gains[i][0])
-        if gains[best][0] < gains[which][0]:
-            chosen[place] = best
+    def _gains(self, basis: np.ndarray) -> list[tuple[float, float, int]]:
+        return [self._gain(one, basis) for one in self.candidates]
 
-
-def _prune(candidates: Sequence[Candidate], chosen: list[int], value: np.ndarray, level: float) -> None:
-    """Take out what is no longer needed."""
-    while chosen:
-        weakest = max(chosen, key=lambda i: _alone(candidates, chosen, i, value)[0])
-        if _alone(candidates, chosen, weakest, value)[0] <= level:
-            return
-        chosen.remove(weakest)
-
-
-def _culprit(
-    candidates: Sequence[Candidate],
-    chosen: Sequence[int],
-    which: int,
-    white: Whitened,
-    pairs: Sequence[Pair],
-    starts: np.ndarray,
-) -> Culprit:
-    own = candidates[which]
-    stacked = np.concatenate([candidates[i].columns for i in chosen], axis=1)
-    inverse = np.linalg.pinv(stacked, rcond=DEPENDENT)
-    at = 0
-    for i in chosen:
-        if i == which:
-            break
-        at += candidates[i].columns.shape[1]
-    rows = slice(at, at + own.columns.shape[1])
-    estimate = own.directions @ (inverse @ white.value)[rows]
-    covariance = own.directions @ (inverse @ inverse.T)[rows, rows] @ own.directions.T
-    others = [i for i in chosen if i != which]
-    gains = _gains(candidates, others, white.value)
-    taken = {candidates[i].pair for i in chosen}
-    mine = gains[which][1] - 2.0 * gains[which][2]
-    rivals = dict.fromkeys(
-        candidates[i].pair
-        for i in np.argsort([gain[0] for gain in gains], kind="stable")
-        if candidates[i].pair not in taken and mine - (gains[i][1] - 2.0 * gains[i][2]) < ODDS
-    )
-    return Culprit(own.pair, locked(estimate), locked(covariance), float(np.exp(gains[which][0])), tuple(rivals))
+    def _gain(self, one: ChangeCandidate, basis: np.ndarray) -> tuple[float, float, int]:
+        """Logarithm of the p-value, gain of χ² and degrees of freedom of one candidate beside a basis."""
+        columns = one.columns
+        if basis.shape[1]:
+            left, size, _ = np.linalg.svd(columns - basis @ (basis.T @ columns), full_matrices=False)
+            columns = left[:, size > DEPENDENT]
+        freedom = columns.shape[1]
+        if not freedom:
+            return 0.0, 0.0, 0
+        gain = float(np.sum((columns.T @ self.value) ** 2))
+        return float(chi2_log_sf(gain, freedom)), gain, freedom

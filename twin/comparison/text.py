@@ -10,7 +10,8 @@ import numpy as np
 from twin.comparison.result import Changes, ErrorChange
 from twin.comparison.significance import FALSE_ALARMS
 from twin.comparison.tool import Moved
-from twin.comparison.words import number, place, unit, with_sign
+from twin.comparison.words import number, place, with_sign
+from twin.display import readable
 from twin.uncertainty.at_tool import DEFINITION
 
 WIDTH: Final = 120
@@ -18,65 +19,7 @@ WIDTH: Final = 120
 
 def text_of(found: Changes) -> str:
     """The account."""
-    tool = found.tool
-    head = {
-        "changed": "CHANGED",
-        "unchanged": "UNCHANGED, as far as it can be judged" if found.unjudged else "UNCHANGED",
-        "same": "THE SAME NUMBERS",
-        "reworded": "OTHER NUMBERS, THE SAME AT THE TOOL",
-        "unknown": "UNKNOWN",
-    }[found.verdict]
-    lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
-    lines += [f"{one.title} (one or both): {one.sentence}" for one in found.warnings]
-    lines += [""] if found.warnings else []
-    lines.append(head)
-    for sentence in found.meaning:
-        lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")
-    lines += ["", f"at the tool, length {tool.tool_length_mm:g} mm, {tool.poses} poses over the volume, µm"]
-    lines.append(f"  {'':<44}{'RMS':>8}{'chance':>9}{'largest':>9}{'U there':>9}   where")
-    every = "all but those left out" if found.left_out else "all errors"
-    lines.append(_row(f"{every}, as they are", tool.everything))
-    lines.append(_row(f"{every}, aligned anew", tool.everything_aligned, star=not found.unjudged))
-    if tool.judged is not None:
-        if found.unjudged:
-            lines.append(_row("those that could be judged, aligned anew", tool.judged, star=True))
-        lines += [_row(f"  {name}", row, star=True) for name, row in tool.by_class.items()]
-    left = tool.left
-    if left.poses:
-        lines += [
-            f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
-            f"  {'left, workpiece aligned anew':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_known(left.u_max_um):>9}"
-            f"   {place(left.where)}",
-            f"  {'left, before that':<44}{number(left.as_it_is_rms_um):>8}{'':>9}{number(left.as_it_is_max_um):>9}",
-        ]
-        if left.out_of_reach:
-            lines.append(
-                f"  {left.out_of_reach} of {tool.poses} poses left out: compensated, they leave a range or a curve's domain"
-            )
-    lines += [
-        "",
-        "error by error, each by itself; u: standard uncertainty (k = 1); band: holds the whole curve with 95 %; p: over all (Holm)",
-        f"  {'':<28}{'class':<7}{'RMS':>8}{'largest':>10}  {'at':<12}{'u':>8}{'band':>9}{'p':>9}   tool RMS",
-    ]
-    lines += [_error(found, error) for error in found.errors]
-    for error in found.errors:
-        notes = list(error.notes)
-        if error.fixed > 0.0:
-            notes.append(
-                f"up to {number(error.fixed)} {unit(error.unit)} of the change lie where neither gives an uncertainty (a constant, "
-                "a slope): not judged"
-            )
-        lines += [f"    {error.name}: {note}" for note in notes]
-    if found.apart:
-        lines += ["", "not compared"]
-        for one in found.apart:
-            peak = f", up to {number(one.peak)} {unit(one.unit)}" if np.isfinite(one.peak) else ""
-            given = (
-                ""
-                if one.given_by == "both"
-                else f" (only in {found.first if one.given_by == 'first' else found.second}{peak})"
-            )
-            lines.append(f"  {one.name}{given}: {one.why}")
+    lines = [*_verdict(found), "", *_at_tool(found), "", *_errors(found)]
     for name, needs in found.left_out:
         lines.append(f"left out at the tool: {name} (needs {needs})")
     lines += [
@@ -93,6 +36,72 @@ def text_of(found: Changes) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _verdict(found: Changes) -> list[str]:
+    head = {
+        "changed": "CHANGED",
+        "unchanged": "UNCHANGED, as far as it can be judged" if found.unjudged else "UNCHANGED",
+        "same": "THE SAME NUMBERS",
+        "reworded": "OTHER NUMBERS, THE SAME AT THE TOOL",
+        "unknown": "UNKNOWN",
+    }[found.verdict]
+    lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
+    lines += [f"{one.title} (one or both): {one.sentence}" for one in found.warnings]
+    lines += ["", head] if found.warnings else [head]
+    for sentence in found.meaning:
+        lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")
+    return lines
+
+
+def _at_tool(found: Changes) -> list[str]:
+    tool, left = found.tool, found.tool.left
+    every = "all but those left out" if found.left_out else "all errors"
+    lines = [
+        f"at the tool, length {tool.tool_length_mm:g} mm, {tool.poses} poses over the volume, µm",
+        f"  {'':<44}{'RMS':>8}{'chance':>9}{'largest':>9}{'U there':>9}   where",
+        _row(f"{every}, as they are", tool.everything),
+        _row(f"{every}, aligned anew", tool.everything_aligned, star=not found.unjudged),
+    ]
+    if tool.judged is not None:
+        if found.unjudged:
+            lines.append(_row("those that could be judged, aligned anew", tool.judged, star=True))
+        lines += [_row(f"  {name}", row, star=True) for name, row in tool.by_class.items()]
+    if left.poses:
+        lines += [
+            f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
+            f"  {'left, workpiece aligned anew':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_known(left.u_max_um):>9}"
+            f"   {place(left.where)}",
+            f"  {'left, before that':<44}{number(left.as_it_is.rms_um):>8}{'':>9}{number(left.as_it_is.max_um):>9}",
+        ]
+        if left.out_of_reach:
+            lines.append(
+                f"  {left.out_of_reach} of {tool.poses} poses left out: compensated, they leave a range or a curve's domain"
+            )
+    return lines
+
+
+def _errors(found: Changes) -> list[str]:
+    lines = [
+        "error by error, each by itself; u: standard uncertainty (k = 1); band: holds the whole curve with 95 %; p: over all (Holm)",
+        f"  {'':<28}{'class':<7}{'RMS':>8}{'largest':>10}  {'at':<12}{'u':>8}{'band':>9}{'p':>9}   tool RMS",
+    ]
+    lines += [_error(found, error) for error in found.errors]
+    for error in found.errors:
+        notes = list(error.notes)
+        if error.fixed > 0.0:
+            notes.append(
+                f"up to {number(error.fixed)} {readable(error.unit)} of the change lie where neither gives an uncertainty (a constant, "
+                "a slope): not judged"
+            )
+        lines += [f"    {error.name}: {note}" for note in notes]
+    if found.apart:
+        lines += ["", "not compared"]
+    for one in found.apart:
+        peak = f", up to {number(one.peak)} {readable(one.unit)}" if np.isfinite(one.peak) else ""
+        file = {"first": found.first, "second": found.second, "both": ""}[one.given_by]
+        lines.append(f"  {one.name}{f' (only in {file}{peak})' if file else ''}: {one.why}")
+    return lines
+
+
 def _row(name: str, row: Moved, *, star: bool = False) -> str:
     beyond = "  *" if star and np.isfinite(row.limit_um) and row.rms_um > row.limit_um else ""
     return (
@@ -106,15 +115,15 @@ def _known(value: float) -> str:
 
 
 def _error(found: Changes, error: ErrorChange) -> str:
-    own = unit(error.unit)
+    own = readable(error.unit)
     at = f"{error.axis} {error.at:.0f}" if np.isfinite(error.at) else error.label
     name = f"{error.name} [{own}]" if own else error.name
     if error.status == "same":
         return f"  {name:<28}{error.iso_class:<7}{'the same numbers':>18}"
     judged = "  *" if error.significant else ""
     p = f"{error.p_adjusted:.2g}" if np.isfinite(error.p_adjusted) else "unknown"
-    rms = found.tool.by_error.get(error.name)
-    tool = f"{number(rms[0]):>8} µm" if rms else ""
+    alone = found.tool.by_error.get(error.name)
+    tool = f"{number(alone.rms_um):>8} µm" if alone else ""
     return (
         f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_known(error.u):>8}"
         f"{_known(error.band):>9}{p:>9}{tool}{judged}"

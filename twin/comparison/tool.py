@@ -17,15 +17,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError
-from twin.display import finite
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.conditions import Conditions
 from twin.machine.effects import Frame
 from twin.uncertainty.at_tool import COVERAGE, ToolUncertainty, radius_95
-from twin.uncertainty.budget import drawn_sides, volume
+from twin.uncertainty.budget import drawn_sides, state_at, volume, within
 
 POSES: Final = 400
 Cause = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
@@ -57,23 +55,30 @@ class Moved:
     limit_um: float
     p_value: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is unknown."""
-        found: dict[str, Any] = {"rms_um": self.rms_um, "max_um": self.max_um, "where": dict(self.where)}
-        for name in ("u_max_um", "limit_um", "p_value"):
-            value = getattr(self, name)
-            found[name] = finite(value)
-        return found
+
+@final
+@dataclass(frozen=True)
+class Displaced:
+    """Distances of the tool point over the poses: RMS and largest."""
+
+    rms_um: float
+    max_um: float
+
+    @classmethod
+    def of(cls, displacement: np.ndarray) -> Displaced:
+        """Of (n, 3) displacements, µm."""
+        distance = np.linalg.norm(displacement, axis=1)
+        return cls(float(np.sqrt(np.mean(distance**2))), float(distance.max()))
 
 
 @final
 @dataclass(frozen=True)
-class Left:
+class Remaining:
     """What remains where the older calibration compensates the machine that the newer one describes.
 
     Attributes:
         rms_um, max_um, where: of the tool point against where it was meant to be, after aligning the workpiece anew.
-        as_it_is_rms_um, as_it_is_max_um: before that.
+        as_it_is: before that.
         u_max_um: U at ``where``; NaN if unknown.
         surely_um: with 95 % probability no more than this at any of the poses; NaN if unknown.
         at_least_um: with 95 % probability more than this at one of them; NaN if unknown.
@@ -84,8 +89,7 @@ class Left:
     rms_um: float
     max_um: float
     where: Mapping[str, float]
-    as_it_is_rms_um: float
-    as_it_is_max_um: float
+    as_it_is: Displaced
     u_max_um: float
     surely_um: float
     at_least_um: float
@@ -103,24 +107,10 @@ class Left:
             return True
         return False if self.at_least_um > tolerance_um else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is unknown."""
-        return {
-            "rms_um": self.rms_um,
-            "max_um": self.max_um,
-            "where": dict(self.where),
-            "as_it_is": {"rms_um": self.as_it_is_rms_um, "max_um": self.as_it_is_max_um},
-            "u_max_um": self.u_max_um if np.isfinite(self.u_max_um) else None,
-            "surely_um": self.surely_um if np.isfinite(self.surely_um) else None,
-            "at_least_um": self.at_least_um if np.isfinite(self.at_least_um) else None,
-            "poses": self.poses,
-            "out_of_reach": self.out_of_reach,
-        }
-
 
 @final
 @dataclass(frozen=True)
-class AtTool:
+class ToolChange:
     """The change at the tool.
 
     Attributes:
@@ -130,8 +120,8 @@ class AtTool:
         everything_aligned: the same after aligning the workpiece anew.
         judged: the errors that could be judged, alone; after aligning. None if there are none.
         by_class: of the judged ones, by class of ISO/TR 16907; after aligning.
-        by_error: RMS and largest distance, µm, each judged error's change makes alone; after aligning.
         by_cause: what those of `causes` make alone; after aligning. Without U.
+        by_error: what each judged error's change makes alone; after aligning.
         left: what the older calibration leaves.
     """
 
@@ -141,9 +131,9 @@ class AtTool:
     everything_aligned: Moved
     judged: Moved | None
     by_class: Mapping[str, Moved]
-    by_error: Mapping[str, tuple[float, float]]
     by_cause: Mapping[str, Moved]
-    left: Left
+    by_error: Mapping[str, Displaced]
+    left: Remaining
 
 
 @final
@@ -200,10 +190,7 @@ class _Scene:
     @cached_property
     def state(self) -> dict[str, Any]:
         """What effects are functions of."""
-        names = self.first.machine.names
-        found: dict[str, Any] = {name: self.q[:, i] for i, name in enumerate(names)}
-        found |= {f"{APPROACH}{name}": self.sides[:, i] for i, name in enumerate(names)}
-        return found | self.conditions.channels
+        return state_at(self.first.machine, self.q, self.sides, self.conditions)
 
     @cached_property
     def rates(self) -> np.ndarray:
@@ -232,30 +219,42 @@ class _Scene:
         return dict(zip(self.first.machine.names, self.q[row].tolist(), strict=True))
 
 
+@final
+@dataclass(frozen=True)
+class JudgedErrors:
+    """What of a change is known with its uncertainty.
+
+    Attributes:
+        classes: class of ISO/TR 16907 by the name of each such error.
+        drawn: those of them whose numbers are not the very same in both.
+        share: of false alarms, for all rows that are judged together.
+        causes: changes of which it is to be known what each makes alone, by the error's name.
+        whole_model: whether the two calibrations have all their effects; if some were left out, U of everything is unknown.
+    """
+
+    classes: Mapping[str, str]
+    drawn: Collection[str]
+    share: float
+    causes: Mapping[str, Cause]
+    whole_model: bool
+
+
 def at_tool(
     first: Calibration,
     second: Calibration,
+    known: JudgedErrors,
     *,
-    judged: Mapping[str, str],
-    drawn: Collection[str],
-    share: float,
-    causes: Mapping[str, Cause],
-    whole_model: bool,
     tool_length_mm: float | None = None,
     conditions: Conditions | None = None,
     poses: int = POSES,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
-) -> AtTool:
+) -> ToolChange:
     """The change over the volume, as far as all curves of both are defined.
 
     Args:
         first: the older calibration; no effect in it may need a channel that the conditions do not give.
         second: the newer.
-        judged: class by name of the errors whose change is known with its uncertainty.
-        drawn: those of them whose numbers are not the very same in both.
-        share: of false alarms, for all rows that are judged together.
-        causes: changes of which it is to be known what each makes alone, by the error's name.
-        whole_model: whether the two have all their effects; if some were left out, U of everything is unknown.
+        known: what of the change can be judged.
         tool_length_mm: None for the machine file's own.
         conditions: temperatures and time.
         poses: spread evenly over the ranges.
@@ -265,47 +264,32 @@ def at_tool(
         InputError: no pose lies within all curves.
     """
     machine = first.machine
-    q = volume(machine, poses)
-    q = q[~(first.outside(q) | second.outside(q)).any(axis=1)]
-    if not len(q):
-        raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
+    q = within(volume(machine, poses), first, second)
     at = Conditions() if conditions is None else conditions
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     scene = _Scene(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
     progress("at the tool", 0.1)
     whole = scene.moved_um()
+    judged, drawn = known.classes, known.drawn
     classes = [name for name in dict.fromkeys(judged.values()) if any(judged[e] == name for e in drawn)]
     chance = {} if not drawn else _chance(scene, judged, drawn, classes, progress)
-    complete = whole_model and all(effect.name in judged for side in (first, second) for effect in side.effects)
+    complete = known.whole_model and all(effect.name in judged for side in (first, second) for effect in side.effects)
     whole_chance = chance if complete else {}
-    moved_by, level = scene.moved_by(), share / (1 + len(classes))
-    of_class = {
-        name: _moved(
-            scene,
-            scene.alignment.removed(np.sum([moved_by[error] for error in judged if judged[error] == name], axis=0)),
-            chance.get(name, _NOTHING),
-            level,
-        )
-        for name in classes
-    }
-    alone = {}
-    for name in drawn:
-        distance = np.linalg.norm(scene.alignment.removed(moved_by[name]), axis=1)
-        alone[name] = (float(np.sqrt(np.mean(distance**2))), float(distance.max()))
-    aligned = scene.alignment.removed(whole)
-    known = aligned if complete else scene.alignment.removed(scene.moved_um(lambda name: name in judged))
-    return AtTool(
+    moved_by, level = scene.moved_by(), known.share / (1 + len(classes))
+    removed = scene.alignment.removed
+    by_class = {name: np.sum([moved_by[e] for e in judged if judged[e] == name], axis=0) for name in classes}
+    by_cause = {name: scene.made_by(frame, parts(scene.state)) for name, (frame, parts) in known.causes.items()}
+    aligned = removed(whole)
+    of_judged = aligned if complete else removed(scene.moved_um(lambda name: name in judged))
+    return ToolChange(
         tool_length_mm=scene.kinematics(first).tool_length_mm,
         poses=len(q),
         everything=_moved(scene, whole, whole_chance.get("raw", _NOTHING), level),
         everything_aligned=_moved(scene, aligned, whole_chance.get("all", _NOTHING), level),
-        judged=_moved(scene, known, chance["all"], level) if drawn else None,
-        by_class=of_class,
-        by_error=alone,
-        by_cause={
-            name: _moved(scene, scene.alignment.removed(scene.made_by(frame, components(scene.state))), _NOTHING, level)
-            for name, (frame, components) in causes.items()
-        },
+        judged=_moved(scene, of_judged, chance["all"], level) if drawn else None,
+        by_class={name: _moved(scene, removed(d), chance.get(name, _NOTHING), level) for name, d in by_class.items()},
+        by_cause={name: _moved(scene, removed(d), _NOTHING, level) for name, d in by_cause.items()},
+        by_error={name: Displaced.of(removed(moved_by[name])) for name in drawn},
         left=_left(scene, whole_chance.get("all", _NOTHING)),
     )
 
@@ -406,7 +390,7 @@ def _moved(scene: _Scene, displacement: np.ndarray, chance: _Part, share: float)
     )
 
 
-def _left(scene: _Scene, chance: _Part) -> Left:
+def _left(scene: _Scene, chance: _Part) -> Remaining:
     """Commands that the older calibration makes, on the machine that the newer describes."""
     machine = scene.first.machine
     older, newer = (scene.kinematics(side) for side in (scene.first, scene.second))
@@ -421,18 +405,16 @@ def _left(scene: _Scene, chance: _Part) -> Left:
         # Where there is no inverse, to first order: what one calibration takes away is what the other adds.
         off = scene.moved_um()
     if not np.any(keep):
-        return Left(np.nan, np.nan, {}, np.nan, np.nan, np.nan, np.nan, np.nan, 0, len(scene.q))
+        return Remaining(np.nan, np.nan, {}, Displaced(np.nan, np.nan), np.nan, np.nan, np.nan, 0, len(scene.q))
     aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
-    raw = np.linalg.norm(off, axis=1)
     row = int(np.argmax(aligned))
     known = len(chance.u_um) > 0
     u = chance.u_um[keep] if known else np.full(len(aligned), np.nan)
-    return Left(
+    return Remaining(
         rms_um=float(np.sqrt(np.mean(aligned**2))),
         max_um=float(aligned[row]),
         where=scene.place(int(np.flatnonzero(keep)[row])),
-        as_it_is_rms_um=float(np.sqrt(np.mean(raw**2))),
-        as_it_is_max_um=float(raw.max()),
+        as_it_is=Displaced.of(off),
         u_max_um=float(u[row]),
         surely_um=float(np.max(aligned + chance.factor * u)),
         at_least_um=float(np.max(aligned - chance.factor * u)),

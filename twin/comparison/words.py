@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.comparison.result import Changes, ErrorChange
 from twin.comparison.significance import SHARE
+from twin.display import readable
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.uncertainty.at_tool import NORMAL_95
@@ -80,11 +81,6 @@ def place(where: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {value:.0f}" for name, value in where.items())
 
 
-def unit(name: str) -> str:
-    """As it is printed."""
-    return name.replace("urad", "µrad").replace("um", "µm")
-
-
 def _list(names: Sequence[str], most: int) -> str:
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
@@ -101,7 +97,7 @@ def _unchanged(found: Changes) -> list[str]:
             "volume may not have shown, unless it is in one or a few errors: these show earlier."
         )
     if found.culprits.shows_from:
-        shown = ", ".join(f"{name} {number(size)} {unit(own)}" for name, size, own in found.culprits.shows_from)
+        shown = ", ".join(f"{name} {number(size)} {readable(own)}" for name, size, own in found.culprits.shows_from)
         said.append(f"Alone, with all else unchanged, these would have shown in 19 of 20 comparisons from: {shown}.")
     return said
 
@@ -140,7 +136,7 @@ def _changed(found: Changes) -> list[str]:
 def _one(found: Changes, error: ErrorChange, others: Sequence[str], trend: str, only: str) -> str:
     half = error.band if error.kind == "curve" else NORMAL_95 * error.u
     axis = found.machine.by_name[error.axis]
-    size = f"{plus_minus(error.largest, half)} {unit(error.unit)}"
+    size = f"{plus_minus(error.largest, half)} {readable(error.unit)}"
     what = f"{_kind(error, found.machine)} {error.name}"
     what = what if only else what[0].upper() + what[1:]
     if error.kind == "curve":

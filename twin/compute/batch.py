@@ -36,10 +36,9 @@ class BatchFunction:
         dense = (
             function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
         )
-        workers = os.cpu_count() or 1
+        threads = ("thread", os.cpu_count() or 1) if (os.cpu_count() or 1) > 1 else ()
         self._function = dense
-        self._mapped = dense.map(CHUNK, "thread", workers) if workers > 1 else dense.map(CHUNK)
-        self._rest = dense.map(REST, "thread", workers) if workers > 1 else dense.map(REST)
+        self._mapped, self._rest = (dense.map(size, *threads) for size in (CHUNK, REST))
         self._single = dense.map(1)
 
     @cached_property

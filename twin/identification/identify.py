@@ -26,7 +26,7 @@ from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-from twin.numerics.curves import FOURIER, POWER, Basis
+from twin.numerics.curves import Basis, bases_for
 from twin.numerics.observability import UNSEEN, Determinability
 
 MOST: Final = 13
@@ -143,10 +143,11 @@ class _Attempt:
 
 def _families(machine: Machine, data: Measurements, wanted: Callable[[str], bool]) -> list[dict[str, Basis]]:
     """The bases worth trying: powers for travels, harmonics for full turns, either for part of a turn."""
-    first: dict[str, Basis] = {axis.name: FOURIER if axis.lower is None else POWER for axis in machine.axes}
-    other: dict[str, Basis] = {axis.name: POWER if axis.linear else FOURIER for axis in machine.axes}
+    tried = {axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None) for axis in machine.axes}
+    first = {name: bases[0] for name, bases in tried.items()}
+    other = {name: bases[-1] for name, bases in tried.items()}
     moved = any(
-        first[axis.name] is not other[axis.name]
+        first[axis.name] != other[axis.name]
         and np.ptp(data.positions[:, i]) > 0.0
         and any(wanted(f"E_{letter}{axis.name}") for letter in "XYZABC")
         for i, axis in enumerate(machine.axes)

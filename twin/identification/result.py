@@ -27,6 +27,7 @@ from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
 from twin.measurement.checks import ASSUMED, assumptions, grouped_notes
 from twin.measurement.table import Measurements, RowNote
+from twin.numerics.curves import basis_named
 
 SCHEMA = "twin.identification/1"
 COVERAGE = float(normal_isf(0.025))
@@ -187,7 +188,7 @@ class Identification:
                     "name": name,
                     "unit": curve.unit,
                     "basis": curve.basis,
-                    "order": max((count - 1) // 2 if curve.basis == "fourier" else count - 1, 0),
+                    "order": curve.family.order(count),
                     "peak": float(np.abs(value).max()),
                     "u_max": float(u.max()),
                     "held_out": self.choice.by_curve.get(name, {}).get(count),
@@ -372,7 +373,7 @@ def _row_text(row: Mapping[str, Any]) -> str:
     unit = "µm" if row["unit"] == "um" else "µrad"
     if "peak" not in row:
         return f"  {row['name']:<7}      {row['value']:8.2f} {unit:<4} ± {COVERAGE * row['u']:6.2f}"
-    kind = "harmonics" if row["basis"] == "fourier" else "degree"
+    kind = basis_named(row["basis"]).order_noun
     text = f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {COVERAGE * row['u_max']:6.2f} at most, {kind} {row['order']}"
     if row["held_out_thesis"] is not None:
         text += f", held-out {row['held_out']:.4f} (degree 8: {row['held_out_thesis']:.4f})"

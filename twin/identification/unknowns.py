@@ -12,7 +12,7 @@ in their order; so a coefficient is the RMS of its part, orders do not fight eac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Final, final
@@ -92,9 +92,7 @@ class CurveSpace:
 
     def groups(self) -> list[tuple[int, ...]]:
         """Indices that come and go together, lowest order first: a power each, cosine and sine of a harmonic together."""
-        if not self.basis.periodic:
-            return [(k,) for k in range(self.first, self.count)]
-        return [tuple(k for k in (n, n + 1) if k < self.count) for n in range(max(self.first, 1), self.count, 2)]
+        return self.basis.groups(self.first, self.count)
 
     def _raw(self, q: np.ndarray, count: int) -> np.ndarray:
         return np.stack(self.basis.functions(q, self.domain, count), axis=1)
@@ -185,10 +183,10 @@ class Unknowns:
         by_axis = {axis.name: positions[:, i] for i, axis in enumerate(self.machine.axes)}
         found: list[list[tuple[int, np.ndarray]]] = []
         # The six curves of an axis have the same functions, as a rule: held once.
-        known: dict[tuple[str, str, tuple[float, float], int], np.ndarray] = {}
+        known: dict[tuple[str, Basis, tuple[float, float], int], np.ndarray] = {}
         for curve in self.curves:
             component, _, axis_name = split_name(curve.name)
-            key = axis_name, curve.basis.name, curve.domain, curve.count
+            key = axis_name, curve.basis, curve.domain, curve.count
             if key not in known:
                 axis = self.machine.by_name[axis_name]
                 known[key] = curve.functions(wrapped(by_axis[axis_name], axis, curve.domain)) * UM
@@ -286,7 +284,7 @@ def spaces_for(
     machine: Machine,
     positions: np.ndarray,
     *,
-    bases: dict[str, Basis],
+    bases: Mapping[str, Basis],
     most: int,
     wanted: Callable[[str], bool],
 ) -> tuple[list[CurveSpace], list[str]]:
@@ -311,9 +309,7 @@ def spaces_for(
             continue
         basis = bases[axis.name]
         # Two positions fewer than there are: one may be held out, and one more must be there to object.
-        count = max(2, min(most, len(distinct) - 2))
-        if basis.periodic:
-            count -= 1 - count % 2
+        count = basis.largest(max(2, min(most, len(distinct) - 2)))
         for letter in "XYZABC":
             name = f"E_{letter}{axis.name}"
             straightness = axis.linear and letter in "XYZ" and not along(axis, letter)

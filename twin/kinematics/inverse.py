@@ -18,7 +18,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
-from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Problem, Solver
+from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
 from twin.display import card, first_rows, fixed, note, pairs, several, table
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.newton import Steps
@@ -129,7 +129,7 @@ class Inverse:
         lower = np.maximum(limits[:, 0], domains[:, 0]) - SLACK
         upper = np.minimum(limits[:, 1], domains[:, 1]) + SLACK
         return Solver(
-            Problem(
+            InverseProblem(
                 functions=Steps(self.kinematics, limit),
                 axes=len(machine.axes),
                 rotary=tuple(machine.rotary),

@@ -58,7 +58,7 @@ class _Chain:
 
 @final
 class Steps:
-    """The functions of one machine with one calibration, metres and radians: see `twin.compute.native.Functions`.
+    """The functions of one machine with one calibration, metres and radians: see `twin.compute.native.StepFunctions`.
 
     Args:
         kinematics: the machine.

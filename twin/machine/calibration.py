@@ -35,9 +35,9 @@ from twin.machine.effects.empirical import check_ranges, state_name
 from twin.machine.effects.entries import entry_of, payload_entries
 from twin.machine.empirical_entry import entry_of_empirical
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve, added, basis_of, conversion_of, known_bases
+from twin.machine.motion_curve import Curve, added, conversion_of
 from twin.numerics.covariance import Covariance, not_a_covariance
-from twin.numerics.curves import BASES, basis_named
+from twin.numerics.curves import Basis, basis_named
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
@@ -220,11 +220,7 @@ class Calibration:
         found: list[Effect] = []
         for curve in self.curves.values():
             axis = self.machine.by_name[split_name(curve.name)[2]]
-            found.append(
-                ErrorMotion(
-                    curve.name, basis_of(curve.basis), curve.domain, curve.coefficients, wrapped=axis.lower is None
-                )
-            )
+            found.append(curve.motion(wrapped=axis.lower is None))
         for name, angle in self.squareness.items():
             found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]]))
         found += [AxisLocation(name, offset) for name, offset in self.location.items()]
@@ -323,9 +319,9 @@ class Calibration:
             else:
                 extra.append(effect)
         for name in [name for name in motions if name in self.curves]:
-            basis, count = basis_of(curves[name].basis), len(curves[name].coefficients)
+            before, basis, count = self.curves[name], curves[name].family, len(curves[name].coefficients)
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))
-            own = own.rewritten(name, conversion_of(name, basis, basis, len(self.curves[name].coefficients), count))
+            own = own.rewritten(name, conversion_of(name, before.family, basis, len(before.coefficients), count))
             found = found.rewritten(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
         whole = replace(
             self,
@@ -472,10 +468,7 @@ class _Check:
             raise self.fail(
                 (*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain)
             )
-        basis = basis_named(entry.basis)
-        if basis is None:
-            known = [one.name for one in BASES]
-            raise self.fail((*place, "basis"), "no such basis", known_bases(), entry.basis, nearest(entry.basis, known))
+        basis = self.basis(place, entry)
         misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
@@ -493,7 +486,21 @@ class _Check:
             covariance=self.covariance((*place, "covariance"), entry),
             source=entry.source,
             illustrative=entry.illustrative,
+            knots=entry.knots,
         )
+
+    def basis(self, place: Place, entry: CurveEntry) -> Basis:
+        part = "basis"
+        try:
+            kind = basis_named(entry.basis)
+            part = "knots"
+            basis = kind(entry.knots)
+        except InputError as error:
+            raise self.fail((*place, part), error.what, str(error.expected), error.value, error.nearest) from None
+        misfit = basis.knots_misfit(entry.domain)
+        if misfit is not None:
+            raise self.fail((*place, "knots"), "not the knots of this curve", misfit, list(entry.knots))
+        return basis
 
     def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
         if entry.covariance is None:
@@ -552,6 +559,7 @@ def _entry(curve: Curve) -> dict[str, Any]:
         "unit": curve.unit,
         "domain": [float(bound) for bound in curve.domain],
         "basis": curve.basis,
+        **({"knots": [float(knot) for knot in curve.knots]} if curve.knots else {}),
         "coefficients": [float(c) for c in curve.coefficients],
     }
     if curve.covariance is not None:

@@ -24,6 +24,7 @@ class CurveEntry(BaseModel):
     unit: str
     domain: tuple[float, float]
     basis: str
+    knots: tuple[float, ...] = ()
     coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
     covariance: tuple[tuple[float, ...], ...] | None = None
     illustrative: bool = False

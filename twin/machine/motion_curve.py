@@ -11,7 +11,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.machine.display import motion_html
 from twin.machine.effects import ErrorMotion, unit_of
-from twin.numerics.curves import BASES, POWER, Basis, basis_named, conversion
+from twin.numerics.curves import POWER, Basis, basis_of, conversion
 
 
 @final
@@ -28,6 +28,7 @@ class Curve:
         covariance: (k, k) of the coefficients, or None where it is not known.
         source: where the numbers come from.
         illustrative: whether they are drawn, not measured.
+        knots: mm or degrees, of a basis that has them.
     """
 
     name: str
@@ -38,6 +39,24 @@ class Curve:
     covariance: np.ndarray | None = None
     source: str = ""
     illustrative: bool = False
+    knots: tuple[float, ...] = ()
+
+    @property
+    def family(self) -> Basis:
+        """Its basis.
+
+        Raises:
+            InputError: there is none of that name, or none with these knots.
+        """
+        return basis_of(self.basis, self.knots)
+
+    def motion(self, *, wrapped: bool) -> ErrorMotion:
+        """The effect that this curve is.
+
+        Args:
+            wrapped: whether the axis turns without limits.
+        """
+        return ErrorMotion(self.name, self.family, self.domain, self.coefficients, wrapped=wrapped)
 
     def __call__(self, q: Any) -> np.ndarray:
         """The curve at axis positions q (mm or degrees, any shape), in ``unit``.
@@ -54,18 +73,17 @@ class Curve:
                 expected=f"a position from {lo:g} to {hi:g}",
                 value=float(np.asarray(positions)[outside].flat[0]),
             )
-        return np.asarray(basis_of(self.basis).value(positions, self.domain, self.coefficients))
+        return np.asarray(self.family.value(positions, self.domain, self.coefficients))
 
     def _repr_html_(self) -> str:
-        motion = ErrorMotion(self.name, basis_of(self.basis), self.domain, self.coefficients, wrapped=False)
-        return motion_html(motion, self.covariance, source=self.source, illustrative=self.illustrative).text
+        return motion_html(
+            self.motion(wrapped=False), self.covariance, source=self.source, illustrative=self.illustrative
+        ).text
 
     def in_powers(self) -> Curve | None:
         """The same curve in powers of u; None if it is no polynomial."""
         count = len(self.coefficients)
-        return (
-            None if conversion(basis_of(self.basis), POWER, count, count) is None else self.written(POWER.name, count)
-        )
+        return None if conversion(self.family, POWER, count, count) is None else self.written(POWER.name, count)
 
     def written(self, basis: str, count: int) -> Curve:
         """The same curve, with its covariance, as ``count`` coefficients of another basis.
@@ -73,10 +91,11 @@ class Curve:
         Raises:
             InputError: no such basis; one that cannot make this curve.
         """
-        matrix = conversion_of(self.name, basis_of(self.basis), basis_of(basis), len(self.coefficients), count)
+        matrix = conversion_of(self.name, self.family, basis_of(basis), len(self.coefficients), count)
         return replace(
             self,
             basis=basis,
+            knots=(),
             coefficients=tuple(float(v) for v in matrix @ self.coefficients),
             covariance=None if self.covariance is None else locked(matrix @ self.covariance @ matrix.T),
         )
@@ -88,19 +107,20 @@ def added(curve: Curve | None, motion: ErrorMotion) -> Curve:
     Raises:
         InputError: other domains, or a basis that cannot hold the sum.
     """
-    unit = unit_of(motion.name)
+    family, own = motion.basis, len(motion.coefficients)
     if curve is None:
-        return Curve(motion.name, unit, motion.domain, motion.basis.name, motion.coefficients)
+        unit = unit_of(motion.name)
+        return Curve(motion.name, unit, motion.domain, family.name, motion.coefficients, knots=family.knots)
     if curve.domain != motion.domain:
         raise InputError(
             f"{motion.name} cannot be added to a curve of another domain",
             expected=f"{curve.domain}",
             value=f"{motion.domain}",
         )
-    basis, count = basis_of(curve.basis), max(len(curve.coefficients), len(motion.coefficients))
-    own = conversion_of(curve.name, basis, basis, len(curve.coefficients), count) @ curve.coefficients
-    total = own + conversion_of(curve.name, motion.basis, basis, len(motion.coefficients), count) @ motion.coefficients
-    return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
+    basis, count = curve.family.together(len(curve.coefficients), family, own)
+    total = conversion_of(curve.name, curve.family, basis, len(curve.coefficients), count) @ curve.coefficients
+    total = total + conversion_of(curve.name, family, basis, own, count) @ motion.coefficients
+    return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None, knots=basis.knots)
 
 
 def conversion_of(name: str, source: Basis, target: Basis, count: int, into: int) -> np.ndarray:
@@ -117,20 +137,3 @@ def conversion_of(name: str, source: Basis, target: Basis, count: int, into: int
             value=f"{target.name}, {into}",
         )
     return matrix
-
-
-def basis_of(name: str) -> Basis:
-    """A basis by its name.
-
-    Raises:
-        InputError: there is none.
-    """
-    basis = basis_named(name)
-    if basis is None:
-        raise InputError("no such basis", expected=known_bases(), value=name)
-    return basis
-
-
-def known_bases() -> str:
-    """What an error message says of them."""
-    return "one of " + ", ".join(basis.name for basis in BASES)

@@ -28,21 +28,6 @@ def floor(x: Any) -> Any:
     return ca.floor(x) if isinstance(x, ca.SX) else np.floor(x)
 
 
-def fmin(x: Any, y: Any) -> Any:
-    """The smaller of two."""
-    return ca.fmin(x, y) if isinstance(x, ca.SX) or isinstance(y, ca.SX) else np.fmin(x, y)
-
-
 def fmax(x: Any, y: Any) -> Any:
     """The larger of two."""
     return ca.fmax(x, y) if isinstance(x, ca.SX) or isinstance(y, ca.SX) else np.fmax(x, y)
-
-
-def sqrt(x: Any) -> Any:
-    """Square root."""
-    return ca.sqrt(x) if isinstance(x, ca.SX) else np.sqrt(x)
-
-
-def arctan2(y: Any, x: Any) -> Any:
-    """Angle of the point (x, y), in (−π, π]."""
-    return ca.atan2(y, x) if isinstance(x, ca.SX) or isinstance(y, ca.SX) else np.arctan2(y, x)

@@ -4,11 +4,11 @@ Every unknown is counted in its plausible size and every reading in its standard
 then a signal-to-noise ratio: below one, the data say less of that direction than was known before. The directions below the tolerance
 span the null space; what an unknown has of it (its leverage) says whether it can be determined at all, and with which others it moves.
 
-The leverage does not depend on how the null space happens to be spanned. The independence factors of Wen et al. (2023) do, and on the
-units and the truncation besides; they are here to be compared with.
+The leverage does not depend on how the null space happens to be spanned. The independence factors of T. Wen, J. Hu, Y. Zhu and G. Hua
+(Multi-axis laser interferometer not affected by installation errors based on nonlinear computation, Appl. Sci. 13 (2023) 10887) do,
+and on the units and the truncation besides.
 
-T. Wen, J. Hu, Y. Zhu, G. Hua: Multi-axis laser interferometer not affected by installation errors based on nonlinear computation,
-Appl. Sci. 13 (2023) 10887. Y. Sun, J. M. Hollerbach: Observability index selection for robot calibration, ICRA 2008, 831-836.
+Y. Sun, J. M. Hollerbach: Observability index selection for robot calibration, ICRA 2008, 831-836.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Unknown:
 
 @final
 @dataclass(frozen=True)
-class Move:
+class UnknownMove:
     """What one unknown does along a null direction, in its stated unit."""
 
     name: str
@@ -164,7 +164,7 @@ class NullDirection:
         left_out: how many more move beyond those that one sentence holds.
     """
 
-    moves: tuple[Move, ...]
+    moves: tuple[UnknownMove, ...]
     change: float
     left_out: int
 
@@ -343,7 +343,7 @@ class Determinability:
         moves = []
         for i in order[:MOST_NAMED]:
             one = self.unknowns[i]
-            moves.append(Move(one.name, float(vector[i]) * one.plausible, one.unit))
+            moves.append(UnknownMove(one.name, float(vector[i]) * one.plausible, one.unit))
         along = self.spectrum.silent.T @ vector
         change = float(np.linalg.norm(self.spectrum.values[self.rank :] * along))
         return NullDirection(tuple(moves), change, max(len(order) - MOST_NAMED, 0))
@@ -416,39 +416,3 @@ def _echelon(basis: np.ndarray) -> np.ndarray:
         found[:, others] -= np.outer(found[:, k], found[row, others])
         rows[row] = True
     return found
-
-
-@final
-@dataclass(frozen=True)
-class IndependenceFactors:
-    """Algorithm 1 of Wen et al. (2023), eq. 19 to 24.
-
-    Attributes:
-        eigenvalues: (p,) of the covariance of the columns, descending.
-        rank: how many lie above the threshold.
-        factors: (p,) independence factor of each unknown: the largest magnitude in its row of the leading eigenvectors.
-    """
-
-    eigenvalues: np.ndarray
-    rank: int
-    factors: np.ndarray
-
-
-def independence_factors(jacobian: np.ndarray, *, threshold: float) -> IndependenceFactors:
-    """Independence factors of the columns, as printed: centred, in the units they come in.
-
-    They change with those units and with the threshold, which the paper leaves open, and with the basis of repeated eigenvalues;
-    `Determinability.leverage` does not. No other part of `twin` uses them.
-
-    Args:
-        jacobian: (n, p) derivatives.
-        threshold: TH_σ, on the eigenvalues.
-    """
-    centred = jacobian - jacobian.mean(axis=0)
-    # The eigenvectors of AᵀA / n are A's right singular vectors: taken from A itself, small eigenvalues keep their digits.
-    _, values, right = np.linalg.svd(centred, full_matrices=True)
-    eigenvalues = np.zeros(jacobian.shape[1])
-    eigenvalues[: len(values)] = values**2 / len(jacobian)
-    rank = int(np.count_nonzero(eigenvalues > threshold))
-    factors = np.abs(right[:rank]).max(axis=0, initial=0.0)
-    return IndependenceFactors(locked(eigenvalues), rank, locked(factors))

@@ -29,7 +29,7 @@ from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import Instrument
 from twin.measurement.simulate import Setting, simulate
 from twin.measurement.table import Measurements
-from twin.numerics.curves import FOURIER, POWER, Basis
+from twin.numerics.curves import bases_for
 from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
@@ -92,9 +92,10 @@ class Model:
             expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
             offsets: names of the curves that may have a constant, of those that can (`Unknowns`); all of them if None.
         """
-        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == FOURIER.name}
-        bases: dict[str, Basis] = {
-            axis.name: FOURIER if axis.lower is None or axis.name in turning else POWER for axis in machine.axes
+        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.family.periodic}
+        bases = {
+            axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None or axis.name in turning)[0]
+            for axis in machine.axes
         }
         spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
         told = as_told(plan, known)

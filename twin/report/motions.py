@@ -131,7 +131,6 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
     taken = _sum(tables, state, component)
     curve = calibration.curves.get(name)
     added = tuple(effect.name for effect in parts if effect.name != name)
-    count = 0 if curve is None else len(curve.coefficients)
     return Motion(
         name=name,
         words=named(name, machine),
@@ -143,7 +142,7 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
         half=locked(_half(parts, state, component, calibration.covariance)),
         ways=locked(ways) if np.any(ways[0] != ways[1]) else None,
         corrected=locked(value + taken) if np.any(taken) else None,
-        order=None if curve is None else (count // 2 if curve.basis == "fourier" else count - 1),
+        order=None if curve is None else curve.family.order(len(curve.coefficients)),
         basis="" if curve is None else curve.basis,
         source="" if curve is None else curve.source,
         added=added,

@@ -11,6 +11,7 @@ import numpy as np
 from twin.control import Left
 from twin.diagnosis.wording.words import capital, listed, probability
 from twin.display.page import bullets, embedded, escaped, facts, table
+from twin.numerics.curves import Basis, basis_named
 from twin.report.after import Level
 from twin.report.contributions import Contribution
 from twin.report.field import Slice
@@ -180,7 +181,8 @@ def _motion_row(report: MachineReport, motion: Motion) -> tuple[str, ...]:
     order = "–" if motion.order is None else str(motion.order)
     if told is not None and not (report.identified is not None and report.identified.others):
         order = str(told)
-    kind = "harmonics " if motion.basis == "fourier" else ""
+    noun = basis_named(motion.basis).order_noun if motion.basis else Basis.order_noun
+    kind = "" if noun == Basis.order_noun else f"{noun} "
     added = f" + {', '.join(motion.added)}" if motion.added else ""
     half = f"± {figure(motion.widest, unit)}" if np.isfinite(motion.widest) else UNKNOWN
     return (

@@ -1,7 +1,7 @@
 """How well the tool is known: from the calibration's covariance to the pose of the tool.
 
-First order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM 102:2011, 6.2), and by
-Monte Carlo through the whole nonlinear chain (JCGM 101:2008), which says whether first order was enough (its clause 8).
+First order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM 102:2011, 6.2).
+`twin.uncertainty.population` says by draws through the whole chain whether first order was enough (JCGM 101:2008, clause 8).
 
 What is called U here: the radius about the estimated point within which the true point lies with 95 % probability, its error taken
 as normal. Not k = 2 times one standard deviation: twice the standard deviation of the largest direction covers 95.4 % of an error
@@ -24,14 +24,11 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError, nearest
-from twin._common.units import MM, UM
-from twin.compute.batch import BatchFunction
 from twin.display import UNKNOWN, Html, card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.budget import POSES, drawn_sides, volume
+from twin.uncertainty.budget import POSES, drawn_sides, state_at, volume, within
 
 COVERAGE: Final = 0.95
 NORMAL_95: Final = 1.959964
@@ -42,18 +39,6 @@ RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
 POSES_A_STEP: Final = 1024
 POSES_A_PART: Final = 256
 """Poses whose error frames are held at once: 256 · 42 components · 400 parameters are 34 MB."""
-TRIALS: Final = 10_000
-TRIALS_A_STEP: Final = 8192
-FEWEST_TRIALS: Final = 1000
-"""Fewer leave under 25 draws beyond each end of a 95 % interval."""
-NUMERICAL_UM: Final = 1e-6
-"""What double precision leaves of a chain metres long, µm: no endpoint is compared more closely."""
-
-
-def enough(validated: Sequence[bool | None]) -> str:
-    """At how many poses first order was enough, in words."""
-    told = {"yes": validated.count(True), "no": validated.count(False), "too few draws to tell": validated.count(None)}
-    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in told.items() if count)
 
 
 def radius_95(covariance: np.ndarray) -> np.ndarray:
@@ -159,52 +144,6 @@ class PoseUncertainty:
     @cached_property
     def _standard(self) -> np.ndarray:
         return locked(np.sqrt(np.einsum("nii->ni", self.covariance)))
-
-
-@final
-@dataclass(frozen=True)
-class MonteCarlo:
-    """The same by drawing calibrations, of n poses.
-
-    Attributes:
-        trials: how many draws a pose.
-        mean: (n, 6) of the deviation from the estimated pose, µm and µrad: what first order takes as zero.
-        covariance: (n, 6, 6), µm and µrad.
-        interval_um: (n, 3, 2) probabilistically symmetric 95 % interval of the point's deviation along x, y, z.
-        radius_um: (n,) within which 95 % of the drawn points lie of the estimated one: U without assuming a normal error.
-        tolerance_um: (n, 3) numerical tolerance δ (JCGM 101, 7.9.2) of u_x, u_y, u_z by first order.
-        difference_um: (n, 3) by how much the ends of the first order interval, ± 1.96 u, miss those of ``interval_um``.
-        validated: (n,) whether every difference is within its tolerance (JCGM 101, 8.1); None where the trials are too few to tell:
-            twice the standard error of an interval's end would change the answer.
-        without_uncertainty: as of `PoseUncertainty`.
-    """
-
-    trials: int
-    mean: np.ndarray
-    covariance: np.ndarray
-    interval_um: np.ndarray
-    radius_um: np.ndarray
-    tolerance_um: np.ndarray
-    difference_um: np.ndarray
-    validated: tuple[bool | None, ...]
-    without_uncertainty: tuple[str, ...]
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (
-                "95 % of the draws within",
-                f"{np.sqrt(np.mean(self.radius_um**2)):.2g} µm RMS, {self.radius_um.max():.2g} µm largest",
-            ),
-            ("first order enough (JCGM 101, 8.1)", enough(self.validated)),
-            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else ""),
-        ]
-        small = f"{several(len(self.radius_um), 'pose')}, {self.trials:,} draws each"
-        return card(
-            "Uncertainty of the tool point, by draws",
-            pairs(rows),
-            histogram(self.radius_um, "radius (µm)"),
-            small=small,
-        ).text
 
 
 @final
@@ -330,52 +269,6 @@ class ToolUncertainty:
         axis = self.kinematics.forward(q, sides).axis if len(q) else np.zeros((0, 3))
         return PoseUncertainty(locked(covariance), axis, len(self.parameters), self.without_uncertainty)
 
-    def monte_carlo(
-        self,
-        positions: Any,
-        rng: np.random.Generator,
-        trials: int = TRIALS,
-        *,
-        digits: int = 1,
-        approach: Any = None,
-    ) -> MonteCarlo:
-        """Draw the calibration's numbers from a normal distribution and run each through the chain.
-
-        The chain is evaluated whole; the components of the error frames follow their parameters by `Effect.derivatives`, which is
-        exact for curves, squareness, locations and all other effects that are linear in theirs.
-
-        Args:
-            positions: (n, axes) commands, mm and degrees; every pose has draws of its own.
-            rng: of the draws.
-            trials: a pose.
-            digits: significant digits of u taken as meaningful (JCGM 101, 7.9.2): 1, or 2 with some 1e6 trials.
-            approach: as of `at`.
-
-        Raises:
-            InputError: as `Kinematics.forward`; too few trials; a calibration without covariance.
-        """
-        if trials < FEWEST_TRIALS:
-            raise InputError("too few trials", expected=f"at least {FEWEST_TRIALS}", value=trials)
-        if not self.parameters:
-            raise InputError("nothing to draw from", expected="a calibration with a covariance", value="none")
-        q = self.kinematics.check(positions)
-        sides = _sides(q, approach)
-        standard = self.at(q, sides).standard_um
-        deviations = (self._drawn(row, side, rng, trials) for row, side in zip(q, sides, strict=True))
-        found = [_summary(deviation, u, digits) for deviation, u in zip(deviations, standard, strict=True)]
-        mean, covariance, interval, radius, tolerance, difference, validated = zip(*found, strict=True)
-        return MonteCarlo(
-            trials=trials,
-            mean=locked(np.array(mean)),
-            covariance=locked(np.array(covariance)),
-            interval_um=locked(np.array(interval)),
-            radius_um=locked(np.array(radius)),
-            tolerance_um=locked(np.array(tolerance)),
-            difference_um=locked(np.array(difference)),
-            validated=validated,
-            without_uncertainty=self.without_uncertainty,
-        )
-
     def over_volume(self, poses: int = POSES) -> UncertaintyMap:
         """Over poses spread evenly over the ranges (`twin.uncertainty.budget.volume`), as far as the curves are defined."""
         return self._map(volume(self.kinematics.machine, poses))
@@ -419,11 +312,7 @@ class ToolUncertainty:
 
     def _map(self, positions: np.ndarray) -> UncertaintyMap:
         """With every axis come to from one side or the other, drawn with a seed: a reversal counts as ± half its size."""
-        inside = positions[~self.kinematics.outside_domain(positions).any(axis=1)]
-        if not len(inside):
-            raise InputError(
-                "no pose of the volume lies within every curve's domain", expected="curves over the ranges"
-            )
+        inside = within(positions, self.kinematics.calibration)
         return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
 
     def rates(self, positions: np.ndarray, approach: np.ndarray) -> list[tuple[int, list[int], np.ndarray]]:
@@ -437,10 +326,7 @@ class ToolUncertainty:
             Of every component that varies at all its index into the (6·frames,) vector, which of ``parameters`` it follows, and its
             (n, k) derivatives by these, µm and µrad; exact, for it is linear in them (see `monte_carlo`).
         """
-        names = self.kinematics.machine.names
-        state: dict[str, Any] = {name: positions[:, i] for i, name in enumerate(names)}
-        state |= {f"{APPROACH}{name}": approach[:, i] for i, name in enumerate(names)}
-        state |= self.kinematics.conditions.channels
+        state = state_at(self.kinematics.machine, positions, approach, self.kinematics.conditions)
         moved: dict[int, list[tuple[int, Any]]] = {}
         for effect in self.kinematics.calibration.effects:
             start = self._start[effect.frame.axis, effect.frame.role]
@@ -475,34 +361,6 @@ class ToolUncertainty:
             np.matmul(shape, self._factor[columns], out=spread[i])
         return [component for component, _, _ in moved], spread.transpose(1, 0, 2)
 
-    def _drawn(self, q: np.ndarray, side: np.ndarray, rng: np.random.Generator, trials: int) -> np.ndarray:
-        """(trials, 6) deviations of the pose at one command (axes,) from the estimated one, µm and µrad."""
-        rows, spread = self._spread(q[None, :], side[None, :])
-        estimate = self.kinematics.forward(q, side)
-        point, turned = estimate.point_mm[0], estimate.rotation[0].T
-        errors = self.kinematics.error_frames(q, side)[0].reshape(-1)
-        own = q * self.kinematics.machine.scale
-        length = np.array([self.kinematics.tool_length_mm * MM])
-        found = np.empty((trials, 6))
-        for start in range(0, trials, TRIALS_A_STEP):
-            count = min(TRIALS_A_STEP, trials - start)
-            drawn = np.tile(errors, (count, 1))
-            drawn[:, rows] += rng.standard_normal((count, spread.shape[2])) @ spread[0].T * UM
-            rotation, reached = self._chain(own, drawn, length)
-            turn = rotation.reshape(-1, 3, 3).transpose(0, 2, 1) @ turned
-            part = found[start : start + count]
-            part[:, :3] = (reached / MM - point) * 1e3
-            # The sine of the angle for the angle: 1e-6 of it apart at 2 mrad.
-            part[:, 3] = turn[:, 2, 1] - turn[:, 1, 2]
-            part[:, 4] = turn[:, 0, 2] - turn[:, 2, 0]
-            part[:, 5] = turn[:, 1, 0] - turn[:, 0, 1]
-            part[:, 3:] *= 0.5e6
-        return found
-
-    @cached_property
-    def _chain(self) -> BatchFunction:
-        return BatchFunction(self.kinematics.chain)
-
 
 def _sides(q: np.ndarray, approach: Any) -> np.ndarray:
     return np.zeros(q.shape) if approach is None else np.atleast_2d(np.asarray(approach, dtype=float))
@@ -530,45 +388,3 @@ def _factor(covariance: Covariance) -> np.ndarray:
     # Below its own rounding an eigenvalue is zero.
     keep = values > len(values) * np.finfo(float).eps * values[-1]
     return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
-
-
-def _summary(deviation: np.ndarray, standard: np.ndarray, digits: int) -> tuple[Any, ...]:
-    """What `MonteCarlo` says of one pose from its (trials, 6) deviations and (3,) first order u."""
-    trials = len(deviation)
-    distance = np.sort(np.linalg.norm(deviation[:, :3], axis=1))
-    ordered = np.sort(deviation[:, :3], axis=0)
-    tail = (1.0 - COVERAGE) / 2.0
-    low = round(trials * tail)  # JCGM 101, 7.7.2: ranks r and r + pM
-    high = low + round(trials * COVERAGE)
-    interval = ordered[[low - 1, high - 1]].T
-    # The rank of a quantile is binomial: the ends' standard error without assuming a density.
-    step = round(np.sqrt(trials * tail * (1.0 - tail)))
-    noise = np.stack(
-        [(ordered[min(at + step, trials - 1)] - ordered[max(at - step, 0)]) / 2.0 for at in (low - 1, high - 1)], axis=1
-    )
-    tolerance = np.maximum(numerical_tolerance(standard, digits), NUMERICAL_UM)
-    ends = np.abs(interval - standard[:, None] * np.array([-NORMAL_95, NORMAL_95]))
-    within = np.all(ends + 2.0 * noise <= tolerance[:, None])
-    beyond = np.any(ends - 2.0 * noise > tolerance[:, None])
-    return (
-        deviation.mean(axis=0),
-        np.cov(deviation.T),
-        interval,
-        distance[round(trials * COVERAGE) - 1],
-        tolerance,
-        ends.max(axis=1),
-        True if within else False if beyond else None,
-    )
-
-
-def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
-    """δ of JCGM 101, 7.9.2: u is written c·10^l with so many digits in the whole number c; δ = ½·10^l.
-
-    Args:
-        standard: u, any shape.
-        digits: significant digits, 1 or 2.
-    """
-    safe = np.where(standard > 0.0, standard, 1.0)
-    power = np.floor(np.log10(safe)) - (digits - 1)
-    power += np.round(safe / 10.0**power) >= 10.0**digits  # 0.996 is 1.0 to two digits
-    return np.asarray(np.where(standard > 0.0, 0.5 * 10.0**power, 0.0))

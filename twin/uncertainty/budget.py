@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics, rms_and_max
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.display import standard_uncertainty
+from twin.machine.effects import Effect, unit_of
 from twin.machine.iso16907 import acts_as, iso_class
 from twin.machine.machine import Machine
 
@@ -71,6 +75,28 @@ def drawn_sides(positions: np.ndarray) -> np.ndarray:
     return np.asarray(np.random.default_rng(SEED).choice([-1.0, 1.0], np.shape(positions)))
 
 
+def within(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
+    """Those of (n, axes) positions where every error of some calibrations is known.
+
+    Raises:
+        InputError: there is none.
+    """
+    outside = np.any([calibration.outside(positions).any(axis=1) for calibration in calibrations], axis=0)
+    if np.all(outside):
+        raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
+    return np.asarray(positions[~outside])
+
+
+def state_at(machine: Machine, q: np.ndarray, sides: np.ndarray, conditions: Conditions) -> dict[str, Any]:
+    """What effects are functions of, each (n,), at (n, axes) positions and the sides the axes come from."""
+    found: dict[str, Any] = dict(zip(machine.names, q.T, strict=True))
+    return (
+        found
+        | {f"{APPROACH}{name}": side for name, side in zip(machine.names, sides.T, strict=True)}
+        | dict(conditions.channels)
+    )
+
+
 def error_budget(
     machine: Machine,
     calibration: Calibration,
@@ -91,7 +117,7 @@ def error_budget(
     q = known_volume(calibration)
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     sides = drawn_sides(q)
-    acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
+    classes = {effect.name: iso_class(acts_as(effect, machine), machine) for effect in calibration.effects}
 
     def at_tool(limited: Calibration) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
         real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
@@ -99,26 +125,19 @@ def error_budget(
         distance = np.linalg.norm(reached.point_mm - meant.point_mm, axis=1) * 1e3
         return float(np.sqrt(np.mean(distance**2))), float(distance.max()), *rms_and_max(reached.tilt_urad(meant))
 
+    state = state_at(machine, q, sides, Conditions() if conditions is None else conditions)
     rows = []
-    uncertainty = peak_uncertainty(calibration)
-    others = _others(calibration, q, sides, Conditions() if conditions is None else conditions)
-    uncertainty |= {name: peak_u for name, _, peak_u, _ in others}
-    for name, peak, unit, illustrative in (
-        *_entries(calibration),
-        *((name, peak, unit, False) for name, peak, _, unit in others),
-    ):
-        alone = at_tool(calibration.where(lambda other, name=name: other == name))  # type: ignore[misc]
-        rows.append(
-            BudgetRow(name, iso_class(acts[name], machine), unit, peak, uncertainty[name], *alone, illustrative)
-        )
-    classes = []
-    for found in dict.fromkeys(row.iso_class for row in rows):
-        of_class = calibration.where(lambda name, found=found: iso_class(acts[name], machine) == found)  # type: ignore[misc]
-        drawn = any(row.illustrative for row in rows if row.iso_class == found)
-        classes.append(BudgetRow(found, found, "", np.nan, np.nan, *at_tool(of_class), drawn))
+    for effect, peak, u, unit, illustrative in _entries(calibration, state):
+        alone = at_tool(calibration.where({effect.name}.__contains__))
+        rows.append(BudgetRow(effect.name, classes[effect.name], unit, peak, u, *alone, illustrative))
+    totals = []
+    for iso in dict.fromkeys(row.iso_class for row in rows):
+        members = {row.name: row.illustrative for row in rows if row.iso_class == iso}
+        own = at_tool(calibration.where(members.__contains__))
+        totals.append(BudgetRow(iso, iso, "", np.nan, np.nan, *own, any(members.values())))
     drawn = any(row.illustrative for row in rows)
-    classes.append(BudgetRow("all", "all", "", np.nan, np.nan, *at_tool(calibration), drawn))
-    return tuple(rows), tuple(classes)
+    totals.append(BudgetRow("all", "all", "", np.nan, np.nan, *at_tool(calibration), drawn))
+    return tuple(rows), tuple(totals)
 
 
 def known_at(conditions: Conditions, calibration: Calibration) -> tuple[Calibration, dict[str, tuple[str, ...]]]:
@@ -128,63 +147,31 @@ def known_at(conditions: Conditions, calibration: Calibration) -> tuple[Calibrat
     return calibration.where(lambda name: name not in left_out), missing
 
 
-def peak_uncertainty(calibration: Calibration) -> dict[str, float]:
-    """Largest standard uncertainty of every error motion over its domain, of squareness and location as they are.
+def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tuple[Effect, float, float, str, bool]]:
+    """Of every effect its largest value, the largest standard uncertainty (NaN: not known), unit, whether it is drawn.
 
-    √(fᵀ Σ f) with the functions f of the curve (JCGM 100, eq. 13); NaN where any number of the error has no uncertainty.
+    Curves over their domains, squareness and locations as they are, other effects over the poses of a state; what the control corrects
+    by itself is among these, exactly known.
     """
     covariance = calibration.covariance
-    known = set(covariance.names)
-    found = {}
-    for effect in calibration.where(lambda name: name.startswith("E_")).effects:
-        names = [parameter.name for parameter in effect.parameters]
-        found[effect.name] = np.nan
-        if known.issuperset(names):
-            matrix = covariance.of(names).matrix
-            curve = calibration.curves.get(effect.name)
-            if curve is None:
-                variance = np.diag(matrix)
-            else:
-                q = np.linspace(*curve.domain, CURVE_POINTS)
-                rates = effect.derivatives({effect.frame.axis: q})
-                shape = np.array([next(iter(rate.values())) for rate in rates])
-                variance = np.einsum("kn,kl,ln->n", shape, matrix, shape)
-            found[effect.name] = float(np.sqrt(max(variance.max(), 0.0)))
-    return found
-
-
-def _entries(calibration: Calibration) -> list[tuple[str, float, str, bool]]:
-    found = []
-    for curve in calibration.curves.values():
-        values = curve(np.linspace(*curve.domain, CURVE_POINTS))
-        found.append((curve.name, float(np.abs(values).max()), curve.unit, curve.illustrative))
-    for name, value in (*calibration.squareness.items(), *calibration.location.items()):
-        found.append((name, abs(value), "um" if name[2] in "XYZ" else "urad", False))
-    return found
-
-
-def _others(
-    calibration: Calibration, q: np.ndarray, sides: np.ndarray, conditions: Conditions
-) -> list[tuple[str, float, float, str]]:
-    """Of every effect that is no error motion, squareness or location: name, peak over the poses, its u (NaN: not known), unit.
-
-    What the control corrects by itself is among them, exactly known.
-    """
-    names = calibration.machine.names
-    state: dict[str, Any] = {name: q[:, i] for i, name in enumerate(names)}
-    state |= {f"{APPROACH}{name}": sides[:, i] for i, name in enumerate(names)}
-    state |= conditions.channels
-    covariance = calibration.covariance
-    found = []
-    for effect in (*calibration.extra, *calibration.corrections):
-        component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
-        numbers = [parameter.name for parameter in effect.parameters]
-        peak_u = np.nan
-        if not numbers:
-            peak_u = 0.0
-        elif set(numbers) <= set(covariance.names):
-            rates = [np.broadcast_to(rate.get(component, 0.0), len(q)) for rate in effect.derivatives(state)]
-            variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
-            peak_u = float(np.sqrt(max(variance.max(), 0.0)))
-        found.append((effect.name, float(np.max(np.abs(values))), peak_u, "um" if component < 3 else "urad"))
-    return found
+    constants = {**calibration.squareness, **calibration.location}
+    for effect in calibration.effects:
+        name, numbers = effect.name, [parameter.name for parameter in effect.parameters]
+        curve = calibration.curves.get(name)
+        known = set(numbers) <= set(covariance.names)
+        if curve is not None:
+            q = np.linspace(*curve.domain, CURVE_POINTS)
+            u = float(standard_uncertainty(effect, covariance, q).max())
+            yield effect, float(np.abs(curve(q)).max()), u, curve.unit, curve.illustrative
+        elif name in constants:
+            u = float(np.sqrt(covariance.of(numbers).matrix[0, 0])) if known else np.nan
+            yield effect, abs(constants[name]), u, unit_of(name), False
+        else:
+            component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
+            u = np.nan if numbers else 0.0
+            if numbers and known:
+                shape = np.shape(state[calibration.machine.names[0]])
+                rates = [np.broadcast_to(rate.get(component, 0.0), shape) for rate in effect.derivatives(state)]
+                variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
+                u = float(np.sqrt(max(variance.max(), 0.0)))
+            yield effect, float(np.max(np.abs(values))), u, "um" if component < 3 else "urad", False

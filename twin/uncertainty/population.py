@@ -11,8 +11,8 @@ number of machines: distributions are kept as counts over fine bins.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Final, final
 
@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
+from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, to_json
 from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
@@ -34,17 +35,15 @@ from twin.machine.machine import Machine
 from twin.uncertainty.at_tool import (
     COVERAGE,
     DEFINITION,
-    FEWEST_TRIALS,
     NORMAL_95,
-    NUMERICAL_UM,
     ToolUncertainty,
-    enough,
-    numerical_tolerance,
 )
-from twin.uncertainty.budget import drawn_sides, volume
+from twin.uncertainty.budget import drawn_sides, volume, within
 
 SCHEMA: Final = "twin.volume/1"
 TRIALS: Final = 100_000
+FEWEST_TRIALS: Final = 1000
+"""Fewer leave under 25 draws beyond each end of a 95 % interval."""
 MOST_TRIALS: Final = 100_000_000
 POSES: Final = 200
 MOST_POSES: Final = 5_000
@@ -57,8 +56,12 @@ PILOT: Final = 2_048
 """Machines drawn beforehand, between whose extremes the bins lie: fifty of them are beyond each end of a 95 % interval."""
 BINS: Final = 512
 """Some seven standard deviations in 512 bins: read off by straight lines, a quantile is within 1e-4 of a standard deviation."""
+NUMERICAL_UM: Final = 1e-6
+"""What double precision leaves of a chain metres long, µm: no endpoint is compared more closely."""
 TAIL: Final = (1.0 - COVERAGE) / 2.0
 
+LED: Final = ("machines", "seed", "as_it_is", "compensated", "without_uncertainty", "warnings")
+"""What stands before the poses in JSON."""
 POINT: Final = 4
 """Quantities kept a pose: deviation from the estimated point along x, y, z, and its length."""
 MEASURES: Final = ("as_it_is.rms", "as_it_is.max", "compensated.rms", "compensated.max")
@@ -96,7 +99,7 @@ class Counts:
 
 @final
 @dataclass(frozen=True)
-class Part:
+class Tally:
     """What a number of machines adds.
 
     Attributes:
@@ -117,17 +120,10 @@ class Part:
     totals: np.ndarray
     largest: np.ndarray
 
-    def plus(self, other: Part) -> Part:
+    def plus(self, other: Tally) -> Tally:
         """Both together."""
-        return Part(
-            self.machines + other.machines,
-            self.point + other.point,
-            self.sums + other.sums,
-            self.squares + other.squares,
-            self.measures + other.measures,
-            self.totals + other.totals,
-            np.maximum(self.largest, other.largest),
-        )
+        added = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)}
+        return Tally(**added | {"largest": np.maximum(self.largest, other.largest)})
 
 
 @final
@@ -148,7 +144,7 @@ class Spread:
 
     def to_dict(self) -> dict[str, float]:
         """For JSON."""
-        return {"mean_um": self.mean, "low_um": self.low, "high_um": self.high, "largest_um": self.largest}
+        return {f"{name}_um": value for name, value in asdict(self).items()}
 
 
 @final
@@ -234,7 +230,7 @@ class Population:
         def spreads(pair: tuple[Spread, Spread]) -> dict[str, Any]:
             return {"rms": pair[0].to_dict(), "max": pair[1].to_dict()}
 
-        told = [self.validated.count(answer) for answer in (True, False, None)]
+        answers = {"yes": True, "no": False, "too_few_draws": None}
         return {
             "schema": SCHEMA,
             "machines": self.machines,
@@ -246,19 +242,10 @@ class Population:
             "by_draws": summary(self.by_draws_um),
             "first_order": summary(self.first_order_um),
             "where": self.where,
-            "first_order_enough": dict(zip(("yes", "no", "too_few_draws"), told, strict=True)),
+            "first_order_enough": {name: self.validated.count(answer) for name, answer in answers.items()},
             "as_it_is": spreads(self.as_it_is),
             "compensated": spreads(self.compensated),
-            "axes": list(self.axes),
-            "positions": self.positions.tolist(),
-            "first_order_um": self.first_order_um.tolist(),
-            "by_draws_um": self.by_draws_um.tolist(),
-            "standard_um": self.standard_um.tolist(),
-            "bias_um": self.bias_um.tolist(),
-            "interval_um": self.interval_um.tolist(),
-            "difference_um": self.difference_um.tolist(),
-            "tolerance_um": self.tolerance_um.tolist(),
-            "validated": list(self.validated),
+            **json_form(self, leave_out=LED),
         }
 
 
@@ -300,7 +287,7 @@ class Draws:
         """The chain, made ready for these poses."""
         return _Steps(self)
 
-    def part(self, task: tuple[int, int]) -> Part:
+    def part(self, task: tuple[int, int]) -> Tally:
         """One task.
 
         Args:
@@ -323,7 +310,7 @@ class Draws:
             squares += by_pose @ by_pose.transpose(0, 2, 1)
             totals += of_machine.sum(axis=1)
             largest = np.maximum(largest, of_machine.max(axis=1))
-        return Part(task[1], point, sums, squares, measures, totals, largest)
+        return Tally(task[1], point, sums, squares, measures, totals, largest)
 
     def pilot(self) -> Draws:
         """With bins, between the extremes of the first machines and a tenth beyond."""
@@ -461,10 +448,7 @@ def _drawn(
             expected="a calibration with a covariance, as `twin identify` writes it",
             file=calibration.path,
         )
-    q = volume(kinematics.machine, poses)
-    q = q[~kinematics.outside_domain(q).any(axis=1)]
-    if not len(q):
-        raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
+    q = within(volume(kinematics.machine, poses), calibration)
     sides = drawn_sides(q)
     say("preparing", 0.0)
     draws = Draws(
@@ -480,7 +464,7 @@ def _drawn(
     return _population(draws, total, tool, digits)
 
 
-def _population(draws: Draws, total: Part, tool: ToolUncertainty, digits: int) -> Population:
+def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) -> Population:
     n, trials = len(draws.positions), total.machines
     lower, upper, least, most = draws.bins  # type: ignore[misc]
     first = tool.at(draws.positions, draws.sides)
@@ -553,3 +537,22 @@ def _binned(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndar
     found = np.floor(place, out=place).astype(np.int64)
     found += width * np.arange(len(values))[:, None]
     return np.bincount(found.reshape(-1), minlength=width * len(values)).reshape(len(values), width)
+
+
+def enough(validated: Sequence[bool | None]) -> str:
+    """At how many poses first order was enough, in words."""
+    told = {"yes": validated.count(True), "no": validated.count(False), "too few draws to tell": validated.count(None)}
+    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in told.items() if count)
+
+
+def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
+    """δ of JCGM 101, 7.9.2: u is written c·10^l with so many digits in the whole number c; δ = ½·10^l.
+
+    Args:
+        standard: u, any shape.
+        digits: significant digits, 1 or 2.
+    """
+    safe = np.where(standard > 0.0, standard, 1.0)
+    power = np.floor(np.log10(safe)) - (digits - 1)
+    power += np.round(safe / 10.0**power) >= 10.0**digits  # 0.996 is 1.0 to two digits
+    return np.asarray(np.where(standard > 0.0, 0.5 * 10.0**power, 0.0))

@@ -30,7 +30,15 @@ raises an alarm in 12 %, `twin` in none.
 """
 
 from twin.compute.native.loading import in_use
-from twin.compute.native.problem import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Functions, Outcome, Problem
+from twin.compute.native.problem import (
+    CONVERGED,
+    OUT_OF_RANGE,
+    SINGULAR,
+    Batch,
+    BatchOutcome,
+    InverseProblem,
+    StepFunctions,
+)
 from twin.compute.native.rows import RowFunction, Taken
 from twin.compute.native.solver import Solver
 
@@ -39,11 +47,11 @@ __all__ = [
     "OUT_OF_RANGE",
     "SINGULAR",
     "Batch",
-    "Functions",
-    "Outcome",
-    "Problem",
+    "BatchOutcome",
+    "InverseProblem",
     "RowFunction",
     "Solver",
+    "StepFunctions",
     "Taken",
     "in_use",
 ]

@@ -8,29 +8,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from twin.compute.native.tape import TRUTHS, Tape
+from twin.compute.native.tape import OPERATIONS, TRUTHS, Tape
 
 LARGEST_ANGLE: Final = 1e5
 """Radians up to which the C++ reduces an angle without loss; a pose beyond it is left to NumPy. 16,000 turns of a table."""
-
-_TEXT: Final = {
-    "add": "{0} + {1}",
-    "sub": "{0} - {1}",
-    "mul": "{0} * {1}",
-    "div": "{0} / {1}",
-    "neg": "-{0}",
-    "sqrt": "vsqrt({0})",
-    "floor": "vfloor({0})",
-    "abs": "vabs({0})",
-    "min": "vmin({0}, {1})",
-    "max": "vmax({0}, {1})",
-    "lt": "{0} < {1}",
-    "le": "{0} <= {1}",
-    "not": "~{0}",
-    "where": "where({0}, {1})",
-}
-_LIFTED: Final = frozenset({"div", "neg", "sqrt", "floor", "abs", "min", "max", "sin", "cos", "where", "lt", "le"})
-"""Operations that want a vector even for a constant; sums and products take a number."""
 
 
 def routine(name: str, tape: Tape) -> str:
@@ -54,8 +35,9 @@ def routine(name: str, tape: Tape) -> str:
                 lines.append(f"  const Turn t{i} = sincos({text(a, lifted=True)});")
             lines.append(f"  const V v{i} = {turns[a]}.{kind[0]};")
             continue
-        lifted = kind in _LIFTED or all(tape.inputs <= v < first for v in (a, b))
-        body = _TEXT[kind].format(text(a, lifted=lifted), text(b, lifted=lifted) if b >= 0 else "")
+        operation = OPERATIONS[kind]
+        lifted = operation.lifted or all(tape.inputs <= v < first for v in (a, b))
+        body = operation.cpp.format(text(a, lifted=lifted), text(b, lifted=lifted) if b >= 0 else "")
         lines.append(f"  const {'M' if kind in TRUTHS else 'V'} v{i} = {body};")
     lines += [f"  y[{i}] = {text(value, lifted=True)};" for i, value in enumerate(tape.results)]
     return "\n".join([*lines, "}", ""])

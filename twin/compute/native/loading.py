@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from twin.compute.native import compiler, store
 from twin.compute.native.compiler import CompilerError
@@ -22,6 +24,8 @@ or is kept already: the same call gives the same digits, the first time and the 
 """
 PORTION: Final = 32_768
 """Rows a thread takes at a time."""
+
+Part = TypeVar("Part")
 
 _HERE: Final = Path(__file__).parent
 _failed: dict[str, str] = {}
@@ -64,6 +68,15 @@ def give_up(source: str, why: str) -> None:
 @cache
 def _lanes(tool: compiler.Compiler) -> int:
     return int(store.library(text("simd.hpp") + '\nextern "C" int lanes() { return W; }\n', tool).lanes())
+
+
+def in_portions(rows: int, work: Callable[[slice], Part]) -> list[Part]:
+    """What each portion of some rows gave, in threads: ctypes lets go of Python while it is in there."""
+    parts = [slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)]
+    if len(parts) <= 1:
+        return [work(part) for part in parts]
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, len(parts))) as pool:
+        return list(pool.map(work, parts))
 
 
 def in_use() -> str:

@@ -6,14 +6,15 @@ does not, they are moved as far as makes sense and the linear axes solve for the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Final, final
 
 import casadi as ca
 import numpy as np
 
-from twin.compute.native.problem import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, Outcome, Problem
-from twin.compute.native.tape import Tape, UnknownOperationError
+from twin.compute.native.problem import CONVERGED, OUT_OF_RANGE, ROUTINES, SINGULAR, Batch, BatchOutcome, InverseProblem
+from twin.compute.native.tape import Tape
 
 FEW: Final = 100
 """Poses up to which CasADi is faster: NumPy costs a call an instruction."""
@@ -22,17 +23,19 @@ PORTION: Final = 16384
 
 
 class _Routine:
-    """One function, evaluated column by column."""
+    """One function of a problem, evaluated column by column."""
 
-    def __init__(self, function: ca.Function) -> None:
-        self._function = function
+    def __init__(self, problem: InverseProblem, name: str) -> None:
+        self._problem = problem
+        self._name = name
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        return getattr(self._problem.functions, self._name)
 
     @cached_property
     def _tape(self) -> Tape | None:
-        try:
-            return Tape(self._function)
-        except UnknownOperationError:
-            return None
+        return Tape.of(self._function)
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """(inputs, rows) → (outputs, rows)."""
@@ -44,31 +47,14 @@ class _Routine:
 
 
 @final
-class Plain:
+class NumpySolver:
     """One problem, solved by NumPy."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: InverseProblem) -> None:
         self.problem = problem
-
-    @cached_property
-    def _turn(self) -> _Routine:
-        return _Routine(self.problem.functions.turn)
-
-    @cached_property
-    def _again(self) -> _Routine:
-        return _Routine(self.problem.functions.again)
-
-    @cached_property
-    def _follow(self) -> _Routine:
-        return _Routine(self.problem.functions.follow)
-
-    @cached_property
-    def _repair(self) -> _Routine:
-        return _Routine(self.problem.functions.repair)
-
-    @cached_property
-    def _check(self) -> _Routine:
-        return _Routine(self.problem.functions.check)
+        self._turn, self._again, self._follow, self._repair, self._check = (
+            _Routine(problem, name) for name in ROUTINES
+        )
 
     def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
         """(n,) mm left at the point at (n, axes) positions in mm and degrees."""
@@ -76,17 +62,16 @@ class Plain:
         x[: self.problem.axes] = (positions * self.problem.scale).T
         return np.sqrt(self._check(x)[2]) / self.problem.mm
 
-    def solve(self, batch: Batch) -> Outcome:
+    def solve(self, batch: Batch) -> BatchOutcome:
         """All poses of a batch."""
-        found = Outcome.empty(len(batch), self.problem.axes)
+        found = BatchOutcome.empty(len(batch), self.problem.axes)
         iterations = 0
         for start in range(0, len(batch), PORTION):
             part = slice(start, start + PORTION)
             solved = self._solve(batch.part(part))
-            found.positions[part], found.code[part] = solved.positions, solved.code
-            found.distance[part], found.apart[part] = solved.distance, solved.apart
+            found.put(part, solved)
             iterations = max(iterations, solved.iterations)
-        return Outcome(found.positions, found.distance, found.apart, found.code, iterations)
+        return replace(found, iterations=iterations)
 
     def _columns(self, batch: Batch) -> np.ndarray:
         """(inputs, n) of a routine."""
@@ -99,7 +84,7 @@ class Plain:
         x[-3:] = batch.axis.T * (1.0 / np.sqrt(np.einsum("ni,ni->n", batch.axis, batch.axis)))
         return x
 
-    def _solve(self, batch: Batch) -> Outcome:
+    def _solve(self, batch: Batch) -> BatchOutcome:
         problem, axes = self.problem, self.problem.axes
         with np.errstate(all="ignore"):
             x = self._columns(batch)
@@ -178,7 +163,7 @@ class Plain:
         near = np.abs(turned - start[rotary].T) <= problem.rotary_limit
         return np.asarray((inside & near).all(axis=1))
 
-    def _judged(self, x: np.ndarray, good: np.ndarray, singular: np.ndarray, iterations: int) -> Outcome:
+    def _judged(self, x: np.ndarray, good: np.ndarray, singular: np.ndarray, iterations: int) -> BatchOutcome:
         problem = self.problem
         positions = x[: problem.axes].T / problem.scale
         left = self._check(x)
@@ -189,7 +174,7 @@ class Plain:
         code[~good | beyond | missed] = OUT_OF_RANGE
         positions[~good] = np.nan
         distance = np.where(good, distance / problem.mm, np.inf)
-        return Outcome(positions, distance, np.where(good, angle(np.sqrt(left[3])), np.inf), code, iterations)
+        return BatchOutcome(positions, distance, np.where(good, angle(np.sqrt(left[3])), np.inf), code, iterations)
 
 
 def angle(apart: np.ndarray) -> np.ndarray:

@@ -13,9 +13,11 @@ OUT_OF_RANGE: Final = 1
 SINGULAR: Final = 2
 LEFT: Final = 3
 """Codes of a pose; the last one is for the C++ alone: an angle larger than it reduces, which NumPy sees to."""
+ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
+"""Names of the functions of a step, as of `StepFunctions`."""
 
 
-class Functions(Protocol):
+class StepFunctions(Protocol):
     """What a step of the solver is; each takes q (axes), the approach (axes) if the machine is directed, point (3) and axis (3)."""
 
     @property
@@ -41,7 +43,7 @@ class Functions(Protocol):
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class InverseProblem:
     """A machine with errors, as far as its inverse needs it; metres and radians but where said.
 
     Attributes:
@@ -59,7 +61,7 @@ class Problem:
         mm: metres a millimetre.
     """
 
-    functions: Functions
+    functions: StepFunctions
     axes: int
     rotary: tuple[int, ...]
     directed: bool
@@ -108,7 +110,7 @@ class Batch:
 
 @final
 @dataclass(frozen=True)
-class Outcome:
+class BatchOutcome:
     """What became of a batch.
 
     Attributes:
@@ -125,7 +127,12 @@ class Outcome:
     code: np.ndarray
     iterations: int
 
+    def put(self, rows: slice | np.ndarray, other: BatchOutcome) -> None:
+        """Write what became of some of the poses."""
+        self.positions[rows], self.code[rows] = other.positions, other.code
+        self.distance[rows], self.apart[rows] = other.distance, other.apart
+
     @staticmethod
-    def empty(rows: int, axes: int) -> Outcome:
+    def empty(rows: int, axes: int) -> BatchOutcome:
         """Room for as many."""
-        return Outcome(np.empty((rows, axes)), np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.uint8), 0)
+        return BatchOutcome(np.empty((rows, axes)), np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.uint8), 0)

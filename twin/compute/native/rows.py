@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
@@ -15,7 +13,7 @@ import numpy as np
 
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE, routine
-from twin.compute.native.tape import Tape, UnknownOperationError
+from twin.compute.native.tape import Tape
 
 LARGEST_TAPE: Final = 5_000
 """Instructions of what is compiled: the compiler takes a third of a millisecond for each."""
@@ -25,7 +23,7 @@ ROUNDING: Final = 1e-10
 """Of a value that is at most one, or of the value: rounding of either evaluation is a thousandth of it."""
 
 
-class _Job(ctypes.Structure):
+class _RowsJob(ctypes.Structure):
     """`Rows` of rows.cpp, field by field."""
 
     _fields_ = (
@@ -96,10 +94,7 @@ class RowFunction:
 
     @cached_property
     def _tape(self) -> Tape | None:
-        try:
-            return Tape(self._function)
-        except UnknownOperationError:
-            return None
+        return Tape.of(self._function)
 
     @cached_property
     def _source(self) -> str:
@@ -133,7 +128,6 @@ class RowFunction:
         return None
 
     def _compiled(self, library: ctypes.CDLL, columns: list[_Column], found: list[np.ndarray]) -> None:
-        rows = len(found[0])
         values = [
             np.array([column.values.ctypes.data for column in columns]),
             np.array([column.ctypes.data for column in found]),
@@ -142,24 +136,18 @@ class RowFunction:
         lines = np.array([0 if column.line is None else column.line.ctypes.data for column in columns])
         of_table = lines != 0
 
-        def part(start: int) -> None:
+        def part(rows: slice) -> None:
+            start = rows.start
             given = values[0] + np.where(of_table, 0, 8 * start * steps[0])
             taken = lines + np.where(of_table, 8 * start, 0)
             out = values[1] + 8 * start * steps[1]
-            job = _Job(
-                min(loading.PORTION, rows - start),
+            job = _RowsJob(
+                rows.stop - start,
                 *(one.ctypes.data for one in (given, steps[0], taken, out, steps[1], self._constants)),
             )
             library.run(ctypes.byref(job))
 
-        starts = range(0, rows, loading.PORTION)
-        if len(starts) == 1:
-            part(0)
-            return
-        # ctypes lets go of Python while it is in there.
-        with ThreadPoolExecutor(min(os.cpu_count() or 1, len(starts))) as pool:
-            for _ in pool.map(part, starts):
-                pass
+        loading.in_portions(len(found[0]), part)
 
 
 @final

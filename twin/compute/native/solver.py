@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, final
 
@@ -13,18 +11,17 @@ import numpy as np
 
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE, routine
-from twin.compute.native.plain import Plain, angle
-from twin.compute.native.problem import CONVERGED, LEFT, Batch, Outcome, Problem
-from twin.compute.native.tape import Tape, UnknownOperationError
+from twin.compute.native.plain import NumpySolver, angle
+from twin.compute.native.problem import CONVERGED, LEFT, ROUTINES, Batch, BatchOutcome, InverseProblem
+from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
 """Poses whose answer NumPy confirms before compiled code is believed."""
 
-_ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
 _POINTERS: Final = ctypes.c_void_p
 
 
-class _Job(ctypes.Structure):
+class _SolveJob(ctypes.Structure):
     """`Job` of solve.cpp, field by field."""
 
     _fields_ = (
@@ -37,7 +34,7 @@ class _Job(ctypes.Structure):
         ),
         ("loose_row", ctypes.c_int64),
         *((name, _POINTERS) for name in ("positions", "distance", "apart", "code")),
-        *((f"k_{name}", _POINTERS) for name in _ROUTINES),
+        *((f"k_{name}", _POINTERS) for name in ROUTINES),
         *((name, _POINTERS) for name in ("scale", "lower", "upper", "first", "last")),
         *((name, ctypes.c_double) for name in ("rotary_limit", "tolerance", "near", "largest", "mm")),
         ("steps", ctypes.c_int64),
@@ -50,38 +47,26 @@ class _Job(ctypes.Structure):
 class _Compiled:
     """One problem, solved by compiled code."""
 
-    problem: Problem
+    problem: InverseProblem
     library: ctypes.CDLL
     constants: tuple[np.ndarray, ...]
     numbers: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.numbers = {
-            "scale": self.problem.scale,
-            "lower": self.problem.bounds[:, 0],
-            "upper": self.problem.bounds[:, 1],
-            "first": self.problem.limits[:, 0],
-            "last": self.problem.limits[:, 1],
-        } | {f"k_{name}": values for name, values in zip(_ROUTINES, self.constants, strict=True)}
-        self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in self.numbers.items()}
-        self.library.solve.argtypes = (ctypes.POINTER(_Job),)
+        (lower, upper), (first, last) = self.problem.bounds.T, self.problem.limits.T
+        numbers = {"scale": self.problem.scale, "lower": lower, "upper": upper, "first": first, "last": last}
+        numbers |= {f"k_{name}": values for name, values in zip(ROUTINES, self.constants, strict=True)}
+        self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in numbers.items()}
+        self.library.solve.argtypes = (ctypes.POINTER(_SolveJob),)
         self.library.solve.restype = None
 
-    def solve(self, batch: Batch) -> Outcome:
-        found = Outcome.empty(len(batch), self.problem.axes)
-        parts = [
-            slice(start, min(start + loading.PORTION, len(batch))) for start in range(0, len(batch), loading.PORTION)
-        ]
-        if len(parts) <= 1:
-            taken = [self._run(batch, found, part) for part in parts]
-        else:
-            # ctypes lets go of Python while it is in there.
-            with ThreadPoolExecutor(min(os.cpu_count() or 1, len(parts))) as pool:
-                taken = list(pool.map(lambda part: self._run(batch, found, part), parts))
-        return Outcome(found.positions, found.distance, found.apart, found.code, max(taken, default=0))
+    def solve(self, batch: Batch) -> BatchOutcome:
+        found = BatchOutcome.empty(len(batch), self.problem.axes)
+        taken = loading.in_portions(len(batch), lambda part: self._run(batch, found, part))
+        return replace(found, iterations=max(taken, default=0))
 
-    def _run(self, batch: Batch, found: Outcome, part: slice) -> int:
-        job = _Job(
+    def _run(self, batch: Batch, found: BatchOutcome, part: slice) -> int:
+        job = _SolveJob(
             rows=part.stop - part.start,
             rotary_limit=self.problem.rotary_limit,
             tolerance=self.problem.tolerance,
@@ -113,13 +98,13 @@ class Solver:
     The compiled code is kept in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: InverseProblem) -> None:
         self.problem = problem
-        self._plain = Plain(problem)
+        self._plain = NumpySolver(problem)
         self._native: _Compiled | None = None
         self._confirmed = False
 
-    def solve(self, batch: Batch) -> Outcome:
+    def solve(self, batch: Batch) -> BatchOutcome:
         """All poses of a batch."""
         if len(batch) < loading.WORTH_COMPILING or not loading.enabled():
             return self._plain.solve(batch)
@@ -134,7 +119,7 @@ class Solver:
             return self._plain.solve(batch)
         return self._completed(found, batch)
 
-    def _completed(self, found: Outcome, batch: Batch) -> Outcome:
+    def _completed(self, found: BatchOutcome, batch: Batch) -> BatchOutcome:
         """With what the C++ leaves to NumPy: large angles."""
         far = np.flatnonzero((found.apart > 0.01) & np.isfinite(found.apart) & (found.code != LEFT))
         found.apart[far] = angle(found.apart[far])
@@ -142,11 +127,10 @@ class Solver:
         if not rows.size:
             return found
         rest = self._plain.solve(batch.part(rows))
-        found.positions[rows], found.code[rows] = rest.positions, rest.code
-        found.distance[rows], found.apart[rows] = rest.distance, rest.apart
-        return Outcome(found.positions, found.distance, found.apart, found.code, max(found.iterations, rest.iterations))
+        found.put(rows, rest)
+        return replace(found, iterations=max(found.iterations, rest.iterations))
 
-    def _agrees(self, found: Outcome, batch: Batch) -> bool:
+    def _agrees(self, found: BatchOutcome, batch: Batch) -> bool:
         """Whether poses said to be reached are, by NumPy: the check of a compiler nobody has tried this with."""
         rows = np.flatnonzero(found.code == CONVERGED)[:TRIED]
         if not rows.size:
@@ -158,10 +142,9 @@ class Solver:
 
     @cached_property
     def _tapes(self) -> tuple[Tape, ...] | None:
-        try:
-            return tuple(Tape(getattr(self.problem.functions, name)) for name in _ROUTINES)
-        except UnknownOperationError:
-            return None
+        tapes = [Tape.of(getattr(self.problem.functions, name)) for name in ROUTINES]
+        known = tuple(tape for tape in tapes if tape is not None)
+        return known if len(known) == len(tapes) else None
 
     @cached_property
     def _source(self) -> str:
@@ -173,7 +156,7 @@ class Solver:
                 loading.text("simd.hpp"),
                 f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
                 f"static const int ROTARY[] = {{{', '.join(map(str, problem.rotary or (0,)))}}};",
-                *(routine(name, tape) for name, tape in zip(_ROUTINES, tapes, strict=True)),
+                *(routine(name, tape) for name, tape in zip(ROUTINES, tapes, strict=True)),
                 loading.text("solve.cpp"),
             ]
         )

@@ -6,8 +6,10 @@ instruction is one NumPy call for a block of rows, or a line of C++ for a regist
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import casadi as ca
@@ -16,25 +18,55 @@ import numpy as np
 BLOCK: Final = 1024
 """Rows an instruction: a call into NumPy costs as much as these, and the values in use stay in cache."""
 
-OPERATIONS: Final[dict[int, str]] = {
-    ca.OP_ADD: "add",
-    ca.OP_SUB: "sub",
-    ca.OP_MUL: "mul",
-    ca.OP_DIV: "div",
-    ca.OP_NEG: "neg",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_FLOOR: "floor",
-    ca.OP_FABS: "abs",
-    ca.OP_FMIN: "min",
-    ca.OP_FMAX: "max",
-    ca.OP_LT: "lt",
-    ca.OP_LE: "le",
-    ca.OP_NOT: "not",
-    ca.OP_IF_ELSE_ZERO: "where",
-}
-"""What is known here, by CasADi's number; squares, doubles, inverses and whole powers are put down to these."""
+
+def _where(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
+    out[...] = np.where(condition != 0.0, value, 0.0)
+
+
+def _not(condition: np.ndarray, out: np.ndarray) -> None:
+    np.equal(condition, 0.0, out)
+
+
+@final
+@dataclass(frozen=True)
+class Operation:
+    """One kind of instruction.
+
+    Attributes:
+        code: CasADi's number.
+        run: by NumPy: operands, and where the result goes.
+        cpp: in C++, with places for the operands; empty for sine and cosine, which are made together.
+        lifted: whether the C++ wants a vector even for a constant; sums and products take a number.
+    """
+
+    code: int
+    run: Callable[..., Any]
+    cpp: str
+    lifted: bool = True
+
+
+OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
+    {
+        "add": Operation(ca.OP_ADD, np.add, "{0} + {1}", lifted=False),
+        "sub": Operation(ca.OP_SUB, np.subtract, "{0} - {1}", lifted=False),
+        "mul": Operation(ca.OP_MUL, np.multiply, "{0} * {1}", lifted=False),
+        "div": Operation(ca.OP_DIV, np.divide, "{0} / {1}"),
+        "neg": Operation(ca.OP_NEG, np.negative, "-{0}"),
+        "sqrt": Operation(ca.OP_SQRT, np.sqrt, "vsqrt({0})"),
+        "sin": Operation(ca.OP_SIN, np.sin, ""),
+        "cos": Operation(ca.OP_COS, np.cos, ""),
+        "floor": Operation(ca.OP_FLOOR, np.floor, "vfloor({0})"),
+        "abs": Operation(ca.OP_FABS, np.abs, "vabs({0})"),
+        "min": Operation(ca.OP_FMIN, np.fmin, "vmin({0}, {1})"),
+        "max": Operation(ca.OP_FMAX, np.fmax, "vmax({0}, {1})"),
+        "lt": Operation(ca.OP_LT, np.less, "{0} < {1}"),
+        "le": Operation(ca.OP_LE, np.less_equal, "{0} <= {1}"),
+        "not": Operation(ca.OP_NOT, _not, "~{0}", lifted=False),
+        "where": Operation(ca.OP_IF_ELSE_ZERO, _where, "where({0}, {1})"),
+    }
+)
+"""What is known here; squares, doubles, inverses and whole powers are put down to these."""
+NAMES: Final[Mapping[int, str]] = MappingProxyType({one.code: name for name, one in OPERATIONS.items()})
 COMMUTE: Final = frozenset({"add", "mul"})
 TURNS: Final = frozenset({"sin", "cos"})
 TRUTHS: Final = frozenset({"lt", "le", "not"})
@@ -47,23 +79,6 @@ ONE: Final = 4e-16
 
 Node = tuple[str, int, int]
 """Operation and the numbers of its operands (−1: none)."""
-
-_UFUNCS: Final[dict[str, Callable[..., Any]]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "neg": np.negative,
-    "sqrt": np.sqrt,
-    "sin": np.sin,
-    "cos": np.cos,
-    "floor": np.floor,
-    "abs": np.abs,
-    "min": np.fmin,
-    "max": np.fmax,
-    "lt": np.less,
-    "le": np.less_equal,
-}
 
 
 class UnknownOperationError(Exception):
@@ -98,9 +113,13 @@ class Tape:
         self.outputs = len(self.results)
         self._first = self.inputs + len(self.constants)
 
-    def node(self, value: int) -> Node | None:
-        """The operation that makes a value; None for an input or a constant."""
-        return self.nodes[value - self._first] if value >= self._first else None
+    @classmethod
+    def of(cls, function: ca.Function) -> Tape | None:
+        """The instructions of a function; None if it has an operation that is not known here."""
+        try:
+            return cls(function)
+        except UnknownOperationError:
+            return None
 
     def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Evaluate by NumPy.
@@ -146,23 +165,11 @@ class Tape:
             else:
                 out, count = self._first + count, count + 1
             slot[self._first + i] = out
-            function = _SPECIAL.get(name) or _UFUNCS[name]
-            program.append((function, slot[a], slot[b] if b >= 0 else -1, out))
+            program.append((OPERATIONS[name].run, slot[a], slot[b] if b >= 0 else -1, out))
             for value in {a, b}:
                 if value >= self._first and last[value] == i:
                     free.append(slot[value])
         return program, count, [slot[value] for value in self.results]
-
-
-def _where(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
-    out[...] = np.where(condition != 0.0, value, 0.0)
-
-
-def _not(condition: np.ndarray, out: np.ndarray) -> None:
-    np.equal(condition, 0.0, out)
-
-
-_SPECIAL: Final[dict[str, Callable[..., Any]]] = {"where": _where, "not": _not}
 
 
 class _Builder:
@@ -292,9 +299,9 @@ class _Builder:
                 return self.operation("div", self.constant(1.0), given[0])
             case ca.OP_POW | ca.OP_CONSTPOW:
                 return self.power(given[0], self.given(given[1]))
-        if code not in OPERATIONS:
+        if code not in NAMES:
             raise UnknownOperationError(f"operation {code}")
-        return self.operation(OPERATIONS[code], *given)
+        return self.operation(NAMES[code], *given)
 
     def finished(self, results: list[int]) -> tuple[tuple[float, ...], tuple[Node, ...], tuple[int, ...]]:
         """Constants, nodes and results without what nobody uses, renumbered."""

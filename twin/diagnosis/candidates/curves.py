@@ -20,9 +20,11 @@ from twin.machine.effects.error_motion import (
     specification_of,
 )
 from twin.machine.machine import DIRECTIONS
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, conversion
 from twin.numerics.functions import Functions, Rows
 
+CUBIC: Final = 3
+"""Degree of what is added to a curve that is no polynomial."""
 DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 
@@ -35,11 +37,15 @@ def curves(given: Given) -> Catalogue:
         q = state[axis.name]
         for component, letter in enumerate(DIRECTIONS):
             name = f"E_{letter}{axis.name}"
-            curve = calibration.curves.get(name)
-            if curve is not None:
-                curve = curve.in_powers()
+            own_curve = calibration.curves.get(name)
+            curve = None if own_curve is None else own_curve.in_powers()
             if curve is not None:
                 domain, degrees = curve.domain, max(DEGREES, len(curve.coefficients) - 1)
+            elif own_curve is not None:
+                # Of another kind: no more than can be added to it.
+                domain, degrees = own_curve.domain, CUBIC
+                if conversion(POWER, own_curve.family, CUBIC + 1, len(own_curve.coefficients)) is None:
+                    continue
             elif axis.linear and axis.lower is not None and axis.upper is not None:
                 domain, degrees = (axis.lower, axis.upper), DEGREES
             else:

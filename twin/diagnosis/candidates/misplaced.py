@@ -168,7 +168,7 @@ def _values(motion: ErrorMotion, state: Mapping[str, Any]) -> np.ndarray:
 def _renamed(motion: ErrorMotion, name: str, calibration: Calibration) -> Build | None:
     """What moves a curve to another name; None where the curve that stands there is of another kind."""
     there = calibration.curves.get(name)
-    if there is not None and (there.basis != motion.basis.name or there.domain != motion.domain):
+    if there is not None and (there.family != motion.basis or there.domain != motion.domain):
         return None
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:

@@ -23,7 +23,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments.multi_axis import turn
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
-from twin.numerics.curves import basis_named
+from twin.numerics.curves import POWER
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 Spread = Literal["stated", "repeats"]
@@ -227,12 +227,11 @@ def axis_curves(
     positions = np.zeros((len(motions), len(machine.axes)))
     positions[:, index] = motions.position_mm
     distinct = np.unique(motions.position_mm)
-    basis = basis_named("power")
-    if len(distinct) < FEWEST or basis is None:
+    if len(distinct) < FEWEST:
         raise InputError(
             f"too few positions of {motions.axis}", expected=f"{FEWEST} or more", value=f"{len(distinct)} positions"
         )
-    bases = dict.fromkeys(machine.names, basis)
+    bases = dict.fromkeys(machine.names, POWER)
     spaces, _ = spaces_for(machine, positions, bases=bases, most=MOST, wanted=wanted)
     if not spaces:
         raise InputError("no curve wanted", expected=f"names of {motions.axis}'s error motions", value=motions.axis)

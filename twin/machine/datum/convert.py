@@ -26,7 +26,7 @@ from twin.machine.datum.fit import FITTED, fit, fitted, functions
 from twin.machine.datum.links import Link, Numbers, links_of
 from twin.machine.effects import split_name
 from twin.machine.machine import DIRECTIONS
-from twin.machine.motion_curve import basis_of, conversion_of
+from twin.machine.motion_curve import conversion_of
 from twin.numerics.covariance import Covariance
 
 KEPT: Final = 1e-3
@@ -177,7 +177,7 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
             block[:, start : start + own.shape[1]] = own
         if axis in link_of and gauge.may_change(name):
             i = link_of[axis]
-            into_curve = fit(basis_of(curve.basis), curve.domain, gauge.links[i], len(curve.coefficients))
+            into_curve = fit(curve.family, curve.domain, gauge.links[i], len(curve.coefficients))
             block += into_curve @ (gauge.rates[i][component] @ steps)
         rows.append(block)
         into += [f"{name}[{k}]" for k in range(len(block))]
@@ -203,7 +203,7 @@ def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.n
             curve = numbers.curves.get(f"E_{letter}{link.axis.name}")
             if curve is not None:
                 count, start = len(curve.coefficients), column[f"{curve.name}[0]"]
-                values = functions(basis_of(curve.basis), curve.domain, link, count)
+                values = functions(curve.family, curve.domain, link, count)
                 found[:conditions, start : start + count] = gauge.weights[i][:, c] @ values
     for k, name in enumerate(gauge.names):
         if name in column:
@@ -216,10 +216,10 @@ def _kept(old: Numbers, new: Numbers, name: str, link: Link | None) -> np.ndarra
     was, curve = old.curves.get(name), new.curves[name]
     if was is None:
         return None
-    basis, size, count = basis_of(curve.basis), len(was.coefficients), len(curve.coefficients)
+    size, count = len(was.coefficients), len(curve.coefficients)
     if was.domain == curve.domain or link is None:
-        return conversion_of(name, basis, basis, size, count)
-    return fit(basis, curve.domain, link, count) @ functions(basis, was.domain, link, size)
+        return conversion_of(name, was.family, curve.family, size, count)
+    return fit(curve.family, curve.domain, link, count) @ functions(was.family, was.domain, link, size)
 
 
 @final

@@ -10,8 +10,8 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.machine.datum.links import Link, Numbers
 from twin.machine.effects import unit_of
-from twin.machine.motion_curve import Curve, basis_of, conversion_of
-from twin.numerics.curves import FOURIER, POWER, Basis, of_legendre
+from twin.machine.motion_curve import Curve, conversion_of
+from twin.numerics.curves import Basis, bases_for, of_legendre
 
 FITTED: Final = 3e-5
 """µm or µrad: what the curve of a converted error may differ from it, 0.03 nm."""
@@ -28,12 +28,12 @@ def fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, n
     if curve is None:
         if np.abs(difference).max() <= FITTED:
             return None
-        basis: Basis = FOURIER if link.axis.lower is None else POWER
+        basis = bases_for(rotary=not link.axis.linear, endless=link.axis.lower is None)[0]
         drawn = any(one.illustrative for one in numbers.curves.values())
         curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
     if curve.domain != link.domain and link.axis.lower is not None:
         curve = _over(curve, link)
-    basis, own = basis_of(curve.basis), len(curve.coefficients)
+    basis, own = curve.family, len(curve.coefficients)
     for count in range(own, max(MOST, own) + 1):
         if basis.misfit(count, rotary=not link.axis.linear) is not None:
             continue
@@ -54,10 +54,11 @@ def _over(curve: Curve, link: Link) -> Curve:
     Raises:
         InputError: the basis cannot hold it.
     """
-    basis, count = basis_of(curve.basis), len(curve.coefficients)
-    values = functions(basis, curve.domain, link, count) @ curve.coefficients
+    values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
+    basis, count = curve.family.over(link.domain, len(curve.coefficients))
     found = fit(basis, link.domain, link, count) @ values
-    return replace(curve, domain=link.domain, coefficients=tuple(float(v) for v in found), covariance=None)
+    own = tuple(float(v) for v in found)
+    return replace(curve, domain=link.domain, coefficients=own, covariance=None, knots=basis.knots)
 
 
 def functions(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:

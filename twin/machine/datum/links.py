@@ -17,10 +17,10 @@ import pinocchio as pin
 
 from twin._common.arrays import locked
 from twin._common.units import UM, URAD
-from twin.machine.effects import AxisLocation, ErrorMotion, Squareness, split_name
+from twin.machine.effects import AxisLocation, Squareness, split_name
 from twin.machine.effects.base import Effect
 from twin.machine.machine import DIRECTIONS, Axis, Machine
-from twin.machine.motion_curve import Curve, basis_of
+from twin.machine.motion_curve import Curve
 from twin.numerics.spatial import cross_matrix, rotation_exp, rotation_log
 
 NODES: Final = 80
@@ -98,13 +98,7 @@ class Link:
         for i, letter in enumerate(DIRECTIONS):
             curve = numbers.curves.get(f"E_{letter}{self.axis.name}")
             if curve is not None:
-                motion = ErrorMotion(
-                    curve.name,
-                    basis_of(curve.basis),
-                    curve.domain,
-                    curve.coefficients,
-                    wrapped=self.axis.lower is None,
-                )
+                motion = curve.motion(wrapped=self.axis.lower is None)
                 found[i] = motion.components({self.axis.name: self.nodes})[i]
         return found
 

@@ -24,21 +24,23 @@ It matters for control points of rough data (relative error, ordinary → accura
 → 1e-14, 51/50 1 → 1e-14), not for smooth data, whose own rounding is the limit, nor for the curve's values.
 """
 
-from twin.numerics.curves.basis import BASES, FOURIER, POWER, Basis, Bernstein, Fourier, Power, basis_named
+from twin.numerics.curves.basis import Basis
 from twin.numerics.curves.conversion import conversion, of_legendre
-from twin.numerics.curves.fg_bernstein import Bidiagonal, FGBernstein
+from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named, basis_of
+from twin.numerics.curves.fg_bernstein import FGBernstein
 
 __all__ = [
     "BASES",
-    "FOURIER",
     "POWER",
     "Basis",
-    "Bernstein",
-    "Bidiagonal",
     "FGBernstein",
-    "Fourier",
-    "Power",
+    "bases_for",
     "basis_named",
+    "basis_of",
     "conversion",
     "of_legendre",
 ]
+
+__doc__ = f"{__doc__}\nA basis is named by `basis:` in a calibration file:\n\n" + "".join(
+    f"- `{basis.name}`: {basis.formula}\n" for basis in BASES
+)

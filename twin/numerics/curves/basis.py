@@ -1,27 +1,46 @@
-"""The functions an error curve is a sum of: ``e(q) = Σ c_k f_k(q)``, q in mm or degrees.
+"""A curve basis: the functions an error curve is a sum of, ``e(q) = Σ c_k f_k(q)``, q in mm or degrees.
 
 Every basis evaluates NumPy arrays and CasADi expressions with the same lines, so that the curve that is compiled is the
-curve that is plotted.
+curve that is plotted. What describes a basis stands in its own file; nothing outside this folder asks for a basis by its name.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
-from math import comb, pi
-from typing import Any, Final, final
+from typing import Any, ClassVar
 
-from twin.numerics.curves.fg_bernstein import MOST_DEGREE
-from twin.numerics.elementary import cos, sin
+import numpy as np
+
+from twin._common.errors import InputError
 
 Exact = list[list[Fraction]]
 """A matrix of rational numbers, row by row."""
 
 
+@dataclass(frozen=True)
 class Basis(ABC):
-    """A family of functions on a domain."""
+    """A family of functions on a domain; two are equal if they have the same functions.
 
-    name: str
+    Attributes:
+        name: ``basis:`` in a calibration file.
+        formula: of its functions, one sentence for the documentation.
+        order_noun: what `order` counts.
+        takes_knots: whether a curve of it has knots.
+        knots: those knots, mm or degrees; empty if it takes none.
+    """
+
+    name: ClassVar[str]
+    formula: ClassVar[str]
+    order_noun: ClassVar[str] = "degree"
+    takes_knots: ClassVar[bool] = False
+    knots: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.knots and not self.takes_knots:
+            raise InputError(f"{self.name} curves have no knots", expected="no entry `knots:`", value=self.knots)
 
     @abstractmethod
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
@@ -37,25 +56,75 @@ class Basis(ABC):
     def misfit(self, count: int, *, rotary: bool) -> str | None:
         """Why a curve of this basis cannot have that many coefficients on that kind of axis; None if it can."""
 
+    def knots_misfit(self, domain: tuple[float, float]) -> str | None:
+        """Why the knots do not belong to a curve of that domain; None if they do."""
+        return None
+
     @property
-    @abstractmethod
     def periodic(self) -> bool:
         """Whether the functions themselves repeat every turn."""
+        return False
 
     @property
     def nested(self) -> bool:
         """Whether the first functions are the same however many follow, so that a coefficient can be put to zero or added."""
         return True
 
+    @classmethod
+    def order(cls, count: int) -> int:
+        """What a curve of ``count`` coefficients is called by: its degree, or what ``order_noun`` names instead."""
+        return max(count - 1, 0)
+
+    @classmethod
+    def preference(cls, *, rotary: bool, endless: bool) -> int | None:
+        """Place of this basis among those that `identify` tries on a kind of axis, 0 first; None: it does not try it.
+
+        Args:
+            rotary: whether the axis turns.
+            endless: whether it turns without limits.
+        """
+        return None
+
+    def largest(self, count: int) -> int:
+        """The largest number of coefficients, at most ``count``, that `identify` may seek."""
+        return count
+
+    def groups(self, first: int, count: int) -> list[tuple[int, ...]]:
+        """Indices of the functions ``first`` … ``count − 1`` that come and go together, lowest order first."""
+        return [(k,) for k in range(first, count)]
+
     def powers(self, count: int) -> Exact | None:
-        """(count, count) coefficients of each of ``count`` functions in powers of u, a column each; None if they are no polynomials."""
+        """(m, count) coefficients of each of ``count`` functions in powers of u, a column each; None if they are no polynomials."""
         return None
 
     def of_powers(self, count: int) -> Exact | None:
-        """The inverse: coefficients in ``count`` functions of each power of u."""
+        """(count, m) coefficients in ``count`` functions of those powers of u that they make, u⁰ to u^(m−1); None if they make none."""
         return None
 
-    def value(self, q: Any, domain: tuple[float, float], coefficients: tuple[float, ...]) -> Any:
+    def into(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
+        """What writes a curve of ``count`` coefficients in another basis, or in more functions of this one.
+
+        Polynomials go through exact powers of u, rounded once at the end.
+
+        Returns:
+            (target_count, count); None where the target cannot make what this basis makes.
+        """
+        if self == target and self.nested:
+            return np.eye(target_count, count)
+        there, back = self.powers(count), target.of_powers(target_count)
+        if there is None or back is None or len(there) > len(back[0]):
+            return None
+        return rounded_product(back, there)
+
+    def together(self, count: int, other: Basis, other_count: int) -> tuple[Basis, int]:
+        """The basis, and how many of its functions, that a curve of this basis is written in when one of another is added."""
+        return self, max(count, other_count)
+
+    def over(self, domain: tuple[float, float], count: int) -> tuple[Basis, int]:
+        """The basis, and how many of its functions, that part of a curve is written in, over a smaller domain."""
+        return self, count
+
+    def value(self, q: Any, domain: tuple[float, float], coefficients: Sequence[float]) -> Any:
         """The curve: Σ c_k f_k(q), in the unit of its coefficients."""
         functions = self.functions(q, domain, len(coefficients))
         total = coefficients[0] * functions[0]
@@ -64,122 +133,9 @@ class Basis(ABC):
         return total
 
 
-@final
-class Power(Basis):
-    """``basis: power``: f_k = u^k, u = (2q − lo − hi)/(hi − lo)."""
-
-    name: Final = "power"
-
-    def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """See `Basis.functions`."""
-        lo, hi = domain
-        u = (2.0 * q - (lo + hi)) / (hi - lo)
-        powers = [0.0 * u + 1.0]
-        for _ in range(count - 1):
-            powers.append(powers[-1] * u)
-        return powers
-
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
-        return None if count >= 1 else "at least one coefficient"
-
-    @property
-    def periodic(self) -> bool:
-        """Powers do not repeat."""
-        return False
-
-    def powers(self, count: int) -> Exact | None:
-        """See `Basis.powers`."""
-        return [[Fraction(int(i == j)) for j in range(count)] for i in range(count)]
-
-    def of_powers(self, count: int) -> Exact | None:
-        """See `Basis.of_powers`."""
-        return self.powers(count)
-
-
-@final
-class Fourier(Basis):
-    """``basis: fourier``: f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself (not scaled to the domain)."""
-
-    name: Final = "fourier"
-
-    def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """See `Basis.functions`."""
-        angle = q * (pi / 180.0)
-        found = [0.0 * angle + 1.0]
-        for order in range(1, (count + 1) // 2):
-            found += [cos(order * angle), sin(order * angle)]
-        return found
-
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
-        if not rotary:
-            return "a rotary axis (fourier is in the axis angle)"
-        return None if count % 2 == 1 else "an odd number of coefficients: constant, then cos and sin of each order"
-
-    @property
-    def periodic(self) -> bool:
-        """Every harmonic repeats each turn."""
-        return True
-
-
-@final
-class Bernstein(Basis):
-    """``basis: bernstein``: f_k = C(n,k) x^k (1 − x)^(n−k), x = (q − lo)/(hi − lo), n one less than the number of coefficients.
-
-    The polynomials of degree n, like `Power`, on a rotary axis too. The functions are not negative and sum to one: a curve begins
-    and ends at its first and last coefficient and stays between the smallest and the largest; an error of every coefficient is never
-    magnified. Trigonometric fg-Bernstein functions are no basis of calibrations: of even degree, over part of a turn, they make what
-    `Fourier` makes; of odd degree they make no constant; over a full turn there are none.
-    """
-
-    name: Final = "bernstein"
-
-    def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """See `Basis.functions`."""
-        lo, hi = domain
-        x, y = (q - lo) / (hi - lo), (hi - q) / (hi - lo)
-        up, down = [0.0 * x + 1.0], [0.0 * y + 1.0]
-        for _ in range(count - 1):
-            up.append(up[-1] * x)
-            down.append(down[-1] * y)
-        return [float(comb(count - 1, k)) * up[k] * down[count - 1 - k] for k in range(count)]
-
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
-        return None if 1 <= count <= MOST_DEGREE + 1 else f"1 to {MOST_DEGREE + 1} coefficients"
-
-    @property
-    def periodic(self) -> bool:
-        """Polynomials do not repeat."""
-        return False
-
-    @property
-    def nested(self) -> bool:
-        """Every one of them has the full degree."""
-        return False
-
-    def powers(self, count: int) -> Exact | None:
-        """See `Basis.powers`: x = (1 + u)/2."""
-        n = count - 1
-        return [[Fraction(comb(n, i) * _mixed(n, i, k), 2**n) for i in range(count)] for k in range(count)]
-
-    def of_powers(self, count: int) -> Exact | None:
-        """See `Basis.of_powers`: u^k = (x − y)^k (x + y)^(n−k), y = 1 − x."""
-        n = count - 1
-        return [[Fraction((-1) ** k * _mixed(n, n - k, i), comb(n, i)) for k in range(count)] for i in range(count)]
-
-
-def _mixed(n: int, i: int, k: int) -> int:
-    """Coefficient of z^k in (1 + z)^i (1 − z)^(n−i)."""
-    return sum((-1) ** (k - j) * comb(i, j) * comb(n - i, k - j) for j in range(max(0, k - n + i), min(i, k) + 1))
-
-
-POWER: Final = Power()
-FOURIER: Final = Fourier()
-BASES: Final[tuple[Basis, ...]] = (POWER, FOURIER, Bernstein())
-
-
-def basis_named(name: str) -> Basis | None:
-    """The basis of that name in a calibration file, or None."""
-    return next((basis for basis in BASES if basis.name == name), None)
+def rounded_product(left: Exact, right: Exact) -> np.ndarray:
+    """The product, rounded; the left one may have more columns than the right one has rows."""
+    rows = len(right)
+    return np.array(
+        [[float(sum(row[k] * right[k][j] for k in range(rows))) for j in range(len(right[0]))] for row in left]
+    )

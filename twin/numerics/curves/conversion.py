@@ -1,7 +1,4 @@
-"""The same curve in other functions: polynomials as powers of u, Bernstein or Legendre polynomials, u from −1 to 1 over the domain.
-
-The matrices are made of whole numbers and rounded once at the end: going through powers costs nothing that way.
-"""
+"""The same curve in other functions, each matrix made once."""
 
 from __future__ import annotations
 
@@ -12,12 +9,12 @@ from math import comb
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.numerics.curves.basis import Basis, Exact
+from twin.numerics.curves.basis import Basis, rounded_product
 
 
 @cache
 def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarray | None:
-    """What writes a curve of one basis in another.
+    """What writes a curve of one basis in another; see `Basis.into`.
 
     Args:
         source: its basis.
@@ -28,29 +25,19 @@ def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarra
     Returns:
         (into, count); None where the one basis cannot make what the other makes.
     """
-    if source is target and source.nested:
-        return locked(np.eye(into, count))
-    there, back = source.powers(count), target.of_powers(into)
-    return None if there is None or back is None else locked(_floats(back, there))
+    matrix = source.into(count, target, into)
+    return None if matrix is None else locked(matrix)
 
 
 @cache
 def of_legendre(target: Basis, count: int) -> np.ndarray | None:
-    """(count, count) coefficients of the Legendre polynomials of degree 0, 1 …, a column each; None if it makes no polynomials."""
+    """(count, count) coefficients of the Legendre polynomials of degree 0, 1 …, a column each; None if it does not make all of them."""
     back = target.of_powers(count)
-    if back is None:
+    if back is None or len(back[0]) < count:
         return None
     legendre = [[Fraction(0)] * count for _ in range(count)]
     for n in range(count):
         # P_n = 2^−n Σ_k (−1)^k C(n,k) C(2n−2k,n) u^(n−2k)
         for k in range(n // 2 + 1):
             legendre[n - 2 * k][n] = Fraction((-1) ** k * comb(n, k) * comb(2 * n - 2 * k, n), 2**n)
-    return locked(_floats(back, legendre))
-
-
-def _floats(left: Exact, right: Exact) -> np.ndarray:
-    """The product, rounded; the left one may have more columns than the right one has rows."""
-    rows = len(right)
-    return np.array(
-        [[float(sum(row[k] * right[k][j] for k in range(rows))) for j in range(len(right[0]))] for row in left]
-    )
+    return locked(rounded_product(back, legendre))

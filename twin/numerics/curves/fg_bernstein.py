@@ -36,7 +36,7 @@ PAPER_HALF_ANGLE_RAD: Final = 1.57
 
 @final
 @dataclass(frozen=True)
-class Bidiagonal:
+class _Bidiagonal:
     """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns).
 
     Attributes:
@@ -112,68 +112,22 @@ class FGBernstein:
         """
         return locked(self._values(self._inside(t), self.degree))
 
-    def evaluate(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m, d) points of the curve with (n+1, d) control points, at (m,) parameters in any order; in the control points' unit.
-
-        Raises:
-            InputError: a parameter outside the domain; another number of control points.
-        """
-        return locked(self._values(self._inside(t), self.degree) @ self._control(control))
-
-    def derivative(self, control: np.ndarray, t: np.ndarray, order: Literal[1, 2] = 1) -> np.ndarray:
-        """(m, d) first or second derivative by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}, and that once more.
+    def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """(m, d) first derivative by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
 
         Args:
             control: (n+1, d) control points.
             t: (m,) parameters in any order.
-            order: 1 or 2.
 
         Raises:
-            InputError: a parameter outside the domain; another number of control points; another order.
+            InputError: a parameter outside the domain; another number of control points.
         """
-        points, inside, n = self._control(control), self._inside(t), self.degree
-        if order not in (1, 2):
-            raise InputError("no such derivative", expected="order 1 or 2", value=order)
-        a, b = self.domain
-        forward, back = self._slopes(inside)
+        points, inside, n = _points(control, self.degree + 1), self._inside(t), self.degree
         if n == 0:
             return locked(np.zeros((len(inside), points.shape[1])))
+        forward, back = self._slopes(inside)
         lower = self._values(inside, n - 1)
-        if order == 1:
-            return locked(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
-        bend = -((self.half_angle_rad / (b - a)) ** 2) if self.kind == "trigonometric" else 0.0
-        f, g = (side[:, None] for side in self._sides(inside))
-        total = n * bend * (f * (lower @ points[1:]) + g * (lower @ points[:-1]))
-        if n > 1:
-            lowest = self._values(inside, n - 2)
-            total += n * (n - 1) * forward**2 * (lowest @ points[2:])
-            total += n * (n - 1) * 2.0 * forward * back * (lowest @ points[1:-1])
-            total += n * (n - 1) * back**2 * (lowest @ points[:-2])
-        return locked(total)
-
-    def factors(self, t: np.ndarray) -> Bidiagonal:
-        """The bidiagonal factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each to its rounding.
-
-        The paper's text has 0 < t_1 and t_m < 1; both ends of the domain are allowed: no quotient there is by zero.
-
-        Raises:
-            InputError: parameters outside the domain, not increasing, or fewer than n + 1.
-        """
-        return self._factors(self._increasing(t))
-
-    def interpolate(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(n+1, d) control points of the curve through (n+1, d) points at (n+1,) increasing parameters, with high relative accuracy.
-
-        Raises:
-            InputError: parameters outside the domain or not increasing; not n + 1 of them; points of another number, or not finite.
-        """
-        nodes = self._increasing(t)
-        if len(nodes) != self.degree + 1:
-            raise InputError(
-                f"{len(nodes)} points for a curve of degree {self.degree}",
-                expected=f"{self.degree + 1}, or a least-squares fit",
-            )
-        return locked(self._factors(nodes).solve(_points(points, len(nodes))))
+        return locked(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
 
     def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
         """(n+1, d) control points of the curve nearest to (m, d) points at (m,) increasing parameters, with high relative accuracy.
@@ -193,7 +147,11 @@ class FGBernstein:
         q, triangle = np.linalg.qr(self._lagrange(nodes, chosen))
         return locked(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
 
-    def _factors(self, t: np.ndarray) -> Bidiagonal:
+    def _factors(self, t: np.ndarray) -> _Bidiagonal:
+        """The factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each right to its rounding.
+
+        The paper's text has 0 < t_1 and t_m < 1; both ends of the domain are allowed: no quotient there is by zero.
+        """
         n, m = self.degree, len(t)
         f, g = self._sides(t)
         lower, pivots, upper = np.zeros((m, n + 1)), np.ones(n + 1), np.zeros((n + 1, n + 1))
@@ -213,7 +171,7 @@ class FGBernstein:
                 expected="a lower degree, or parameters spread over the domain",
                 value=f"{t[0]:g} to {t[n]:g}",
             )
-        return Bidiagonal(locked(lower), locked(pivots), locked(upper))
+        return _Bidiagonal(locked(lower), locked(pivots), locked(upper))
 
     def _lagrange(self, t: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """(m, n+1) values at t of the functions of the space that are one at one chosen parameter and zero at the others."""
@@ -299,9 +257,6 @@ class FGBernstein:
                 value=len(nodes),
             )
         return nodes
-
-    def _control(self, control: np.ndarray) -> np.ndarray:
-        return _points(control, self.degree + 1)
 
 
 def _points(points: np.ndarray, count: int) -> np.ndarray:

@@ -1,0 +1,52 @@
+"""Every curve basis, and the choice among them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+from twin._common.errors import InputError, nearest
+from twin.numerics.curves.basis import Basis
+from twin.numerics.curves.bernstein import Bernstein
+from twin.numerics.curves.cubic_spline import CubicSpline
+from twin.numerics.curves.fourier import Fourier
+from twin.numerics.curves.power import Power
+
+BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein, CubicSpline)
+POWER: Final = Power()
+
+
+def basis_named(name: str) -> type[Basis]:
+    """The basis of that name in a calibration file.
+
+    Raises:
+        InputError: there is none.
+    """
+    found = next((basis for basis in BASES if basis.name == name), None)
+    if found is None:
+        known = [basis.name for basis in BASES]
+        expected = f"one of {', '.join(known)}"
+        raise InputError("no such basis", expected=expected, value=name, nearest=nearest(name, known))
+    return found
+
+
+@cache
+def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
+    """A basis by its name and knots, made once.
+
+    Raises:
+        InputError: there is none of that name, or none with these knots.
+    """
+    return basis_named(name)(knots)
+
+
+def bases_for(*, rotary: bool, endless: bool) -> tuple[Basis, ...]:
+    """The bases that `identify` tries for the curves of one kind of axis, the first choice first.
+
+    Args:
+        rotary: whether the axis turns.
+        endless: whether it turns without limits.
+    """
+    places = [(basis.preference(rotary=rotary, endless=endless), basis) for basis in BASES]
+    tried = sorted(((place, basis) for place, basis in places if place is not None), key=lambda one: one[0])
+    return tuple(basis() for _, basis in tried)
