@@ -11,8 +11,9 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.units import URAD
 from twin.machine.calibration import Calibration
-from twin.machine.chain import error_vector, frame_pose
+from twin.machine.chain import frame_pose
 from twin.machine.effects import split_name
+from twin.machine.error_vector import error_vector
 from twin.numerics.spatial import fused_angles
 
 

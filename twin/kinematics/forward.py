@@ -19,9 +19,10 @@ from twin._common.units import DEG, MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
-from twin.machine.chain import chain_function, error_vector, frame_pose
+from twin.machine.chain import chain_function, frame_pose
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.effects.empirical import check_ranges
+from twin.machine.error_vector import error_vector
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM
 from twin.numerics.spatial import fused_angles, tilt
@@ -248,9 +249,8 @@ class Kinematics:
         """
         q = self.check(positions)
         at = self.symbols()
-        none = ca.SX.zeros(6 * len(self.machine.frames))
         turned = [
-            frame_pose(self.machine, self.machine.work_frame, at[0], e).rotation for e in (self.errors(*at), none)
+            frame_pose(self.machine, self.machine.work_frame, at[0], e).rotation for e in (self.errors(*at), None)
         ]
         (turn,) = BatchFunction(ca.Function("turn", at, [turned[0] @ turned[1].T]))(
             *self.rows(q * self.machine.scale, approach)
