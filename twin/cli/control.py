@@ -26,13 +26,20 @@ from twin.cli.options import conditions, number, positive
 from twin.cli.outputs import JsonOption, Output, command
 from twin.cli.terminal import echo
 from twin.control import Request, compared, deliver, make, outputs_of, written_by
-from twin.machine.control import FORMATS
+from twin.machine.calibration import Calibration
+from twin.machine.control import FORMATS, format_named
 from twin.machine.iso16907 import BASIC, Scope
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.budget import known_at
 
-Kind = StrEnum("Kind", {name: name for name in FORMATS})  # type: ignore[misc]
-GRID_TOLERANCE_MM = 0.005
+NAMES = [form.name for form in FORMATS]
+Kind = StrEnum("Kind", {name: name for name in NAMES})  # type: ignore[misc]
+TOLERANCE_UM = 1.0
+OTHER_TOLERANCES = "".join(
+    f", of a {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
+)
+COUNTED = "; ".join(f"{form.name}: {form.tables} if not given; {form.fewer_tables}" for form in FORMATS if form.tables)
+MULTIPLIED = " ".join(form.name for form in FORMATS if getattr(form, "products", False))
 
 
 @command(
@@ -68,19 +75,19 @@ def control(
         float | None,
         typer.Option(
             "--tolerance",
-            help=f"mm the model may be off the straight lines between nodes; 0.001, of a grid {GRID_TOLERANCE_MM:g}, if not given.",
+            help=f"mm the model may be off the straight lines between nodes; 0.001{OTHER_TOLERANCES}, if not given.",
         ),
     ] = None,
     step: Annotated[
         float | None,
         typer.Option("--step", help="mm (degrees) between nodes; as wide as the tolerance allows if not given."),
     ] = None,
-    tables: Annotated[
-        int | None, typer.Option("--tables", min=1, help="Tables the control has (siemens: 62 if not given; 828D: 8).")
-    ] = None,
+    tables: Annotated[int | None, typer.Option("--tables", min=1, help=f"Tables the control has ({COUNTED}).")] = None,
     products: Annotated[
         bool,
-        typer.Option("--products/--no-products", help="Whether siemens tables may be multiplied, for angular errors."),
+        typer.Option(
+            "--products/--no-products", help=f"Whether {MULTIPLIED} tables may be multiplied, for angular errors."
+        ),
     ] = True,
     add: Annotated[
         bool,
@@ -103,7 +110,6 @@ def control(
     errors = calibration_of(calibration, loaded)
     around = conditions(temperature, time)
     around.check(errors)
-    known, missing = known_at(around, errors)
     place = _place(at)
     if read:
         if to is not None or output is not None or kind is None or not files:
@@ -112,6 +118,7 @@ def control(
                 expected="FILES --format F, and neither --to nor -o",
                 value=" ".join(map(str, files or [])),
             )
+        known, _ = known_at(around, errors)
         found = compared(loaded, known, kind.value, files, place, tool_length, around)
         if json_file is not None:
             write_json(json_file, found.to_dict())
@@ -119,55 +126,66 @@ def control(
         tell_unused(around, errors)
         return
     if to is None or output is None or files or kind is not None:
-        raise InputError("what to do", expected=f"--to {'|'.join(FORMATS)} -o FOLDER, or --read FILES --format F")
-    chosen = None if scope is None else Scope.parse(scope)
-    if chosen is not None and (chosen.orientation or not chosen.classes):
-        raise InputError(
-            "--scope FOR: tables correct the point, not the orientation",
-            expected=f"some of {' '.join(BASIC)}",
-            value="FOR",
-        )
-    default = GRID_TOLERANCE_MM if to.value == "grid" else 1e-3
+        raise InputError("what to do", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
     if step is not None:
         positive("--step", step)
+    default = format_named(to.value).tolerance_um * 1e-3
     positive("--tolerance", default if tolerance is None else tolerance)
-    notes = (f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),)
     request = Request(
         kind=to.value,
         at=place,
         tool_length_mm=tool_length,
-        classes=frozenset(BASIC) if chosen is None else chosen.classes,
+        classes=_classes(scope),
         tolerance_um=1e3 * (default if tolerance is None else tolerance),
         step=step,
-        most=tables if tables is not None else Request(to.value).most,
+        most=tables,
         products=products,
         conditions=around,
         add=add,
-        notes=notes,
+        notes=(f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),),
     )
+    _write(loaded, errors, request, output, json_file)
+
+
+def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
+    """Make the tables, write the folder, and tell."""
     room = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
     if not room.is_dir():
         raise InputError("cannot be written", expected="a folder, or a place for one", file=room)
     check_folder(room, output)
     if output.is_dir():
-        check_writable(outputs_of(output, to.value, loaded))
+        check_writable(outputs_of(output, request.kind, machine))
+    known, missing = known_at(request.conditions, errors)
     with progress() as say:
         say("tables", 0.0)
-        made = make(loaded, known, request)
+        made = make(machine, known, request)
         say("what remains", 0.6)
         account = deliver(made, errors, known, missing, output)
     if json_file is not None:
         write_json(json_file, account.to_dict())
     echo(account.to_text(), end="")
-    tell_unused(around, errors)
-    echo(f"\nwritten: {output}/ {' '.join(written_by(made))}")
-    strange = sorted(
-        {path.name for path in output.iterdir()} - {*written_by(made), "" if json_file is None else json_file.name}
-    )
+    tell_unused(request.conditions, errors)
+    own = written_by(made)
+    echo(f"\nwritten: {output}/ {' '.join(own)}")
+    strange = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
     if strange:
-        echo(f"also there, and not of these tables: {' '.join(strange)}")
+        echo(f"also there, and not of these tables: {' '.join(sorted(strange))}")
     if account.unmet:
         raise typer.Exit(NOT_ALL_MET)
+
+
+def _classes(scope: list[str] | None) -> frozenset[str]:
+    """The basic classes of a scope; all of them if none is given."""
+    if scope is None:
+        return frozenset(BASIC)
+    chosen = Scope.parse(scope)
+    if chosen.orientation or not chosen.classes:
+        raise InputError(
+            "--scope FOR: tables correct the point, not the orientation",
+            expected=f"some of {' '.join(BASIC)}",
+            value="FOR",
+        )
+    return chosen.classes
 
 
 def _place(at: list[str] | None) -> dict[str, float]:

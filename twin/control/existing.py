@@ -10,33 +10,16 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin.control.design import named
-from twin.control.make import middle_of
+from twin.control.account import unit_shown
 from twin.control.remains import Remains, remains
-from twin.control.wanted import Wanted
+from twin.control.wanted import Wanted, middle_of
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
-from twin.machine.control import ControlSection, Correction, TableEntry, Terms, read_tables
-from twin.machine.control.grid import Grid
-from twin.machine.control.isg import Volumetric
+from twin.machine.control import Content, ControlSection, Correction, TableEntry, TableFormat, format_named
 from twin.machine.iso16907 import BASIC
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.machine import Machine
 
 PLACES = 1001
-
-
-@final
-@dataclass(frozen=True)
-class Content:
-    """One table of the files: its nodes (mm, degrees), and the largest value in ``unit`` (``um``, ``urad``)."""
-
-    name: str
-    low: float
-    high: float
-    nodes: int
-    step: float
-    largest: float
-    unit: str
 
 
 @final
@@ -96,7 +79,7 @@ class Existing:
         lines = [f"{self.kind}: {', '.join(file.name for file in self.files)}"]
         lines += [
             f"  {one.name:<{width}}  {one.low:g} … {one.high:g}, {one.nodes} nodes, step {one.step:g}, largest {one.largest:.3f} "
-            f"{one.unit.replace('u', 'µ', 1)}"
+            f"{unit_shown(one.unit)}"
             for one in self.contents
         ]
         lines += ["", f"Against {self.source}, tool length {self.tool_length_mm:g} mm, the other axes at {where}"]
@@ -109,7 +92,7 @@ class Existing:
             )
         lines.append("  moves  along    largest correction    differs by    of that the same everywhere")
         lines += [
-            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {one.unit.replace('u', 'µ', 1):<6}  {one.differs:>10.2f}  "
+            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {unit_shown(one.unit):<6}  {one.differs:>10.2f}  "
             f"{one.constant:>18.2f}"
             for one in self.differences
         ]
@@ -163,7 +146,8 @@ def compared(
     Raises:
         InputError: whatever does not fit in a file.
     """
-    correction = read_tables(kind, files, machine)
+    form = format_named(kind)
+    correction = form.read(files, machine)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     remaining = calibration.control is not None and calibration.control.errors_are == "remaining"
     wanted = Wanted(
@@ -174,8 +158,8 @@ def compared(
     return Existing(
         tuple(files),
         kind,
-        _contents(correction, machine),
-        _differences(correction, wanted, kind),
+        correction.contents(),
+        _differences(correction, wanted, form),
         left,
         wanted.at,
         length,
@@ -185,39 +169,11 @@ def compared(
     )
 
 
-def _contents(correction: Correction, machine: Machine) -> tuple[Content, ...]:
-    found = []
-    if isinstance(correction, Terms):
-        for term in correction.terms:
-            curve = term.factors[0]
-            largest = float(np.prod([max(abs(value) for value in factor.values) for factor in term.factors]))
-            unit = "um" if machine.by_name[term.axis].linear else "urad"
-            found.append(Content(named(term), curve.at[0], curve.at[-1], len(curve.at), curve.step, largest, unit))
-    elif isinstance(correction, Volumetric):
-        for one in correction.errors:
-            for i, curve in one.curves.items():
-                largest = max(abs(value) for value in curve.values)
-                name = f"E_{DIRECTIONS[i]}{one.axis}"
-                found.append(
-                    Content(
-                        name, curve.at[0], curve.at[-1], len(curve.at), curve.step, largest, "um" if i < 3 else "urad"
-                    )
-                )
-    elif isinstance(correction, Grid):
-        for k, name in enumerate(correction.names):
-            nodes = correction.at[k]
-            largest = float(np.abs(correction.values[..., k]).max())
-            found.append(
-                Content(f"d{name} over the box", nodes[0], nodes[-1], len(nodes), nodes[1] - nodes[0], largest, "um")
-            )
-    return tuple(found)
-
-
-def _differences(correction: Correction, wanted: Wanted, kind: str) -> tuple[Difference, ...]:
+def _differences(correction: Correction, wanted: Wanted, form: TableFormat[Any]) -> tuple[Difference, ...]:
     machine = wanted.machine
     linear = [machine.axes[i].name for i in machine.linear]
     # Tables of single axes are about linear axes' own errors; a control that knows the machine moves them for the rotary ones' too.
-    about = tuple(machine.names) if kind == "isg" else tuple(linear)
+    about = tuple(machine.names) if form.knows_machine else tuple(linear)
     found = []
     for axis in machine.axes:
         low, high = wanted.range_of(axis)
@@ -238,7 +194,7 @@ def _differences(correction: Correction, wanted: Wanted, kind: str) -> tuple[Dif
                 said.append(shift)
                 off.append(shift - wants)
             constant = float(np.mean(off))
-            if axis.linear or not own.linear or kind == "isg":
+            if axis.linear or not own.linear or form.knows_machine:
                 found.append(
                     Difference(
                         moved,

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal, final
+from functools import partial
+from typing import Any, Final, final
 
 import numpy as np
 
+from twin.control.design import Acting, Design, Share
+from twin.control.request import Request
 from twin.control.wanted import Wanted, step_back
 from twin.display import UNKNOWN, finite
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Listening
-from twin.machine.effects import ControlCorrection, Effect
+from twin.machine.conditions import APPROACH, Listening
+from twin.machine.effects import ControlCorrection
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, known_volume
 
-Share = Literal["whole", "line", "no"]
 STEPS: Final = 2
 """Of the linear axes, so that what they can take out is gone to a nanometre."""
-
-SOME_BEYOND: Final = 0.01
-ALL_BEYOND: Final = 0.99
-"""Share of an error that lies where no linear axis moves the point; products of two errors are a thousandth."""
 
 
 @final
@@ -223,51 +220,34 @@ class Carried:
     why: str
 
 
-def carried(wanted: Wanted, kind: str, classes: frozenset[str], *, products: bool) -> tuple[Carried, ...]:
-    """Every error of the calibration."""
-    return tuple(
-        Carried(effect.name, iso_class, *_share(effect, iso_class, wanted, kind, products=products))
-        if iso_class in classes
-        else Carried(effect.name, iso_class, "no", "not in --scope")
-        for effect in wanted.calibration.effects
-        if not isinstance(effect, ControlCorrection)
-        for iso_class in (wanted.class_of(effect),)
-    )
+def carried(wanted: Wanted, request: Request, design: Design[Any], *, products: bool) -> tuple[Carried, ...]:
+    """Every error of the calibration.
 
-
-def _share(effect: Effect, iso_class: str, wanted: Wanted, kind: str, *, products: bool) -> tuple[Share, str]:
-    axis = wanted.machine.by_name[effect.frame.axis]
-    heard = _Heard(wanted)
-    effect.components(heard)
-    others = sorted(name for name in heard.used if name != axis.name and name in wanted.machine.by_name)
-    directed = f"approach_{axis.name}" in heard.asked
-    if kind in ("isg", "grid") and directed:
-        return "no", "the format has no directions: the mean of both is taken"
-    if kind == "grid":
-        if not axis.linear:
-            return "no", "an error of a rotary axis: a grid knows X, Y and Z only"
-        rotary = [name for name in others if not wanted.machine.by_name[name].linear]
-        return ("line", f"depends on {' '.join(rotary)} too") if rotary else ("whole", "")
-    if kind == "isg":
-        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
-    if not axis.linear:
-        if iso_class != "R-POS":
-            return "no", "moves the point in a direction that turns with the rotary axes"
-        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
-    if kind == "linuxcnc" and iso_class in ("L-STR", "L-SQU"):
-        return "no", "moves other axes than its own: the format has no such tables"
-    beyond = wanted.beyond(effect)
-    if beyond > ALL_BEYOND:
-        return "no", "no linear axis moves the point that way"
-    if beyond > SOME_BEYOND:
-        return "line", f"no linear axis moves the point the way of {100.0 * beyond:.0f} % of it"
-    if others:
-        return "line", f"depends on {' '.join(others)} too"
-    if iso_class == "L-ANG" and kind == "linuxcnc":
-        return "line", "along its own axis only, and there with the lever of the reference position"
-    if iso_class == "L-ANG" and not (kind == "siemens" and products):
-        return "line", "with the lever of the reference position"
-    return "whole", ""
+    Args:
+        wanted: the machine and its errors.
+        request: format and classes.
+        design: how the tables of the format are worked out.
+        products: whether two tables are multiplied.
+    """
+    found, form, by_name = [], request.form, wanted.machine.by_name
+    for effect in wanted.calibration.effects:
+        if isinstance(effect, ControlCorrection):
+            continue
+        iso_class, axis = wanted.class_of(effect), by_name[effect.frame.axis]
+        heard = _Heard(wanted)
+        effect.components(heard)
+        others = tuple(by_name[name] for name in sorted(heard.used) if name != axis.name and name in by_name)
+        share: tuple[Share, str]
+        if iso_class not in request.classes:
+            share = "no", "not in --scope"
+        elif not form.directions and f"{APPROACH}{axis.name}" in heard.asked:
+            share = "no", "the format has no directions: the mean of both is taken"
+        else:
+            share = design.share(
+                Acting(axis, iso_class, others, partial(wanted.beyond, effect)), form, products=products
+            )
+        found.append(Carried(effect.name, iso_class, *share))
+    return tuple(found)
 
 
 @final
@@ -287,6 +267,6 @@ class _Heard(dict[str, Any]):
         return self._source[name]
 
     @property
-    def asked(self) -> Mapping[str, None]:
+    def asked(self) -> frozenset[str]:
         """Channels beside the positions."""
-        return dict.fromkeys(self._source.asked)
+        return frozenset(self._source.asked)

@@ -145,6 +145,26 @@ class Wanted:
         return sides
 
 
+def middle_of(machine: Machine, at: Mapping[str, float]) -> dict[str, float]:
+    """Where axes stand: as given; else linear axes in the middle of their ranges, rotary ones as near to zero as they come.
+
+    Raises:
+        InputError: no such axis, or a position out of its range.
+    """
+    found = {}
+    for axis in machine.axes:
+        low, high = axis.domain
+        found[axis.name] = 0.5 * (low + high) if axis.linear else float(np.clip(0.0, low, high))
+    for name, value in at.items():
+        if name not in found:
+            raise InputError("--at of no axis", expected=f"one of {' '.join(machine.names)}", value=name)
+        low, high = machine.by_name[name].domain
+        if not low <= value <= high:
+            raise InputError(f"--at out of the range of {name}", expected=f"{low:g} … {high:g}", value=value)
+        found[name] = float(value)
+    return found
+
+
 def undo(real: Kinematics, meant: Kinematics, positions: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
     """(n, linear axes) mm: the step of the linear axes that takes the point to where it was meant to be, or as near as they can."""
     return step_back(real, positions, sides, meant.forward(positions).point_mm)

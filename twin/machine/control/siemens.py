@@ -13,7 +13,7 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 - p. 264: on the 828D there are 8 tables of 200 points.
 - "AX1" … are machine axes in their order whatever their names (p. 248).
 
-**Not checked** (`UNCHECKED`): that of two tables multiplied only the product moves the axis, as the example of p. 252 needs it
+**Not checked** (`unchecked`): that of two tables multiplied only the product moves the axis, as the example of p. 252 needs it
 (its second table alone would move X1 by Z1), and not their single values too. Values of rotary output axes in degrees.
 """
 
@@ -21,27 +21,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
-from twin.machine.control.lines import axis_named, number, numbered, plain, unit_of
+from twin.machine.control.format import AxisFormat
+from twin.machine.control.lines import URAD_IN_DEG, Line, numbered, plain, unit_of
 from twin.machine.machine import Axis, Machine
 
-POINTS: Final = 200
-"""Of a table of the 828D; the 840D sl has as many as MD18342 says."""
-TABLES: Final = 62
-"""Tables written at most where nobody says how many the control has (not checked; two for each of 31 axes). The 828D has 8."""
-DIGITS: Final = 6
-FACTOR_DIGITS: Final = 9
 FILE: Final = "cec.mpf"
-UNCHECKED: Final = (
-    "products: that only the product moves the axis and not the single values of the two tables too (as the manual's example needs it)",
-    "rotary output axes: values in degrees",
-)
+_DIGITS: Final = 6
+_FACTOR_DIGITS: Final = 9
+_ROOM: Final = 1.2
+"""Times the largest correction: what a limit of the control is to be set to, so that a table read another way round is stopped."""
 _FIELD: Final = re.compile(
     r"^\$AN_CEC(?:_(STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
     r"\[\s*(\d{1,9})\s*(?:,\s*(\d{1,9})\s*)?\]\s*=\s*(.+)$",
@@ -50,228 +45,231 @@ _FIELD: Final = re.compile(
 _NEEDED: Final = ("STEP", "MIN", "MAX", "INPUT_AXIS", "OUTPUT_AXIS")
 
 
-def write(terms: Sequence[Term], machine: Machine, notes: Sequence[str] = ()) -> dict[str, str]:
-    """The program by its name: one table a factor.
+@final
+class Siemens(AxisFormat):
+    """SINUMERIK 840D sl: cross error compensation (CEC)."""
 
-    Args:
-        terms: tables, and products of two; nodes of every curve in equal steps.
-        machine: its axes are taken as AX1, AX2, … in command order.
-        notes: said in comments at its head.
+    name = "siemens"
+    title = "SINUMERIK 840D sl"
+    what = "CEC"
+    carries = "also, by products of two tables, the levers: X by E_BX(X) times Z"
+    leaves = "errors of rotary axes but R-POS"
+    classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
+    points = 200
+    """Of a table of the 828D; the 840D sl has as many as MD18342 says."""
+    rounding = (0.0005, 0.0088)
+    tables = 62
+    """Where nobody says how many the control has (not checked; two for each of 31 axes)."""
+    fewer_tables = "828D: 8"
+    across = True
+    products = True
+    wraps = True
+    crossed_directions = True
+    unchecked = (
+        "products: that only the product moves the axis and not the single values of the two tables too (as the manual's example "
+        "needs it)",
+        "rotary output axes: values in degrees",
+    )
 
-    Raises:
-        InputError: steps that are not equal; more tables than there can be.
-    """
-    blocks: list[str] = []
-    index = 0
-    for term in terms:
-        scale = unit_of(machine.by_name[term.axis])
-        if len(term.factors) > 2:
-            raise InputError("a product of three tables", expected="two", value=term.axis)
-        blocks.append(
-            _block(index, term.axis, term.factors[0], scale, DIGITS, machine, index + 2 if len(term.factors) > 1 else 0)
+    def files(self, machine: Machine) -> tuple[str, ...]:
+        """See `TableFormat.files`."""
+        return (FILE,)
+
+    def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
+        """The program: one table a factor; see `TableFormat.write`.
+
+        Args:
+            correction: tables, and products of two; nodes of every curve in equal steps. The axes are taken as AX1, AX2, … in command
+                order.
+            notes: said at its head.
+
+        Raises:
+            InputError: steps that are not equal; more tables than there can be.
+        """
+        machine = correction.machine
+        blocks: list[str] = []
+        for term in correction.terms:
+            scale = unit_of(machine.by_name[term.axis])
+            if len(term.factors) > 2:
+                raise InputError("a product of three tables", expected="two", value=term.axis)
+            first, *others = term.factors
+            by = len(blocks) + 2 if others else 0
+            blocks.append(_block(len(blocks), term.axis, first.scaled(scale), _DIGITS, machine, by))
+            blocks += [_block(len(blocks), term.axis, factor, _FACTOR_DIGITS, machine, 0) for factor in others]
+        if len(blocks) > self.tables:
+            raise InputError("too many compensation tables", expected=f"at most {self.tables}", value=len(blocks))
+        axes = ", ".join(f"AX{i} is {name}" for i, name in enumerate(machine.names, start=1))
+        head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axes}"]
+        return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
+
+    def read(self, files: Sequence[Path], machine: Machine) -> Terms:
+        """Tables from programs that write ``$AN_CEC…``.
+
+        Raises:
+            InputError: a line that is neither an assignment to a table, a comment, a head nor an end; whatever is missing in a table or
+                does not fit.
+        """
+        entries: dict[int, _Entry] = {}
+        for path in files:
+            for index, entry in _entries(path).items():
+                if index in entries:
+                    other = entries[index].line.path.name
+                    raise entry.line.error(f"table {index} is in two files", "once", other)
+                entries[index] = entry
+        curves = {index: _curve(index, entry, machine) for index, entry in entries.items()}
+        factors: dict[int, int] = {}
+        for index, entry in entries.items():
+            by = entry.fields.get("MULT_BY_TABLE", Line(entry.line.path, entry.line.number, "0"))
+            number = int(by.decimal("MULT_BY_TABLE"))
+            if number and number - 1 not in curves:
+                raise by.error("no such table to multiply by", "the index of one plus 1", by.text)
+            if number:
+                factors[index] = number - 1
+        terms = []
+        for index in sorted(set(entries) - (set(factors.values()) - set(factors))):
+            axis, curve = curves[index]
+            own = curve.scaled(1.0 / unit_of(axis))
+            if index not in factors:
+                terms.append(Term(axis.name, (own,)))
+                continue
+            by = entries[index].fields["MULT_BY_TABLE"]
+            if index in factors.values():
+                what = f"table {index} multiplies another and is itself multiplied"
+                raise by.error(what, "products of two", by.text)
+            other_axis, factor = curves[factors[index]]
+            if other_axis.name != axis.name:
+                what = f"tables {index} and {factors[index]} are multiplied and move different axes"
+                raise by.error(what, axis.name, other_axis.name)
+            terms.append(Term(axis.name, (own, factor)))
+        return Terms(tuple(terms), machine)
+
+    def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
+        """See `TableFormat.loading`."""
+        machine = correction.machine
+        counts = [len(factor.at) for term in correction.terms for factor in term.factors]
+        limits = ", ".join(
+            f"{name} {math.ceil(_ROOM * peak) * 1e-3:.3f} mm"
+            if machine.by_name[name].linear
+            else f"{name} {_ROOM * peak * URAD_IN_DEG:.5f} deg"
+            for name, peak in largest.items()
         )
-        index += 1
-        for factor in term.factors[1:]:
-            blocks.append(_block(index, term.axis, factor, 1.0, FACTOR_DIGITS, machine, 0))
-            index += 1
-    if index > TABLES:
-        raise InputError("too many compensation tables", expected=f"at most {TABLES}", value=index)
-    axes = ", ".join(f"AX{i} is {name}" for i, name in enumerate(machine.names, start=1))
-    head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axes}"]
-    return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
+        moved = ", ".join(largest)
+        products = (
+            "Products: a table with $AN_CEC_MULT_BY_TABLE and the one behind it are an angular error times its lever (up to 1). Should "
+            "the control add the single values too, the sum goes over MD32720: an alarm comes, and the correction is held at that "
+            "limit. Then make the tables with --no-products."
+        )
+        return (
+            f"Check the axes: {', '.join(f'AX{i} = {name}' for i, name in enumerate(machine.names, start=1))} "
+            "(MD10000 $MN_AXCONF_MACHAX_NAME_TAB); input and output axes are written by these numbers.",
+            f"MD18342 $MN_MM_CEC_MAX_POINTS[t] for t = 0 ... {len(counts) - 1}: {', '.join(map(str, counts))} or more "
+            "(reorganises memory: back up first; a restart follows). The 828D has 8 tables of 200 points.",
+            f"MD32710 $MA_CEC_ENABLE = 0 for {moved}: tables can be loaded only while it is off.",
+            f"Run {FILE} once as a part program.",
+            f"MD32720 $MA_CEC_MAX_SUM, a limit with an alarm, a little above the largest correction: {limits}.",
+            f"SD41300 $SN_CEC_TABLE_ENABLE[t] = 1 for all of them, then MD32710 $MA_CEC_ENABLE = 1 for {moved}; reset. Axes must be "
+            "referenced.",
+            *([products] if any(len(term.factors) > 1 for term in correction.terms) else []),
+            "Leadscrew error compensation (MD32700) of the same axis works beside it: what it takes out must not be in the "
+            "calibration again.",
+        )
 
 
-def _block(index: int, moved: str, curve: Curve, scale: float, digits: int, machine: Machine, by: int) -> str:
+def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, by: int) -> str:
+    """Lines of one table, in the control's units."""
     steps = [b - a for a, b in zip(curve.at, curve.at[1:], strict=False)]
     if not steps or max(steps) - min(steps) > 1e-9 * max(abs(q) for q in curve.at):
         raise InputError(
             "nodes of a CEC table", expected="two or more in equal steps", value=f"{moved} over {curve.of}"
         )
     side = {0: "both directions", 1: f"{curve.of} moving up", -1: f"{curve.of} moving down"}[curve.direction]
+    fields = {
+        "INPUT_AXIS": f"(AX{machine.names.index(curve.of) + 1})",
+        "OUTPUT_AXIS": f"(AX{machine.names.index(moved) + 1})",
+        "STEP": plain(steps[0], _DIGITS),
+        "MIN": plain(curve.at[0], _DIGITS),
+        "MAX": plain(curve.at[-1], _DIGITS),
+        "DIRECTION": curve.direction,
+        "MULT_BY_TABLE": by,
+        "IS_MODULO": int(curve.period is not None),
+    }
     lines = [f"; table {index + 1}: {moved} by {curve.of}, {side}{f', times table {by}' if by else ''}"]
-    lines += [f"$AN_CEC[{index},{n}]={plain(value * scale, digits)}" for n, value in enumerate(curve.values)]
-    lines += [
-        f"$AN_CEC_INPUT_AXIS[{index}]=(AX{machine.names.index(curve.of) + 1})",
-        f"$AN_CEC_OUTPUT_AXIS[{index}]=(AX{machine.names.index(moved) + 1})",
-        f"$AN_CEC_STEP[{index}]={plain(steps[0], DIGITS)}",
-        f"$AN_CEC_MIN[{index}]={plain(curve.at[0], DIGITS)}",
-        f"$AN_CEC_MAX[{index}]={plain(curve.at[-1], DIGITS)}",
-        f"$AN_CEC_DIRECTION[{index}]={curve.direction}",
-        f"$AN_CEC_MULT_BY_TABLE[{index}]={by}",
-        f"$AN_CEC_IS_MODULO[{index}]={int(curve.period is not None)}",
-    ]
+    lines += [f"$AN_CEC[{index},{n}]={plain(value, digits)}" for n, value in enumerate(curve.values)]
+    lines += [f"$AN_CEC_{name}[{index}]={value}" for name, value in fields.items()]
     return "\n".join(lines)
 
 
 @final
 @dataclass
 class _Entry:
-    """One table while it is read."""
+    """One table while it is read: its first line, the values of its variables and of its points."""
 
-    line: int
-    fields: dict[str, tuple[int, str]] = field(default_factory=dict)
-    values: dict[int, tuple[int, str]] = field(default_factory=dict)
-
-
-def read(files: Sequence[Path], machine: Machine) -> Terms:
-    """Tables from programs that write ``$AN_CEC…``.
-
-    Raises:
-        InputError: a line that is neither an assignment to a table, a comment, a head nor an end; whatever is missing in a table or
-        does not fit.
-    """
-    terms: list[Term] = []
-    seen: dict[int, Path] = {}
-    entries: dict[int, tuple[Path, _Entry]] = {}
-    for path in files:
-        for index, entry in _entries(path).items():
-            if index in seen:
-                raise InputError(
-                    f"table {index} is in two files",
-                    expected="once",
-                    file=path,
-                    line=entry.line,
-                    value=seen[index].name,
-                )
-            seen[index] = path
-            entries[index] = (path, entry)
-    curves = {index: _curve(index, path, entry, machine) for index, (path, entry) in entries.items()}
-    multiplied = set()
-    for path, entry in entries.values():
-        line, by = entry.fields.get("MULT_BY_TABLE", (entry.line, "0"))
-        other = int(number(by, path, line, "MULT_BY_TABLE"))
-        if other and other - 1 not in curves:
-            raise InputError(
-                "no such table to multiply by", expected="the index of one plus 1", file=path, line=line, value=by
-            )
-        if other:
-            multiplied.add(other - 1)
-    for index, (path, entry) in sorted(entries.items()):
-        line, by = entry.fields.get("MULT_BY_TABLE", (entry.line, "0"))
-        other = int(float(by))
-        axis, curve = curves[index]
-        if index in multiplied:
-            if other:
-                raise InputError(
-                    f"table {index} multiplies another and is itself multiplied",
-                    expected="products of two",
-                    file=path,
-                    line=line,
-                    value=by,
-                )
-            continue
-        scale = unit_of(axis)
-        own = _scaled(curve, 1.0 / scale)
-        if not other:
-            terms.append(Term(axis.name, (own,)))
-            continue
-        factor_axis, factor = curves[other - 1]
-        if factor_axis.name != axis.name:
-            raise InputError(
-                f"tables {index} and {other - 1} are multiplied and move different axes",
-                expected=axis.name,
-                file=path,
-                line=line,
-                value=factor_axis.name,
-            )
-        terms.append(Term(axis.name, (own, factor)))
-    return Terms(terms, machine)
-
-
-def _scaled(curve: Curve, by: float) -> Curve:
-    return Curve(curve.of, curve.at, tuple(value * by for value in curve.values), curve.period, curve.direction)
+    line: Line
+    fields: dict[str, Line] = field(default_factory=dict)
+    values: dict[int, Line] = field(default_factory=dict)
 
 
 def _entries(path: Path) -> dict[int, _Entry]:
+    """The tables of one file, by index."""
     found: dict[int, _Entry] = {}
-    for line, text in numbered(path):
-        text = text.partition(";")[0].strip()
+    for line in numbered(path):
+        text = line.text.partition(";")[0].strip()
         if not text or text.startswith("%") or re.fullmatch(r"(?i)N?\d*\s*(M17|M30|M02|M2|RET|CHANDATA\(\d+\))", text):
             continue
         match = _FIELD.match(text)
         if match is None:
-            raise InputError(
-                "no line of a compensation table",
-                expected="$AN_CEC… = …, a comment, M17 or M30",
-                file=path,
-                line=line,
-                value=text,
-            )
+            raise line.error("no line of a compensation table", "$AN_CEC… = …, a comment, M17 or M30", text)
         name, index, node, value = match.groups()
         entry = found.setdefault(int(index), _Entry(line))
         if (name is None) != (node is not None):
-            raise InputError(
-                "indices that do not fit",
-                expected="[table,point] of a value, [table] of the rest",
-                file=path,
-                line=line,
-                value=text,
-            )
-        place: dict[int, tuple[int, str]] | dict[str, tuple[int, str]] = entry.values if name is None else entry.fields
-        key: int | str = int(node) if name is None else name.upper()
-        if key in place:
-            raise InputError("written twice", expected="once", file=path, line=line, value=text)
-        place[key] = (line, value.strip())  # type: ignore[index]
+            raise line.error("indices that do not fit", "[table,point] of a value, [table] of the rest", text)
+        if (int(node) in entry.values) if name is None else (name.upper() in entry.fields):
+            raise line.error("written twice", "once", text)
+        told = Line(path, line.number, value.strip())
+        if name is None:
+            entry.values[int(node)] = told
+        else:
+            entry.fields[name.upper()] = told
     if not found:
         raise InputError("no compensation table", expected="$AN_CEC[0,0] = …", file=path)
     return found
 
 
-def _curve(index: int, path: Path, entry: _Entry, machine: Machine) -> tuple[Axis, Curve]:
+def _curve(index: int, entry: _Entry, machine: Machine) -> tuple[Axis, Curve]:
     """The axis a table moves, and its curve as written: mm and degrees."""
     for name in _NEEDED:
         if name not in entry.fields:
-            raise InputError(f"table {index} lacks $AN_CEC_{name}", expected="it", file=path, line=entry.line)
+            raise entry.line.error(f"table {index} lacks $AN_CEC_{name}", "it")
 
-    def value(name: str, default: str = "0") -> float:
-        line, text = entry.fields.get(name, (entry.line, default))
-        return number(text, path, line, f"$AN_CEC_{name}")
+    def value(name: str) -> float:
+        return entry.fields[name].decimal(f"$AN_CEC_{name}") if name in entry.fields else 0.0
 
     step, low, high = value("STEP"), value("MIN"), value("MAX")
     steps = (high - low) / step if step > 0.0 else 0.0
     intervals = round(steps) if math.isfinite(steps) else 0
     if intervals < 1 or abs(low + intervals * step - high) > 1e-5 * max(1.0, abs(high), abs(low)):
-        line = entry.fields["STEP"][0]
-        raise InputError(
-            f"table {index}: STEP does not divide MIN … MAX",
-            expected="a whole number of steps",
-            file=path,
-            line=line,
-            value=f"{step:g}",
-        )
+        what = f"table {index}: STEP does not divide MIN … MAX"
+        raise entry.fields["STEP"].error(what, "a whole number of steps", f"{step:g}")
     missing = next((n for n in range(intervals + 1) if n not in entry.values), None)
     if missing is not None or max(entry.values) > intervals:
-        raise InputError(
+        raise entry.line.error(
             f"table {index} has not the points that MIN, MAX and STEP say",
-            expected=f"0 … {intervals}",
-            file=path,
-            line=entry.line,
-            value=max(entry.values) if missing is None else f"{missing} missing",
+            f"0 … {intervals}",
+            max(entry.values) if missing is None else f"{missing} missing",
         )
-    axes = []
-    for name in ("INPUT_AXIS", "OUTPUT_AXIS"):
-        line, text = entry.fields[name]
-        axes.append(_axis(text, machine, path, line))
-    direction = value("DIRECTION")
-    if direction not in (-1.0, 0.0, 1.0):
-        raise InputError(
-            "$AN_CEC_DIRECTION",
-            expected="-1, 0 or 1",
-            file=path,
-            line=entry.fields["DIRECTION"][0],
-            value=f"{direction:g}",
-        )
-    values = tuple(number(entry.values[n][1], path, entry.values[n][0], "a value") for n in range(intervals + 1))
+    of, moved = (_axis(entry.fields[name], machine) for name in ("INPUT_AXIS", "OUTPUT_AXIS"))
+    direction = {-1.0: DOWN, 0.0: BOTH, 1.0: UP}.get(value("DIRECTION"))
+    if direction is None:
+        raise entry.fields["DIRECTION"].error("$AN_CEC_DIRECTION", "-1, 0 or 1", f"{value('DIRECTION'):g}")
+    values = tuple(entry.values[n].decimal("a value") for n in range(intervals + 1))
     at = tuple(low + n * (high - low) / intervals for n in range(intervals + 1))
-    period = high - low if value("IS_MODULO") else None
-    return axes[1], Curve(axes[0].name, at, values, period, {-1.0: DOWN, 0.0: BOTH, 1.0: UP}[direction])
+    return moved, Curve(of.name, at, values, high - low if value("IS_MODULO") else None, direction)
 
 
-def _axis(text: str, machine: Machine, path: Path, line: int) -> Axis:
+def _axis(place: Line, machine: Machine) -> Axis:
     """``(AX2)``: the second axis; ``(X1)``, ``(X)``: X."""
-    name = text.strip("() ").upper()
+    name = place.text.strip("() ").upper()
     general = re.fullmatch(r"AX(\d{1,9})", name)
     if general is not None and 1 <= int(general[1]) <= len(machine.axes):
         return machine.axes[int(general[1]) - 1]
-    shorter = name[:-1] if name.endswith("1") and name not in machine.by_name else name
-    return axis_named(shorter, machine, path, line)
+    return place.axis(name[:-1] if name.endswith("1") and name not in machine.by_name else name, machine)
