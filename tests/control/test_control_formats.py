@@ -20,7 +20,7 @@ from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
 from twin.machine.control import FORMATS, AxisFormat, Correction, Curve, TableFormat, Term, Terms, read_tables
-from twin.machine.control.linuxcnc import LinuxCnc
+from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.spatial import EXACT_UM, Grid
 from twin.machine.control.volumetric import AxisErrors, Volumetric
 from twin.machine.iso16907 import BASIC

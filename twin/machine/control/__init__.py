@@ -41,8 +41,8 @@ model knows it, and a program is corrected for that. The control of `isg` counts
 measured with its tables on hold for the tool that was active then; every account of them says so.
 
 **What was not checked** against a public description of a control is said in the module of its format
-(`help(twin.machine.control.siemens)`), and again beside every table that is written. One sign the wrong way round doubles an error: the
-text says how to try a table before anything is cut.
+(`help(twin.machine.control.formats.siemens)`), and again beside every table that is written. One sign the wrong way round
+doubles an error: the text says how to try a table before anything is cut.
 
     from pathlib import Path
     from twin.machine.calibration import Calibration

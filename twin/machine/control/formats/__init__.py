@@ -9,14 +9,20 @@ from typing import Any, Final
 from twin._common.errors import InputError
 from twin.machine.control.correction import Correction
 from twin.machine.control.format import TableFormat
-from twin.machine.control.grid import SpatialGrid
-from twin.machine.control.heidenhain import HeidenhainTables
-from twin.machine.control.isg import Isg
-from twin.machine.control.linuxcnc import LinuxCnc
-from twin.machine.control.siemens import Siemens
+from twin.machine.control.formats.grid import SpatialGrid
+from twin.machine.control.formats.heidenhain import HeidenhainTables
+from twin.machine.control.formats.isg import Isg
+from twin.machine.control.formats.linuxcnc import LinuxCnc
+from twin.machine.control.formats.siemens import Siemens
 from twin.machine.machine import Machine
 
-FORMATS: Final[tuple[TableFormat[Any], ...]] = (LinuxCnc(), HeidenhainTables(), Siemens(), Isg(), SpatialGrid())
+FORMATS: Final[tuple[TableFormat[Any], ...]] = (
+    LinuxCnc(),
+    HeidenhainTables(),
+    Siemens(),
+    Isg(),
+    SpatialGrid(),
+)
 """Every format there is: the one place that names them."""
 
 
