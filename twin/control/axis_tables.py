@@ -110,18 +110,19 @@ def _columns(wanted: Wanted, form: AxisFormat, axis: Axis, request: Request) -> 
     if not axis.linear:
         turns = {side: wanted.turn(axis, dense, side) for side in (UP, DOWN, BOTH)}
         split = form.directions and np.abs(turns[UP] - turns[DOWN]).max() > WORTH * tolerance
-        sides = (UP, DOWN) if split else (BOTH,)
-        worth = max(np.abs(turns[side]).max() for side in sides) > WORTH * tolerance
-        return [Column(axis.name, side) for side in sides] if worth else []
+        used = (UP, DOWN) if split else (BOTH,)
+        worth = max(np.abs(turns[side]).max() for side in used) > WORTH * tolerance
+        return [Column(axis.name, side) for side in used] if worth else []
     linear = [machine.axes[i].name for i in machine.linear]
-    up, down = (wanted.point((axis.name,), wanted.line(axis, dense), side) for side in (UP, DOWN))
+    sides = (UP, DOWN) if form.directions else (BOTH, BOTH)
+    up, down = (wanted.point((axis.name,), wanted.line(axis, dense), side) for side in sides)
     found: list[Column] = []
     for k, moved in enumerate(linear):
         if not form.across and moved != axis.name:
             continue
         if max(np.abs(up[:, k]).max(), np.abs(down[:, k]).max()) <= WORTH * tolerance:
             continue
-        can = form.crossed_directions or (form.directions and moved == axis.name)
+        can = form.crossed_directions or moved == axis.name
         directed = can and np.abs(up[:, k] - down[:, k]).max() > WORTH * tolerance
         found += [Column(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
     for by in linear if form.products and request.products else ():
