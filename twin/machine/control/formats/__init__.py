@@ -14,6 +14,7 @@ from twin.machine.control.formats.heidenhain import HeidenhainTables
 from twin.machine.control.formats.isg import Isg
 from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.formats.siemens import Siemens
+from twin.machine.control.formats.siemens_eec import SiemensEec
 from twin.machine.machine import Machine
 
 FORMATS: Final[tuple[TableFormat[Any], ...]] = (
@@ -22,6 +23,7 @@ FORMATS: Final[tuple[TableFormat[Any], ...]] = (
     Siemens(),
     Isg(),
     SpatialGrid(),
+    SiemensEec(),
 )
 """Every format there is: the one place that names them."""
 
