@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final, final
 
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
+from twin._common.json_form import json_form
+from twin._common.provenance import ILLUSTRATIVE, texts, to_json
 from twin.control.make import Made, Table
 from twin.control.remains import Carried, Remains
+from twin.machine.calibration import Calibration
 from twin.machine.control import Terms
 
 SCHEMA: Final = "twin.control/1"
@@ -34,16 +36,19 @@ class Account:
         remains: what they leave at the tool.
         carried: every error of the calibration.
         missing: effects left out for want of a temperature or the time, by the channel.
-        source: the calibration's file.
-        warnings: of where its numbers come from.
+        errors: the calibration they were made from.
     """
 
     made: Made
     remains: Remains
     carried: tuple[Carried, ...]
     missing: Mapping[str, tuple[str, ...]]
-    source: str
-    warnings: tuple[SourceWarning, ...]
+    errors: Calibration
+
+    @property
+    def source(self) -> str:
+        """The calibration's file."""
+        return str(self.errors.path or "no file: the machine as drawn")
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -60,7 +65,7 @@ class Account:
         request = made.request
         where = ", ".join(f"{name} {value:g}" for name, value in wanted.at.items())
         lines = [f"Compensation tables for {wanted.machine.name}: {request.kind}"]
-        lines += texts(self.warnings)
+        lines += texts(self.errors.warnings)
         lines += [
             f"from {self.source}",
             f"tool length {wanted.tool_length_mm:g} mm, the other axes at {where}",
@@ -118,8 +123,8 @@ class Account:
             "schema": SCHEMA,
             "machine": wanted.machine.name,
             "calibration": self.source,
-            "illustrative": ILLUSTRATIVE in self.warnings,
-            "warnings": to_json(self.warnings),
+            "illustrative": ILLUSTRATIVE in self.errors.warnings,
+            "warnings": to_json(self.errors.warnings),
             "format": made.request.kind,
             "classes": list(made.request.carried_classes),
             "tool_length_mm": wanted.tool_length_mm,
@@ -127,7 +132,7 @@ class Account:
             "files": list(made.files),
             "tables": [_row(one) for one in made.tables],
             "error_at_tool": self.remains.to_dict(),
-            "errors": [asdict(one) for one in self.carried],
+            "errors": json_form(self.carried),
             "unchecked": list(made.request.form.unchecked),
             "load": list(self.load),
             "unmet": list(self.unmet),

@@ -50,8 +50,7 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
         left,
         carried(made.wanted, request, design_of(request.form), products=request.products and not made.left_out),
         missing,
-        str(errors.path or "no file: the machine as drawn"),
-        errors.warnings,
+        errors,
     )
 
 

@@ -15,7 +15,7 @@ from twin.control.component_errors import ComponentErrors
 from twin.control.design import CHECKS, SEED, Design, Plan
 from twin.control.request import Request
 from twin.control.spatial_grid import GridDesign
-from twin.control.wanted import Wanted, middle_of
+from twin.control.wanted import Wanted
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH
 from twin.machine.control import Content, Correction, TableFormat
@@ -124,14 +124,7 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
     doubts = (f"not checked against a public description: {one}" for one in form.unchecked)
     request = replace(request, notes=(*request.notes, *texts(calibration.warnings), *doubts))
     old = _old(machine, calibration, request)
-    wanted = Wanted(
-        machine,
-        calibration.with_control(None),
-        middle_of(machine, request.at),
-        machine.tool_length_mm if request.tool_length_mm is None else request.tool_length_mm,
-        request.classes,
-        request.conditions,
-    )
+    wanted = Wanted(machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions)
     plan = design_of(form).plan(wanted, request, old)
     if not plan.checks:
         raise InputError(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.json_form import json_form
 from twin.control.design import Acting, Design, Share
 from twin.control.request import Request
 from twin.control.wanted import Wanted, step_back
-from twin.display import UNKNOWN, finite
+from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Listening
@@ -39,9 +40,9 @@ class Left:
     expected_rms_um: float
     tilt_rms_urad: tuple[float, float]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Any:
         """For JSON; null where it is unknown."""
-        return {**asdict(self), "expected_rms_um": finite(self.expected_rms_um)}
+        return json_form(self)
 
 
 @final
@@ -78,12 +79,7 @@ class KnownTo:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where it is unknown."""
-        return {
-            "definition": DEFINITION,
-            "rms_um": finite(self.rms_um),
-            "max_um": finite(self.max_um),
-            "without_uncertainty": list(self.without_uncertainty),
-        }
+        return {"definition": DEFINITION, **json_form(self, leave_out=("standard_rms_um",))}
 
 
 @final
