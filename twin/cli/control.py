@@ -25,8 +25,9 @@ from twin.cli.app import (
 from twin.cli.options import conditions, number, positive
 from twin.cli.outputs import JsonOption, Output, command
 from twin.cli.terminal import echo
-from twin.control import Request, compared, deliver, make, outputs_of, written_by
+from twin.control import Account, Existing, Request, compared, deliver, make, outputs_of, written_by
 from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
 from twin.machine.control import FORMATS, format_named
 from twin.machine.iso16907 import BASIC, Scope
 from twin.machine.machine import DEFAULT, Machine
@@ -42,59 +43,50 @@ COUNTED = "; ".join(f"{form.name}: {form.tables} if not given; {form.fewer_table
 MULTIPLIED = " ".join(form.name for form in FORMATS if getattr(form, "products", False))
 
 
+Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="With --read: the files of the control.")]
+To = Annotated[Kind | None, typer.Option("--to", help="The format to write.")]
+OutputFolder = Annotated[
+    Path | None, typer.Option("--output", "-o", help="The folder they go to."), Output(folder=True)
+]
+Read = Annotated[bool, typer.Option("--read", help="Say what existing tables do, and how the model differs.")]
+FormatRead = Annotated[Kind | None, typer.Option("--format", help="Of the files that are read.")]
+AT_HELP = (
+    "Where the other axes stand while one moves: X=250 Y=225 Z=-200 B=0 C=0; the middle of the linear, zero of the rotary ranges if "
+    "not given."
+)
+At = Annotated[list[str] | None, typer.Option("--at", help=AT_HELP)]
+TOLERANCE_HELP = f"mm the model may be off the straight lines between nodes; 0.001{OTHER_TOLERANCES}, if not given."
+Tolerance = Annotated[float | None, typer.Option("--tolerance", help=TOLERANCE_HELP)]
+STEP_HELP = "mm (degrees) between nodes; as wide as the tolerance allows if not given."
+Step = Annotated[float | None, typer.Option("--step", help=STEP_HELP)]
+Tables = Annotated[int | None, typer.Option("--tables", min=1, help=f"Tables the control has ({COUNTED}).")]
+PRODUCTS_HELP = f"Whether {MULTIPLIED} tables may be multiplied, for angular errors."
+Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
+ADD_HELP = "The calibration's errors are left under its tables: write those and the new ones together."
+Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
+
+
 @command(
     "twin control --to siemens -o tables/ --tool-length 120",
     "twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json",
     "twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml",
 )
 def control(
-    files: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILES", help="With --read: the files of the control.")
-    ] = None,
-    to: Annotated[Kind | None, typer.Option("--to", help="The format to write.")] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The folder they go to."), Output(folder=True)
-    ] = None,
-    read: Annotated[
-        bool, typer.Option("--read", help="Say what existing tables do, and how the model differs.")
-    ] = False,
-    kind: Annotated[Kind | None, typer.Option("--format", help="Of the files that are read.")] = None,
+    files: Files = None,
+    to: To = None,
+    output: OutputFolder = None,
+    read: Read = False,
+    kind: FormatRead = None,
     machine: MachineOption = DEFAULT,
     calibration: CalibrationOption = None,
     tool_length: ToolOption = None,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at",
-            help="Where the other axes stand while one moves: X=250 Y=225 Z=-200 B=0 C=0; the middle of the linear, zero of the "
-            "rotary ranges if not given.",
-        ),
-    ] = None,
+    at: At = None,
     scope: ScopeOption = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            "--tolerance",
-            help=f"mm the model may be off the straight lines between nodes; 0.001{OTHER_TOLERANCES}, if not given.",
-        ),
-    ] = None,
-    step: Annotated[
-        float | None,
-        typer.Option("--step", help="mm (degrees) between nodes; as wide as the tolerance allows if not given."),
-    ] = None,
-    tables: Annotated[int | None, typer.Option("--tables", min=1, help=f"Tables the control has ({COUNTED}).")] = None,
-    products: Annotated[
-        bool,
-        typer.Option(
-            "--products/--no-products", help=f"Whether {MULTIPLIED} tables may be multiplied, for angular errors."
-        ),
-    ] = True,
-    add: Annotated[
-        bool,
-        typer.Option(
-            "--add", help="The calibration's errors are left under its tables: write those and the new ones together."
-        ),
-    ] = False,
+    tolerance: Tolerance = None,
+    step: Step = None,
+    tables: Tables = None,
+    products: Products = True,
+    add: Add = False,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
     json_file: JsonOption = None,
@@ -102,9 +94,8 @@ def control(
     """Compensation tables for the machine's own control, from a calibration; or what existing ones say.
 
     The folder gets the control's files, README.txt (how to load them, what they leave) and calibration.yaml, the same calibration
-    that also says
-    what the control now takes out by itself. Every file is read back and compared with the model before it is there. `twin doc control`
-    has the formats.
+    that also says what the control now takes out by itself. Every file is read back and compared with the model before it is there.
+    `twin doc control` has the formats.
     """
     loaded = Machine.load(machine)
     errors = calibration_of(calibration, loaded)
@@ -113,30 +104,23 @@ def control(
     place = _place(at)
     if read:
         if to is not None or output is not None or kind is None or not files:
-            raise InputError(
-                "--read does not fit",
-                expected="FILES --format F, and neither --to nor -o",
-                value=" ".join(map(str, files or [])),
-            )
+            expected = "FILES --format F, and neither --to nor -o"
+            raise InputError("--read does not fit", expected=expected, value=" ".join(map(str, files or [])))
         known, _ = known_at(around, errors)
-        found = compared(loaded, known, kind.value, files, place, tool_length, around)
-        if json_file is not None:
-            write_json(json_file, found.to_dict())
-        echo(found.to_text(), end="")
-        tell_unused(around, errors)
+        _tell(compared(loaded, known, kind.value, files, place, tool_length, around), errors, around, json_file)
         return
     if to is None or output is None or files or kind is not None:
         raise InputError("what to do", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
     if step is not None:
         positive("--step", step)
-    default = format_named(to.value).tolerance_um * 1e-3
-    positive("--tolerance", default if tolerance is None else tolerance)
+    if tolerance is not None:
+        positive("--tolerance", tolerance)
     request = Request(
         kind=to.value,
         at=place,
         tool_length_mm=tool_length,
         classes=_classes(scope),
-        tolerance_um=1e3 * (default if tolerance is None else tolerance),
+        tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
         step=step,
         most=tables,
         products=products,
@@ -161,10 +145,7 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         made = make(machine, known, request)
         say("what remains", 0.6)
         account = deliver(made, errors, known, missing, output)
-    if json_file is not None:
-        write_json(json_file, account.to_dict())
-    echo(account.to_text(), end="")
-    tell_unused(request.conditions, errors)
+    _tell(account, errors, request.conditions, json_file)
     own = written_by(made)
     echo(f"\nwritten: {output}/ {' '.join(own)}")
     strange = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
@@ -172,6 +153,14 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         echo(f"also there, and not of these tables: {' '.join(sorted(strange))}")
     if account.unmet:
         raise typer.Exit(NOT_ALL_MET)
+
+
+def _tell(found: Account | Existing, errors: Calibration, around: Conditions, json_file: Path | None) -> None:
+    """Print what was found, and write it as JSON."""
+    if json_file is not None:
+        write_json(json_file, found.to_dict())
+    echo(found.to_text(), end="")
+    tell_unused(around, errors)
 
 
 def _classes(scope: list[str] | None) -> frozenset[str]:

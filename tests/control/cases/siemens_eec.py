@@ -24,7 +24,7 @@ BAD = [
     ("eec.mpf", "[0,1,AX1]=0.01", "[0,1,AX1]=$R1", 4, "no number"),
     ("eec.mpf", "[0,1,AX1]=0.01", "[0,1,AX9]=0.01", 4, "no such axis"),
     ("eec.mpf", "[0,1,AX1]=0.01", "[1,1,AX1]=0.01", 4, "no line of a compensation table"),
-    ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,1,AX1]=50", 6, "no line of a compensation table"),
+    ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,1,AX1]=50", 6, "indices that do not fit"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

@@ -22,27 +22,25 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
 from twin.machine.control.format import AxisFormat
-from twin.machine.control.lines import URAD_IN_DEG, Line, numbered, plain, unit_of
+from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
+from twin.machine.control.lines import URAD_IN_DEG, Line, plain, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "cec.mpf"
-_DIGITS: Final = 6
 _FACTOR_DIGITS: Final = 9
 _ROOM: Final = 1.2
 """Times the largest correction: what a limit of the control is to be set to, so that a table read another way round is stopped."""
 _FIELD: Final = re.compile(
-    r"^\$AN_CEC(?:_(STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
-    r"\[\s*(\d{1,9})\s*(?:,\s*(\d{1,9})\s*)?\]\s*=\s*(.+)$",
+    r"^\$AN_CEC(?:_(?P<name>STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
+    r"\[\s*(?P<table>\d{1,9})\s*(?:,\s*(?P<node>\d{1,9})\s*)?\]\s*=\s*(?P<value>.+)$",
     re.IGNORECASE,
 )
-_NEEDED: Final = ("STEP", "MIN", "MAX", "INPUT_AXIS", "OUTPUT_AXIS")
 
 
 @final
@@ -94,12 +92,11 @@ class Siemens(AxisFormat):
                 raise InputError("a product of three tables", expected="two", value=term.axis)
             first, *others = term.factors
             by = len(blocks) + 2 if others else 0
-            blocks.append(_block(len(blocks), term.axis, first.scaled(scale), _DIGITS, machine, by))
+            blocks.append(_block(len(blocks), term.axis, first.scaled(scale), DIGITS, machine, by))
             blocks += [_block(len(blocks), term.axis, factor, _FACTOR_DIGITS, machine, 0) for factor in others]
         if len(blocks) > self.tables:
             raise InputError("too many compensation tables", expected=f"at most {self.tables}", value=len(blocks))
-        axes = ", ".join(f"AX{i} is {name}" for i, name in enumerate(machine.names, start=1))
-        head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axes}"]
+        head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> Terms:
@@ -109,16 +106,10 @@ class Siemens(AxisFormat):
             InputError: a line that is neither an assignment to a table, a comment, a head nor an end; whatever is missing in a table or
                 does not fit.
         """
-        entries: dict[int, _Entry] = {}
-        for path in files:
-            for index, entry in _entries(path).items():
-                if index in entries:
-                    other = entries[index].line.path.name
-                    raise entry.line.error(f"table {index} is in two files", "once", other)
-                entries[index] = entry
-        curves = {index: _curve(index, entry, machine) for index, entry in entries.items()}
+        found = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
+        curves = {index: _curve(index, entry, machine) for index, entry in found.items()}
         factors: dict[int, int] = {}
-        for index, entry in entries.items():
+        for index, entry in found.items():
             by = entry.fields.get("MULT_BY_TABLE", Line(entry.line.path, entry.line.number, "0"))
             number = int(by.decimal("MULT_BY_TABLE"))
             if number and number - 1 not in curves:
@@ -126,13 +117,13 @@ class Siemens(AxisFormat):
             if number:
                 factors[index] = number - 1
         terms = []
-        for index in sorted(set(entries) - (set(factors.values()) - set(factors))):
+        for index in sorted(set(found) - (set(factors.values()) - set(factors))):
             axis, curve = curves[index]
             own = curve.scaled(1.0 / unit_of(axis))
             if index not in factors:
                 terms.append(Term(axis.name, (own,)))
                 continue
-            by = entries[index].fields["MULT_BY_TABLE"]
+            by = found[index].fields["MULT_BY_TABLE"]
             if index in factors.values():
                 what = f"table {index} multiplies another and is itself multiplied"
                 raise by.error(what, "products of two", by.text)
@@ -160,7 +151,7 @@ class Siemens(AxisFormat):
             "limit. Then make the tables with --no-products."
         )
         return (
-            f"Check the axes: {', '.join(f'AX{i} = {name}' for i, name in enumerate(machine.names, start=1))} "
+            f"Check the axes: {axis_numbers(machine, '=')} "
             "(MD10000 $MN_AXCONF_MACHAX_NAME_TAB); input and output axes are written by these numbers.",
             f"MD18342 $MN_MM_CEC_MAX_POINTS[t] for t = 0 ... {len(counts) - 1}: {', '.join(map(str, counts))} or more "
             "(reorganises memory: back up first; a restart follows). The 828D has 8 tables of 200 points.",
@@ -177,8 +168,8 @@ class Siemens(AxisFormat):
 
 def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, by: int) -> str:
     """Lines of one table, in the control's units."""
-    steps = [b - a for a, b in zip(curve.at, curve.at[1:], strict=False)]
-    if not steps or max(steps) - min(steps) > 1e-9 * max(abs(q) for q in curve.at):
+    step = step_of(curve)
+    if step is None:
         raise InputError(
             "nodes of a CEC table", expected="two or more in equal steps", value=f"{moved} over {curve.of}"
         )
@@ -186,9 +177,9 @@ def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, 
     fields = {
         "INPUT_AXIS": f"(AX{machine.names.index(curve.of) + 1})",
         "OUTPUT_AXIS": f"(AX{machine.names.index(moved) + 1})",
-        "STEP": plain(steps[0], _DIGITS),
-        "MIN": plain(curve.at[0], _DIGITS),
-        "MAX": plain(curve.at[-1], _DIGITS),
+        "STEP": plain(step, DIGITS),
+        "MIN": plain(curve.at[0], DIGITS),
+        "MAX": plain(curve.at[-1], DIGITS),
         "DIRECTION": curve.direction,
         "MULT_BY_TABLE": by,
         "IS_MODULO": int(curve.period is not None),
@@ -199,77 +190,16 @@ def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, 
     return "\n".join(lines)
 
 
-@final
-@dataclass
-class _Entry:
-    """One table while it is read: its first line, the values of its variables and of its points."""
-
-    line: Line
-    fields: dict[str, Line] = field(default_factory=dict)
-    values: dict[int, Line] = field(default_factory=dict)
-
-
-def _entries(path: Path) -> dict[int, _Entry]:
-    """The tables of one file, by index."""
-    found: dict[int, _Entry] = {}
-    for line in numbered(path):
-        text = line.text.partition(";")[0].strip()
-        if not text or text.startswith("%") or re.fullmatch(r"(?i)N?\d*\s*(M17|M30|M02|M2|RET|CHANDATA\(\d+\))", text):
-            continue
-        match = _FIELD.match(text)
-        if match is None:
-            raise line.error("no line of a compensation table", "$AN_CEC… = …, a comment, M17 or M30", text)
-        name, index, node, value = match.groups()
-        entry = found.setdefault(int(index), _Entry(line))
-        if (name is None) != (node is not None):
-            raise line.error("indices that do not fit", "[table,point] of a value, [table] of the rest", text)
-        if (int(node) in entry.values) if name is None else (name.upper() in entry.fields):
-            raise line.error("written twice", "once", text)
-        told = Line(path, line.number, value.strip())
-        if name is None:
-            entry.values[int(node)] = told
-        else:
-            entry.fields[name.upper()] = told
-    if not found:
-        raise InputError("no compensation table", expected="$AN_CEC[0,0] = …", file=path)
-    return found
-
-
-def _curve(index: int, entry: _Entry, machine: Machine) -> tuple[Axis, Curve]:
+def _curve(index: int, entry: Entry, machine: Machine) -> tuple[Axis, Curve]:
     """The axis a table moves, and its curve as written: mm and degrees."""
-    for name in _NEEDED:
-        if name not in entry.fields:
+    fields = entry.fields
+    at, values, period = table_of(f"table {index}", "$AN_CEC", entry)
+    for name in ("INPUT_AXIS", "OUTPUT_AXIS"):
+        if name not in fields:
             raise entry.line.error(f"table {index} lacks $AN_CEC_{name}", "it")
-
-    def value(name: str) -> float:
-        return entry.fields[name].decimal(f"$AN_CEC_{name}") if name in entry.fields else 0.0
-
-    step, low, high = value("STEP"), value("MIN"), value("MAX")
-    steps = (high - low) / step if step > 0.0 else 0.0
-    intervals = round(steps) if math.isfinite(steps) else 0
-    if intervals < 1 or abs(low + intervals * step - high) > 1e-5 * max(1.0, abs(high), abs(low)):
-        what = f"table {index}: STEP does not divide MIN … MAX"
-        raise entry.fields["STEP"].error(what, "a whole number of steps", f"{step:g}")
-    missing = next((n for n in range(intervals + 1) if n not in entry.values), None)
-    if missing is not None or max(entry.values) > intervals:
-        raise entry.line.error(
-            f"table {index} has not the points that MIN, MAX and STEP say",
-            f"0 … {intervals}",
-            max(entry.values) if missing is None else f"{missing} missing",
-        )
-    of, moved = (_axis(entry.fields[name], machine) for name in ("INPUT_AXIS", "OUTPUT_AXIS"))
-    direction = {-1.0: DOWN, 0.0: BOTH, 1.0: UP}.get(value("DIRECTION"))
+    of, moved = (axis_of(fields[name], fields[name].text, machine) for name in ("INPUT_AXIS", "OUTPUT_AXIS"))
+    side = fields["DIRECTION"].decimal("$AN_CEC_DIRECTION") if "DIRECTION" in fields else 0.0
+    direction = {-1.0: DOWN, 0.0: BOTH, 1.0: UP}.get(side)
     if direction is None:
-        raise entry.fields["DIRECTION"].error("$AN_CEC_DIRECTION", "-1, 0 or 1", f"{value('DIRECTION'):g}")
-    values = tuple(entry.values[n].decimal("a value") for n in range(intervals + 1))
-    at = tuple(low + n * (high - low) / intervals for n in range(intervals + 1))
-    return moved, Curve(of.name, at, values, high - low if value("IS_MODULO") else None, direction)
-
-
-def _axis(place: Line, machine: Machine) -> Axis:
-    """``(AX2)``: the second axis; ``(X1)``, ``(X)``: X."""
-    name = place.text.strip("() ").upper()
-    general = re.fullmatch(r"AX(\d{1,9})", name)
-    if general is not None and 1 <= int(general[1]) <= len(machine.axes):
-        return machine.axes[int(general[1]) - 1]
-    return place.axis(name[:-1] if name.endswith("1") and name not in machine.by_name else name, machine)
+        raise fields["DIRECTION"].error("$AN_CEC_DIRECTION", "-1, 0 or 1", f"{side:g}")
+    return moved, Curve(of.name, at, values, period, direction)

@@ -21,7 +21,6 @@ and directions, so that a reversal stays (backlash compensation, MD32450). The f
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,16 +29,16 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin.machine.control.curve import Curve, Term, Terms
 from twin.machine.control.format import AxisFormat
-from twin.machine.control.lines import Line, numbered, plain, unit_of
+from twin.machine.control.formats.sinumerik import DIGITS, axis_numbers, axis_of, entries, step_of, table_of
+from twin.machine.control.lines import plain, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "eec.mpf"
-_DIGITS: Final = 6
 _FIELD: Final = re.compile(
-    r"^\$AA_ENC_COMP(?:_(STEP|MIN|MAX|IS_MODULO))?\s*\[\s*0\s*,\s*(?:(\d{1,9})\s*,\s*)?(\w+)\s*\]\s*=\s*(.+)$",
+    r"^\$AA_ENC_COMP(?:_(?P<name>STEP|MIN|MAX|IS_MODULO))?\s*"
+    r"\[\s*0\s*,\s*(?:(?P<node>\d{1,9})\s*,\s*)?(?P<table>\w+)\s*\]\s*=\s*(?P<value>.+)$",
     re.IGNORECASE,
 )
-_OTHER: Final = re.compile(r"%.*|N?\d*\s*(M17|M30|M02|M2|RET|CHANDATA\(\d+\))", re.IGNORECASE)
 
 
 @final
@@ -74,32 +73,30 @@ class SiemensEec(AxisFormat):
             InputError: other tables than these.
         """
         machine = correction.machine
-        axes = ", ".join(f"AX{i} is {name}" for i, name in enumerate(machine.names, start=1))
-        lines = ["%_N_AX_EEC_MPF", *(f"; {note}" for note in notes), f"; {axes}"]
+        lines = ["%_N_AX_EEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         for index, axis in enumerate(machine.axes, start=1):
             own = [term for term in correction.terms if term.axis == axis.name]
             if own:
                 curve, step = self._only(own, axis)
-                values = [plain(-value * unit_of(axis), _DIGITS) for value in curve.values]
+                values = [plain(-value * unit_of(axis), DIGITS) for value in curve.values]
                 lines += [f"; {axis.name}", *(f"$AA_ENC_COMP[0,{n},AX{index}]={text}" for n, text in enumerate(values))]
                 for name, value in (("STEP", step), ("MIN", curve.at[0]), ("MAX", curve.at[-1])):
-                    lines.append(f"$AA_ENC_COMP_{name}[0,AX{index}]={plain(value, _DIGITS)}")
+                    lines.append(f"$AA_ENC_COMP_{name}[0,AX{index}]={plain(value, DIGITS)}")
                 lines.append(f"$AA_ENC_COMP_IS_MODULO[0,AX{index}]={int(curve.period is not None)}")
         return {FILE: "\n".join([*lines, "M30"]) + "\n"}
 
     def _only(self, own: Sequence[Term], axis: Axis) -> tuple[Curve, float]:
         """The curve of an axis, and its step."""
         curve = own[0].factors[0]
-        steps = [b - a for a, b in zip(curve.at, curve.at[1:], strict=False)]
-        even = bool(steps) and max(steps) - min(steps) <= 1e-9 * max(abs(q) for q in curve.at)
+        step = step_of(curve)
         alone = len(own) == 1 and own[0].key == (axis.name, (axis.name, 0))
-        if not alone or not even or len(curve.at) > self.points:
+        if not alone or step is None or len(curve.at) > self.points:
             raise InputError(
                 f"no leadscrew error compensation: {axis.name}",
                 expected=f"one table of an axis over itself for both directions, 2 to {self.points} points in equal steps",
                 value=[f"{term.name}, {len(term.factors[0].at)} points" for term in own],
             )
-        return curve, steps[0]
+        return curve, step
 
     def read(self, files: Sequence[Path], machine: Machine) -> Terms:
         """Tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system.
@@ -107,36 +104,22 @@ class SiemensEec(AxisFormat):
         Raises:
             InputError: a line that is neither an assignment to a table, a comment, a head nor an end; a table that is not whole.
         """
-        found: dict[str, dict[str, Line]] = {}
-        for path in files:
-            for line in numbered(path):
-                text = line.text.partition(";")[0].strip()
-                if not text or _OTHER.fullmatch(text):
-                    continue
-                match = _FIELD.match(text)
-                if match is None or (match[1] is None) != (match[2] is not None):
-                    raise line.error(
-                        "no line of a compensation table", "$AA_ENC_COMP[0,…] = …, a comment, M17 or M30", text
-                    )
-                name, node, of, value = match.groups()
-                table = found.setdefault(_axis(line, of, machine).name, {})
-                key = name.upper() if node is None else str(int(node))
-                if key in table:
-                    raise line.error("written twice", "once", text)
-                table[key] = Line(path, line.number, value.strip())
-        if not found:
-            names = " ".join(file.name for file in files)
-            raise InputError("no compensation table", expected="$AA_ENC_COMP[0,0,AX1] = …", value=names)
-        axes = [axis for axis in machine.axes if axis.name in found]
-        return Terms(tuple(Term(axis.name, (_curve(found[axis.name], axis),)) for axis in axes), machine)
+        terms: dict[str, Term] = {}
+        found = entries(files, _FIELD, "$AA_ENC_COMP[0,")
+        for axis, entry in [(axis_of(entry.line, of, machine), entry) for of, entry in found.items()]:
+            if axis.name in terms:
+                raise entry.line.error("an axis by two names", "one", axis.name)
+            at, values, period = table_of(f"the table of {axis.name}", "$AA_ENC_COMP", entry)
+            shifts = tuple(-value / unit_of(axis) for value in values)
+            terms[axis.name] = Term(axis.name, (Curve(axis.name, at, shifts, period),))
+        return Terms(tuple(terms[name] for name in machine.names if name in terms), machine)
 
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine, moved = correction.machine, ", ".join(largest)
         counts = ", ".join(f"{term.axis} {len(term.factors[0].at)}" for term in correction.terms)
         return (
-            f"Check the axes: {', '.join(f'AX{i} = {name}' for i, name in enumerate(machine.names, start=1))} "
-            "(MD10000 $MN_AXCONF_MACHAX_NAME_TAB).",
+            f"Check the axes: {axis_numbers(machine, '=')} (MD10000 $MN_AXCONF_MACHAX_NAME_TAB).",
             f"MD38000 $MA_MM_ENC_COMP_MAX_POINTS[0]: {counts} or more (reorganises memory: back up first; a restart follows).",
             f"MD32700 $MA_ENC_COMP_ENABLE[0] = 0 for {moved}: tables can be loaded only while it is off.",
             f"Run {FILE} once as a part program.",
@@ -145,34 +128,3 @@ class SiemensEec(AxisFormat):
             "Backlash compensation (MD32450) and sag compensation (MD32710) of the same axis work beside it: what they take out must "
             "not be in the calibration again.",
         )
-
-
-def _axis(line: Line, name: str, machine: Machine) -> Axis:
-    """``AX2``: the second axis; ``X1``, ``X``: X."""
-    general = re.fullmatch(r"AX(\d{1,9})", name.upper())
-    if general is not None and 1 <= int(general[1]) <= len(machine.axes):
-        return machine.axes[int(general[1]) - 1]
-    return line.axis(name.upper() if name.upper() in machine.by_name else name.upper().removesuffix("1"), machine)
-
-
-def _curve(table: Mapping[str, Line], axis: Axis) -> Curve:
-    """The curve of one axis, as what is added to its command."""
-    first = next(iter(table.values()))
-    for name in ("STEP", "MIN", "MAX"):
-        if name not in table:
-            raise first.error(f"the table of {axis.name} lacks $AA_ENC_COMP_{name}", "it")
-    step, low, high = (table[name].decimal(f"$AA_ENC_COMP_{name}") for name in ("STEP", "MIN", "MAX"))
-    steps = (high - low) / step if step > 0.0 else 0.0
-    count = round(steps) if math.isfinite(steps) else 0
-    if count < 1 or abs(low + count * step - high) > 1e-5 * max(1.0, abs(high), abs(low)):
-        raise table["STEP"].error(
-            f"{axis.name}: STEP does not divide MIN … MAX", "a whole number of steps", f"{step:g}"
-        )
-    written = sorted(int(key) for key in table if key.isdecimal())
-    if len(written) != count + 1 or written[-1] != count:
-        what = f"the table of {axis.name} has not the points that MIN, MAX and STEP say"
-        raise first.error(what, f"0 … {count}", f"{len(written)} points")
-    values = tuple(-table[str(n)].decimal("a value") / unit_of(axis) for n in range(count + 1))
-    modulo = "IS_MODULO" in table and table["IS_MODULO"].decimal("$AA_ENC_COMP_IS_MODULO") != 0.0
-    at = tuple(low + n * (high - low) / count for n in range(count + 1))
-    return Curve(axis.name, at, values, high - low if modulo else None)
