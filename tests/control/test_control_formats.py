@@ -19,7 +19,7 @@ from tests.control.cases import CASES
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
-from twin.machine.control import FORMATS, AxisFormat, Correction, Curve, TableFormat, Term, Terms, read_tables
+from twin.machine.control import FORMATS, Correction, Curve, TableFormat, Term, Terms, read_tables
 from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.spatial import EXACT_UM, Grid
 from twin.machine.control.volumetric import AxisErrors, Volumetric
@@ -42,7 +42,7 @@ def put(folder: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 @st.composite
-def terms(draw: st.DrawFn, form: AxisFormat) -> Terms:
+def terms(draw: st.DrawFn, form: TableFormat[Terms]) -> Terms:
     """Tables as a format may hold them: nodes of one axis in equal steps and the same in all its tables."""
     found = []
     for of, (low, high) in RANGES.items():

@@ -40,7 +40,7 @@ OTHER_TOLERANCES = "".join(
     f", of a {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
 )
 COUNTED = "; ".join(f"{form.name}: {form.tables} if not given; {form.fewer_tables}" for form in FORMATS if form.tables)
-MULTIPLIED = " ".join(form.name for form in FORMATS if getattr(form, "products", False))
+MULTIPLIED = " ".join(form.name for form in FORMATS if form.products)
 
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="With --read: the files of the control.")]

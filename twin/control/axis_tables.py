@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from twin.control.design import WORTH, Acting, Check, Design, Plan, Share, depen
 from twin.control.nodes import RESOLUTION, Nodes, at, chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import AxisFormat, Curve, TableFormat, Term, Terms
+from twin.machine.control import Curve, TableFormat, Term, Terms
 from twin.machine.control.curve import BOTH, DOWN, UP, Direction, period_of
 from twin.machine.machine import Axis
 
@@ -60,8 +60,7 @@ class AxisTables(Design[Terms]):
 
     def plan(self, wanted: Wanted, request: Request, old: Terms | None) -> Plan[Terms]:
         """The tables, axis by axis; the weakest for their number are left out where there are too many; see `Design.plan`."""
-        form: AxisFormat = request.form  # type: ignore[assignment]
-        machine, found = wanted.machine, list[Planned]()
+        form, machine, found = request.form, wanted.machine, list[Planned]()
         for axis in machine.axes:
             columns = _columns(wanted, form, axis, request)
             if not columns:
@@ -82,8 +81,6 @@ class AxisTables(Design[Terms]):
 
     def share(self, error: Acting, form: TableFormat[Terms], *, products: bool) -> tuple[Share, str]:
         """See `Design.share`."""
-        if not isinstance(form, AxisFormat):
-            raise TypeError(form)
         if not error.axis.linear:
             if error.iso_class != "R-POS":
                 return "no", "moves the point in a direction that turns with the rotary axes"
@@ -102,7 +99,7 @@ class AxisTables(Design[Terms]):
         return "line", "with the lever of the reference position"
 
 
-def _columns(wanted: Wanted, form: AxisFormat, axis: Axis, request: Request) -> list[Column]:
+def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Request) -> list[Column]:
     """What is worth a table over one axis: an axis moved and direction each, then the slopes of products."""
     machine = wanted.machine
     tolerance = tolerance_of(axis, request.tolerance_um)
@@ -193,7 +190,7 @@ def _within(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, 
     return tuple(one for i, one in enumerate(found) if i in kept), left
 
 
-def _check(one: Planned, wanted: Wanted, form: AxisFormat, request: Request) -> Check:
+def _check(one: Planned, wanted: Wanted, form: TableFormat[Any], request: Request) -> Check:
     """What one table is to be when it is read back; a product where the other axis is farthest from its reference."""
     moved = wanted.machine.by_name[one.term.axis]
     others = one.term.factors[1:]

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin._common.units import DEG, MM, URAD
+from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
@@ -291,10 +291,3 @@ def rms_and_max(tilt_urad: np.ndarray) -> tuple[tuple[float, float], tuple[float
         return (0.0, 0.0), (0.0, 0.0)
     (a, b), (c, d) = np.sqrt(np.mean(tilt_urad**2, axis=0)), np.abs(tilt_urad).max(axis=0)
     return (float(a), float(b)), (float(c), float(d))
-
-
-def turned(axis: np.ndarray, vectors: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-    """(n, 3) ``vectors`` turned about one unit ``axis`` by (n,) angles (Rodrigues)."""
-    angle = (np.asarray(angles_deg) * DEG)[:, None]
-    along = (vectors @ axis)[:, None] * axis
-    return np.asarray(along + np.cos(angle) * (vectors - along) + np.sin(angle) * np.cross(axis, vectors))

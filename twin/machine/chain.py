@@ -42,16 +42,10 @@ def chain_function(machine: Machine) -> ca.Function:
     q = ca.SX.sym("q", len(machine.axes))
     e = ca.SX.sym("e", 6 * len(machine.frames))
     length = ca.SX.sym("length")
-    pose = tool_in_work(machine, q, e, length)
-    return ca.Function("chain", [q, e, length], [pose.rotation, pose.translation], ["q", "e", "length"], ["R", "p"])
-
-
-def tool_in_work(machine: Machine, q: Any, e: Any, length: Any) -> Pose:
-    """``work⁻¹ · tool``, the tip ``length`` below the tool frame (contract §1)."""
-    tip = Pose(ca.SX.eye(3), ca.vertcat(0.0, 0.0, -length))
+    tip = Pose(ca.SX.eye(3), ca.vertcat(0.0, 0.0, -length))  # below the tool frame (contract §1)
     tool = frame_pose(machine, machine.tool_frame, q, e).then(tip)
-    work = frame_pose(machine, machine.work_frame, q, e)
-    return work.inverse().then(tool)
+    pose = frame_pose(machine, machine.work_frame, q, e).inverse().then(tool)
+    return ca.Function("chain", [q, e, length], [pose.rotation, pose.translation], ["q", "e", "length"], ["R", "p"])
 
 
 def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:

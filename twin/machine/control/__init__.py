@@ -60,13 +60,12 @@ doubles an error: the text says how to try a table before anything is cut.
 
 from twin.machine.control.correction import BasicClass, Content, Correction
 from twin.machine.control.curve import Curve, Term, Terms
-from twin.machine.control.format import AxisFormat, TableFormat
+from twin.machine.control.format import TableFormat
 from twin.machine.control.formats import FORMATS, format_named, read_tables
 from twin.machine.control.section import ControlSection, TableEntry
 
 __all__ = [
     "FORMATS",
-    "AxisFormat",
     "BasicClass",
     "Content",
     "ControlSection",

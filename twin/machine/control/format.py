@@ -9,7 +9,6 @@ from typing import ClassVar, Generic, TypeVar
 
 from twin._common.files import scratch_folder
 from twin.machine.control.correction import BasicClass, Correction
-from twin.machine.control.curve import Terms
 from twin.machine.machine import Machine
 
 C = TypeVar("C", bound=Correction)
@@ -24,14 +23,19 @@ class TableFormat(ABC, Generic[C]):
         what: kind of file; with the next two a line of the manual's table.
         carries: what it takes out, in words.
         leaves: what it does not.
-        correction: what its files are read as.
+        written: names of its files; ``{}`` stands for an axis.
+        correction: what they are read as.
         classes: classes of ISO/TR 16907 whose errors it takes out, as far as it can.
         points: most nodes along an axis.
         rounding: half of the last digit written, µm and µrad.
         tolerance_um: of the interpolation, where nobody says otherwise.
         tables: how many tables the control has, where nobody says otherwise; None: as many as there are.
         fewer_tables: what is said of controls that have fewer.
+        across: of tables of axes, whether an axis can move another one.
+        products: whether two of them can be multiplied.
+        wraps: whether positions of an axis that turns without end are wrapped into a turn.
         directions: whether its tables may differ by the direction an axis comes from.
+        crossed_directions: whether those of another axis may, and not only those of an axis over itself.
         knows_machine: whether the control knows the machine's kinematics: errors of all axes act at the point, the active tool counts.
         unread: files that are written and that the tables are not read from.
         unchecked: what could not be checked against a public description; said in every file and in the account.
@@ -42,6 +46,7 @@ class TableFormat(ABC, Generic[C]):
     what: ClassVar[str]
     carries: ClassVar[str]
     leaves: ClassVar[str]
+    written: ClassVar[tuple[str, ...]]
     correction: type[C]
     classes: ClassVar[tuple[BasicClass, ...]]
     points: ClassVar[int]
@@ -49,14 +54,22 @@ class TableFormat(ABC, Generic[C]):
     tolerance_um: ClassVar[float] = 1.0
     tables: ClassVar[int | None] = None
     fewer_tables: ClassVar[str] = ""
+    across: ClassVar[bool] = False
+    products: ClassVar[bool] = False
+    wraps: ClassVar[bool] = False
     directions: ClassVar[bool] = False
+    crossed_directions: ClassVar[bool] = False
     knows_machine: ClassVar[bool] = False
     unread: ClassVar[tuple[str, ...]] = ()
     unchecked: ClassVar[tuple[str, ...]] = ()
 
-    @abstractmethod
     def files(self, machine: Machine) -> tuple[str, ...]:
         """Names of all files that may be written."""
+        return tuple(
+            file.format(axis)
+            for file in self.written
+            for axis in (machine.names if "{}" in file else machine.names[:1])
+        )
 
     @abstractmethod
     def write(self, correction: C, notes: Sequence[str] = ()) -> dict[str, str]:
@@ -97,21 +110,3 @@ class TableFormat(ABC, Generic[C]):
             for name, text in written.items():
                 (folder / name).write_text(text, encoding="utf-8")
             return self.read([folder / name for name in self.to_read(written)], machine)
-
-
-class AxisFormat(TableFormat[Terms]):
-    """A format of tables of one axis over another, or over itself.
-
-    Attributes:
-        across: whether an axis can move another one.
-        products: whether two tables can be multiplied.
-        wraps: whether positions of an axis that turns without end are wrapped into a turn.
-        crossed_directions: whether a table of another axis may differ by direction, and not only that of an axis over itself.
-    """
-
-    correction = Terms
-    across: ClassVar[bool] = False
-    products: ClassVar[bool] = False
-    wraps: ClassVar[bool] = False
-    directions = True
-    crossed_directions: ClassVar[bool] = False

@@ -37,14 +37,11 @@ class SpatialGrid(TableFormat[Grid]):
     carries = "all of the three linear axes, at one tool length"
     leaves = "errors of rotary axes; reversals"
     correction = Grid
+    written = (FILE,)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG")
     points = 101
     rounding = (0.5 * 10.0**-_DIGITS, 0.0)
     tolerance_um = 5.0
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (FILE,)
 
     def write(self, correction: Grid, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`."""

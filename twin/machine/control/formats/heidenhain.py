@@ -28,7 +28,7 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin._common.units import TURN
 from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms, period_of
-from twin.machine.control.format import AxisFormat
+from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import Line, check_letters, check_rising, numbered, plain, the_one, unit_of
 from twin.machine.machine import Axis, Machine
 
@@ -39,7 +39,7 @@ _COMMENT: Final = ";"
 
 
 @final
-class HeidenhainTables(AxisFormat):
+class HeidenhainTables(TableFormat[Terms]):
     """HEIDENHAIN: compensation value tables."""
 
     name = "heidenhain"
@@ -47,9 +47,12 @@ class HeidenhainTables(AxisFormat):
     what = "`.COM`, `.CMA`"
     carries = "also straightness and squareness (Y by X …); angular errors at one lever"
     leaves = "other levers"
+    written = ("{}_CORR.COM", CMA)
+    correction = Terms
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 256
     rounding = (0.05, 0.0875)
+    directions = True
     across = True
     wraps = True
     unchecked = (
@@ -59,10 +62,6 @@ class HeidenhainTables(AxisFormat):
         "rotary axes: degrees, wrapped into 0 ... 360 (the TNC 407 knows entries from 0 to 360 only, none below 0); digits and "
         "column widths",
     )
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (*(f"{name}_CORR.COM" for name in machine.names), CMA)
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
         """``X_CORR.COM`` … for every axis that is read, and the ``.CMA``; see `TableFormat.write`.

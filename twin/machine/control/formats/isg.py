@@ -58,6 +58,7 @@ class Isg(TableFormat[Volumetric]):
     carries = "all error motions of all axes, at the point"
     leaves = "reversals; the tool's orientation"
     correction = Volumetric
+    written = (FILE, LIST)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG")
     points = 400
     """Records of an axis: ``vol_comp[0].max_records`` is to be their sum or more."""
@@ -69,10 +70,6 @@ class Isg(TableFormat[Volumetric]):
         "levers of angular errors: taken from the point that moves with the axis",
         "beyond the ends of a block: the end value; rotary arguments wrapped into a turn",
     )
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (FILE, LIST)
 
     def write(self, correction: Volumetric, notes: Sequence[str] = ()) -> dict[str, str]:
         """The parameter file, and lines of the compensation list; see `TableFormat.write`.

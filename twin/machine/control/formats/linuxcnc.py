@@ -25,7 +25,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
-from twin.machine.control.format import AxisFormat
+from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import Line, check_letters, check_rising, numbered, plain, the_one, unit_of
 from twin.machine.machine import Axis, Machine
 
@@ -35,7 +35,7 @@ _DIGITS: Final = 6
 
 
 @final
-class LinuxCnc(AxisFormat):
+class LinuxCnc(TableFormat[Terms]):
     """LinuxCNC: joint compensation files."""
 
     name = "linuxcnc"
@@ -43,13 +43,12 @@ class LinuxCnc(AxisFormat):
     what = "`.comp`, one a joint"
     carries = "positioning, reversals; of angular errors what they do along the axis"
     leaves = "straightness, squareness"
+    written = ("{}.comp", INI)
+    correction = Terms
     classes = ("L-POS", "L-ANG", "R-POS")
     points = 256
     rounding = (0.0005, 0.0088)
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (*(f"{name}.comp" for name in machine.names), INI)
+    directions = True
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
         """One ``.comp`` a joint of type 0 (actual positions), and the INI lines that name them; see `TableFormat.write`.

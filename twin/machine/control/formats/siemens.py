@@ -27,7 +27,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
-from twin.machine.control.format import AxisFormat
+from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
 from twin.machine.control.lines import URAD_IN_DEG, Line, plain, unit_of
 from twin.machine.machine import Axis, Machine
@@ -44,7 +44,7 @@ _FIELD: Final = re.compile(
 
 
 @final
-class Siemens(AxisFormat):
+class Siemens(TableFormat[Terms]):
     """SINUMERIK 840D sl: cross error compensation (CEC)."""
 
     name = "siemens"
@@ -52,10 +52,13 @@ class Siemens(AxisFormat):
     what = "CEC"
     carries = "also, by products of two tables, the levers: X by E_BX(X) times Z"
     leaves = "errors of rotary axes but R-POS"
+    written = (FILE,)
+    correction = Terms
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 200
     """Of a table of the 828D; the 840D sl has as many as MD18342 says."""
     rounding = (0.0005, 0.0088)
+    directions = True
     tables = 62
     """Where nobody says how many the control has (not checked; two for each of 31 axes)."""
     fewer_tables = "828D: 8"
@@ -68,10 +71,6 @@ class Siemens(AxisFormat):
         "needs it)",
         "rotary output axes: values in degrees",
     )
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (FILE,)
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
         """The program: one table a factor; see `TableFormat.write`.

@@ -28,7 +28,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import Curve, Term, Terms
-from twin.machine.control.format import AxisFormat
+from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, axis_numbers, axis_of, entries, step_of, table_of
 from twin.machine.control.lines import plain, unit_of
 from twin.machine.machine import Axis, Machine
@@ -42,7 +42,7 @@ _FIELD: Final = re.compile(
 
 
 @final
-class SiemensEec(AxisFormat):
+class SiemensEec(TableFormat[Terms]):
     """SINUMERIK: leadscrew and measuring system error compensation."""
 
     name = "siemens_eec"
@@ -50,17 +50,14 @@ class SiemensEec(AxisFormat):
     what = "LEC, MSEC"
     carries = "positioning; of angular errors what they do along the axis"
     leaves = "straightness, squareness; reversals"
+    written = (FILE,)
+    correction = Terms
     classes = ("L-POS", "L-ANG", "R-POS")
     points = 200
     """Of an axis of the 808D; the 840D sl has as many as MD38000 says."""
     rounding = (0.0005, 0.0088)
     wraps = True
-    directions = False
     unchecked = ("rotary axes: values and positions in degrees",)
-
-    def files(self, machine: Machine) -> tuple[str, ...]:
-        """See `TableFormat.files`."""
-        return (FILE,)
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`.
