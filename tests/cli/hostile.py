@@ -15,6 +15,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import twin
+from tests.control.cases import CASES
 from twin.compensation.fewer_blocks.points import points_program
 from twin.identification.axis_run import (
     AxisLayout,
@@ -265,6 +266,7 @@ KINDS: Mapping[str, Kind] = {
     "export": Kind("a.csv", [], _export),
     "points": Kind("a.csv", [], _points),
     "siemens": Kind("a.mpf", NC, _control("siemens")),
+    "siemens_eec": Kind("a.mpf", NC, _control("siemens_eec")),
     "heidenhain": Kind("X_CORR.COM", NC, _control("heidenhain")),
     "isg": Kind("a.csv", [], _control("isg")),
     "linuxcnc": Kind("X.comp", [], _control("linuxcnc")),
@@ -374,6 +376,7 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
     ),
     "points": lambda: _csv("x_mm,y_mm,z_mm,B_deg,C_deg", np.arange(40.0).reshape(8, 5)),
     "siemens": lambda: "".join(_terms("siemens").values()),
+    "siemens_eec": lambda: CASES["siemens_eec"].GOOD["eec.mpf"],
     "heidenhain": lambda: next(iter(_terms("heidenhain").values())),
     "isg": _isg,
     "linuxcnc": lambda: _terms("linuxcnc")["X.comp"],

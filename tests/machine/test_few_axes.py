@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.control.test_control_formats import BY_HAND
+from tests.control.cases import BY_HAND
 from tests.control.test_control_tables import state_of
 from tests.real import stage
 from tests.truth import few_axes

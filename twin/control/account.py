@@ -8,7 +8,8 @@ from typing import Any, Final, final
 
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, texts, to_json
-from twin.control.make import Made, Table
+from twin.control.design import Table
+from twin.control.make import Made
 from twin.control.remains import Carried, Remains
 from twin.machine.calibration import Calibration
 from twin.machine.control import Terms

@@ -10,12 +10,13 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import TURN
-from twin.control.design import WORTH, Acting, Check, Design, Plan, Share, depending, drawn, tolerance_of
+from twin.control.design import WORTH, Design, Plan, Share, Table, depending, drawn, tolerance_of
 from twin.control.nodes import RESOLUTION, Nodes, at, chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import Curve, TableFormat, Term, Terms
+from twin.machine.control import Content, Curve, TableFormat, Term, Terms
 from twin.machine.control.curve import BOTH, DOWN, UP, Direction, period_of
+from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 TURNS: Final = (-TURN, 2.0 * TURN)
@@ -76,24 +77,32 @@ class AxisTables(Design[Terms]):
             found += _planned(wanted, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
         most = None if form.tables is None else request.most or form.tables
         within, left = _within(found, most)
-        checks = tuple(_check(one, wanted, form, request) for one in within)
-        return Plan(Terms(tuple(one.term for one in within), machine), checks, left)
 
-    def share(self, error: Acting, form: TableFormat[Terms], *, products: bool) -> tuple[Share, str]:
+        def compared(back: Terms) -> tuple[Table, ...]:
+            return tuple(
+                _table(one, content, back, wanted, request) for one, content in zip(within, contents, strict=True)
+            )
+
+        correction = Terms(tuple(one.term for one in within), machine)
+        contents = correction.contents()
+        return Plan(correction, compared, left)
+
+    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""
-        if not error.axis.linear:
-            if error.iso_class != "R-POS":
+        form, iso_class = request.form, wanted.class_of(effect)
+        if not wanted.machine.by_name[effect.frame.axis].linear:
+            if iso_class != "R-POS":
                 return "no", "moves the point in a direction that turns with the rotary axes"
-            return depending(error.others)
-        if not form.across and error.iso_class in ("L-STR", "L-SQU"):
+            return depending(others)
+        if not form.across and iso_class in ("L-STR", "L-SQU"):
             return "no", "moves other axes than its own: the format has no such tables"
-        beyond = error.beyond()
+        beyond = wanted.beyond(effect)
         if beyond > ALL_BEYOND:
             return "no", "no linear axis moves the point that way"
         if beyond > SOME_BEYOND:
             return "line", f"no linear axis moves the point the way of {100.0 * beyond:.0f} % of it"
-        if error.iso_class != "L-ANG" or error.others or (form.products and products):
-            return depending(error.others)
+        if iso_class != "L-ANG" or others or (form.products and request.products):
+            return depending(others)
         if not form.across:
             return "line", "along its own axis only, and there with the lever of the reference position"
         return "line", "with the lever of the reference position"
@@ -190,23 +199,18 @@ def _within(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, 
     return tuple(one for i, one in enumerate(found) if i in kept), left
 
 
-def _check(one: Planned, wanted: Wanted, form: TableFormat[Any], request: Request) -> Check:
-    """What one table is to be when it is read back; a product where the other axis is farthest from its reference."""
-    moved = wanted.machine.by_name[one.term.axis]
-    others = one.term.factors[1:]
-    rounding, scale = form.rounding[0 if moved.linear else 1], others[0].peak if others else 1.0
-    reach = [factor.at[int(np.argmax(np.abs(factor.values)))] for factor in others]
-    if others:
+def _table(one: Planned, content: Content, back: Terms, wanted: Wanted, request: Request) -> Table:
+    """One table beside what was read back; a product where the other axis is farthest from its reference."""
+    moved, factors = wanted.machine.by_name[one.term.axis], one.term.factors
+    found = next(term for term in back.terms if term.key == one.term.key)
+    rounding, scale = request.form.rounding[0 if moved.linear else 1], 1.0
+    truth, said = one.truth, found.factors[0].along(one.q)
+    for factor, read in zip(factors[1:], found.factors[1:], strict=True):
+        end, scale = factor.at[int(np.argmax(np.abs(factor.values)))], factor.peak
+        truth, said = truth * factor.along(end), said * read.along(end)
         rounding = rounding * scale + one.term.peak * 1e-9
-
-    def distance(back: Terms) -> float:
-        found = next(term for term in back.terms if term.key == one.term.key)
-        truth, said = one.truth, found.factors[0].along(one.q)
-        for k, end in enumerate(reach, start=1):
-            truth, said = truth * one.term.factors[k].along(end), said * found.factors[k].along(end)
-        return float(np.abs(truth - said).max())
-
-    return Check(one.off, rounding, tolerance_of(moved, request.tolerance_um) * scale, distance)
+    tolerance = tolerance_of(moved, request.tolerance_um) * scale
+    return Table(content, one.off, rounding, tolerance, float(np.abs(truth - said).max()))
 
 
 def _old_nodes(old: Terms, axis: Axis) -> tuple[float, ...] | None:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
 
-from twin.control.design import URAD_A_UM, WORTH, Acting, Check, Design, Plan, Share, depending, drawn
-from twin.control.nodes import at, chosen
+from twin.control.design import URAD_A_UM, WORTH, Design, Plan, Share, Table, depending, drawn
+from twin.control.nodes import Nodes, at, chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import Curve, TableFormat
+from twin.machine.control import Curve
 from twin.machine.control.curve import period_of
 from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
+from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 
@@ -25,7 +26,7 @@ class ComponentErrors(Design[Volumetric]):
 
     def plan(self, wanted: Wanted, request: Request, old: Volumetric | None) -> Plan[Volumetric]:
         """See `Design.plan`."""
-        form, errors, checks = request.form, list[AxisErrors](), list[Check]()
+        form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
         limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_A_UM] * 3)
         before = {} if old is None else {one.axis: next(iter(one.curves.values())).at for one in old.errors}
         for axis in wanted.machine.axes:
@@ -41,28 +42,24 @@ class ComponentErrors(Design[Volumetric]):
                 nodes = chosen(truth, low, high, limit, step=request.step, most=form.points)
             where, period = tuple(nodes.at.tolist()), period_of(axis)
             curves = {i: Curve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
-            errors.append(AxisErrors(axis.name, curves))
             q = drawn(where[0], where[-1])
-            meant = truth(q)
-            checks += [
-                Check(
-                    float(nodes.off[i]), form.rounding[i // 3], float(limit[i]), _distance(axis.name, i, q, meant[:, i])
-                )
-                for i in used
-            ]
-        return Plan(Volumetric(tuple(errors), wanted.machine, wanted.tool_length_mm), tuple(checks))
+            planned.append((AxisErrors(axis.name, curves), nodes, q, truth(q)))
+        correction = Volumetric(tuple(one[0] for one in planned), wanted.machine, wanted.tool_length_mm)
 
-    def share(self, error: Acting, form: TableFormat[Volumetric], *, products: bool) -> tuple[Share, str]:
+        def compared(back: Volumetric) -> tuple[Table, ...]:
+            contents, read = iter(correction.contents()), {one.axis: one.curves for one in back.errors}
+            found = []
+            for own, nodes, q, meant in planned:
+                for i in own.curves:
+                    off, back_off = float(nodes.off[i]), float(np.abs(meant[:, i] - read[own.axis][i].along(q)).max())
+                    found.append(Table(next(contents), off, form.rounding[i // 3], float(limit[i]), back_off))
+            return tuple(found)
+
+        return Plan(correction, compared)
+
+    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""
-        return depending(error.others)
-
-
-def _distance(axis: str, component: int, q: np.ndarray, truth: np.ndarray) -> Callable[[Volumetric], float]:
-    def distance(back: Volumetric) -> float:
-        (curve,) = (one.curves[component] for one in back.errors if one.axis == axis)
-        return float(np.abs(truth - curve.along(q)).max())
-
-    return distance
+        return depending(others)
 
 
 def _truth(wanted: Wanted, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:

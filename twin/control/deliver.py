@@ -48,7 +48,9 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
     return Account(
         made,
         left,
-        carried(made.wanted, request, design_of(request.form), products=request.products and not made.left_out),
+        carried(
+            made.wanted, replace(request, products=request.products and not made.left_out), design_of(request.form)
+        ),
         missing,
         errors,
     )

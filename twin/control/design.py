@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Generic, Literal, TypeVar, final
+from typing import Final, Generic, Literal, TypeVar, final
 
 import numpy as np
 
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import Correction, TableFormat
+from twin.machine.control import Content, Correction
+from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 C = TypeVar("C", bound=Correction)
@@ -37,20 +38,45 @@ def drawn(low: float, high: float) -> np.ndarray:
 
 @final
 @dataclass(frozen=True)
-class Check:
-    """What a table is to be when it is read back, µm or µrad.
+class Table:
+    """One table as it was read back; the numbers in its own unit.
 
     Attributes:
+        content: its nodes and its largest value.
         off: the truth is no farther from the straight lines between the nodes.
         rounding: of the written digits.
         tolerance: of the interpolation.
-        distance: of the correction as read back from the truth at places drawn, at most.
+        back: largest distance between the table as read back and the model at positions drawn.
     """
 
+    content: Content
     off: float
     rounding: float
     tolerance: float
-    distance: Callable[[Any], float]
+    back: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the text says what was meant."""
+        return self.back <= self.off + self.rounding
+
+    @property
+    def fine(self) -> bool:
+        """Whether its nodes are dense enough for the tolerance."""
+        return self.off <= self.tolerance * (1.0 + 1e-9)
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """What could not be met, in words."""
+        name, unit = self.content.name, self.content.unit
+        found = []
+        if not self.holds:
+            found.append(
+                f"{name}: as read back {self.back:.4f} {unit} from the model, more than {self.off:.4f} + {self.rounding:.4f}"
+            )
+        if not self.fine:
+            found.append(f"{name}: {self.off:.3f} {unit} between the nodes, more than the tolerance {self.tolerance:g}")
+        return tuple(found)
 
 
 @final
@@ -60,31 +86,13 @@ class Plan(Generic[C]):
 
     Attributes:
         correction: the tables.
-        checks: one for each of its `Correction.contents`, in that order.
+        compared: with what is read back of them: one table for each of the correction's `Correction.contents`, in that order.
         left_out: tables there was no room for.
     """
 
     correction: C
-    checks: tuple[Check, ...]
+    compared: Callable[[C], tuple[Table, ...]]
     left_out: tuple[str, ...] = ()
-
-
-@final
-@dataclass(frozen=True)
-class Acting:
-    """One error of the calibration, as far as a format has to know it.
-
-    Attributes:
-        axis: whose error it is.
-        iso_class: its class.
-        others: axes it depends on beside its own.
-        beyond: share of what it does to the point that no linear axis can undo (`Wanted.beyond`).
-    """
-
-    axis: Axis
-    iso_class: str
-    others: tuple[Axis, ...]
-    beyond: Callable[[], float]
 
 
 class Design(ABC, Generic[C]):
@@ -105,13 +113,14 @@ class Design(ABC, Generic[C]):
         """
 
     @abstractmethod
-    def share(self, error: Acting, form: TableFormat[C], *, products: bool) -> tuple[Share, str]:
+    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """What the tables do with one error, and why where they do not take out the whole of it.
 
         Args:
-            error: the error.
-            form: the format.
-            products: whether two tables are multiplied.
+            wanted: the machine and its errors.
+            effect: the error.
+            others: axes it depends on beside its own.
+            request: the format, and whether two tables are multiplied.
         """
 
 

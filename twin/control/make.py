@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import texts
 from twin.control.axis_tables import AxisTables
 from twin.control.component_errors import ComponentErrors
-from twin.control.design import CHECKS, SEED, Design, Plan
+from twin.control.design import CHECKS, SEED, Design, Table
 from twin.control.request import Request
 from twin.control.spatial_grid import GridDesign
 from twin.control.wanted import Wanted
@@ -28,49 +28,6 @@ DESIGNS: Final[tuple[Design[Any], ...]] = (AxisTables(), ComponentErrors(), Grid
 def design_of(form: TableFormat[Any]) -> Design[Any]:
     """Return how the tables of a format are worked out."""
     return next(one for one in DESIGNS if one.correction is form.correction)
-
-
-@final
-@dataclass(frozen=True)
-class Table:
-    """One table as it was read back; the numbers in its own unit.
-
-    Attributes:
-        content: its nodes and its largest value.
-        off: the truth is no farther from the straight lines between the nodes.
-        rounding: of the written digits.
-        back: largest distance between the table as read back and the model at positions drawn.
-        tolerance: of the interpolation.
-    """
-
-    content: Content
-    off: float
-    rounding: float
-    back: float
-    tolerance: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the text says what was meant."""
-        return self.back <= self.off + self.rounding
-
-    @property
-    def fine(self) -> bool:
-        """Whether its nodes are dense enough for the tolerance."""
-        return self.off <= self.tolerance * (1.0 + 1e-9)
-
-    @property
-    def unmet(self) -> tuple[str, ...]:
-        """What could not be met, in words."""
-        name, unit = self.content.name, self.content.unit
-        found = []
-        if not self.holds:
-            found.append(
-                f"{name}: as read back {self.back:.4f} {unit} from the model, more than {self.off:.4f} + {self.rounding:.4f}"
-            )
-        if not self.fine:
-            found.append(f"{name}: {self.off:.3f} {unit} between the nodes, more than the tolerance {self.tolerance:g}")
-        return tuple(found)
 
 
 @final
@@ -126,7 +83,7 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
     old = _old(machine, calibration, request)
     wanted = Wanted(machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions)
     plan = design_of(form).plan(wanted, request, old)
-    if not plan.checks:
+    if not plan.correction.contents():
         raise InputError(
             "nothing to put into tables",
             expected="a calibration with errors this format can carry",
@@ -135,7 +92,7 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
         )
     files = form.write(plan.correction, request.notes)
     back = form.read_back(files, machine)
-    tables = _tables(plan, back)
+    tables = plan.compared(back)
     if old is None:
         return Made(wanted, request, files, {}, back, tables, plan.left_out, _largest(back))
     whole = form.write(plan.correction.plus(old), request.notes)
@@ -187,14 +144,6 @@ def _largest(correction: Correction) -> dict[str, float]:
     return found
 
 
-def _tables(plan: Plan[Any], back: Correction) -> tuple[Table, ...]:
-    """Every table beside what was read back."""
-    return tuple(
-        Table(content, check.off, check.rounding, check.distance(back), check.tolerance)
-        for content, check in zip(plan.correction.contents(), plan.checks, strict=True)
-    )
-
-
 def _sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFormat[Any]) -> list[Table]:
     """That the files to be loaded say what the old and the new tables say together."""
     rng, machine = np.random.default_rng(SEED), whole.machine
@@ -209,5 +158,5 @@ def _sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFo
         rounding = 2.0 * form.rounding[0 if axis.linear else 1] * whole.rounded(name)
         unit, largest = "um" if axis.linear else "urad", float(np.abs(said).max())
         content = Content(f"old + new, all that moves {name}", *axis.domain, 0, 0.0, largest, unit)
-        rows.append(Table(content, 0.0, rounding, float(np.abs(said - meant).max()), float("inf")))
+        rows.append(Table(content, 0.0, rounding, float("inf"), float(np.abs(said - meant).max())))
     return rows

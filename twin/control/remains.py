@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin.control.design import Acting, Design, Share
+from twin.control.design import Design, Share
 from twin.control.request import Request
 from twin.control.wanted import Wanted, step_back
 from twin.display import UNKNOWN
@@ -39,10 +38,6 @@ class Left:
     max_um: float
     expected_rms_um: float
     tilt_rms_urad: tuple[float, float]
-
-    def to_dict(self) -> Any:
-        """For JSON; null where it is unknown."""
-        return json_form(self)
 
 
 @final
@@ -88,17 +83,17 @@ class Remains:
     """Before, after the tables, after a compensated program on top of them.
 
     Attributes:
+        poses: over how many.
         before, tables, program: the errors; ``program`` is None for a machine that runs none.
         known_to: how well the point is known: U of all three.
-        poses: over how many.
-        at_limits: of these, in how many an axis would have to leave its range to correct the rest.
+        at_limits: of the poses, in how many an axis would have to leave its range to correct the rest.
     """
 
+    poses: int
     before: Left
     tables: Left
     program: Left | None
     known_to: KnownTo
-    poses: int
     at_limits: int
 
     @property
@@ -137,14 +132,8 @@ class Remains:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "poses": self.poses,
-            "before": self.before.to_dict(),
-            "with_tables": self.tables.to_dict(),
-            "with_tables_and_program": None if self.program is None else self.program.to_dict(),
-            "uncertainty": self.known_to.to_dict(),
-            "poses_at_limits": self.at_limits,
-        }
+        names = {"tables": "with_tables", "program": "with_tables_and_program", "known_to": "uncertainty"}
+        return json_form(self, rename=names | {"at_limits": "poses_at_limits"})
 
 
 def _row(name: str, left: Left, u: KnownTo) -> str:
@@ -174,7 +163,7 @@ def remains(wanted: Wanted, calibration: Calibration) -> Remains:
         reached, limited = _program(wanted, with_tables, q, sides, goal)
         program = _left(reached, goal, known_to)
     before, tables = (_left(one.forward(q, sides), goal, known_to) for one in (real, with_tables))
-    return Remains(before, tables, program, known_to, len(q), limited)
+    return Remains(len(q), before, tables, program, known_to, limited)
 
 
 def _program(
@@ -216,44 +205,41 @@ class Carried:
     why: str
 
 
-def carried(wanted: Wanted, request: Request, design: Design[Any], *, products: bool) -> tuple[Carried, ...]:
+def carried(wanted: Wanted, request: Request, design: Design[Any]) -> tuple[Carried, ...]:
     """Every error of the calibration.
 
     Args:
         wanted: the machine and its errors.
-        request: format and classes.
+        request: the format, classes, and whether two tables are multiplied.
         design: how the tables of the format are worked out.
-        products: whether two tables are multiplied.
     """
-    found, form, by_name = [], request.form, wanted.machine.by_name
+    found, by_name = [], wanted.machine.by_name
     for effect in wanted.calibration.effects:
         if isinstance(effect, ControlCorrection):
             continue
         iso_class, axis = wanted.class_of(effect), by_name[effect.frame.axis]
         heard = _Heard(wanted)
         effect.components(heard)
-        others = tuple(by_name[name] for name in sorted(heard.used) if name != axis.name and name in by_name)
+        others = [by_name[name] for name in sorted(heard.used) if name != axis.name and name in by_name]
         share: tuple[Share, str]
         if iso_class not in request.classes:
             share = "no", "not in --scope"
-        elif not form.directions and f"{APPROACH}{axis.name}" in heard.asked:
+        elif not request.form.directions and f"{APPROACH}{axis.name}" in heard.used:
             share = "no", "the format has no directions: the mean of both is taken"
         else:
-            share = design.share(
-                Acting(axis, iso_class, others, partial(wanted.beyond, effect)), form, products=products
-            )
+            share = design.share(wanted, effect, others, request)
         found.append(Carried(effect.name, iso_class, *share))
     return tuple(found)
 
 
 @final
 class _Heard(dict[str, Any]):
-    """One pose that remembers which axes, and which channels beside, an effect asks for."""
+    """One pose, and any channel an effect asks for: it remembers which of both are used."""
 
     def __init__(self, wanted: Wanted) -> None:
         self._source = Listening(wanted.machine)
-        super().__init__(self._source)
         self.used: set[str] = set()
+        super().__init__(self._source)
 
     def __contains__(self, name: object) -> bool:
         return True
@@ -261,8 +247,3 @@ class _Heard(dict[str, Any]):
     def __getitem__(self, name: str) -> Any:
         self.used.add(name)
         return self._source[name]
-
-    @property
-    def asked(self) -> frozenset[str]:
-        """Channels beside the positions."""
-        return frozenset(self._source.asked)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.control.design import CHECKS, SEED, Acting, Check, Design, Plan, Share, depending
+from twin.control.design import CHECKS, SEED, Design, Plan, Share, Table, depending
 from twin.control.nodes import chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import TableFormat
 from twin.machine.control.spatial import Grid
+from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 SHARES: Final = (0.6, 0.4, 0.3, 0.2)
@@ -60,29 +60,26 @@ class GridDesign(Design[Grid]):
                 off = _between(wanted, grid, truth)
                 if off <= tolerance or request.step is not None:
                     break
-        return Plan(grid, _checks(wanted, request, grid, truth, off))
+        return Plan(grid, lambda back: _tables(wanted, request, grid, truth, off, back))
 
-    def share(self, error: Acting, form: TableFormat[Grid], *, products: bool) -> tuple[Share, str]:
+    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""
-        if not error.axis.linear:
+        if not wanted.machine.by_name[effect.frame.axis].linear:
             return "no", "an error of a rotary axis: a grid knows X, Y and Z only"
-        return depending([axis for axis in error.others if not axis.linear])
+        return depending([axis for axis in others if not axis.linear])
 
 
-def _checks(wanted: Wanted, request: Request, grid: Grid, truth: Truth, off: float) -> tuple[Check, ...]:
-    """The comparison of every axis's corrections at places drawn in the box."""
+def _tables(wanted: Wanted, request: Request, grid: Grid, truth: Truth, off: float, back: Grid) -> tuple[Table, ...]:
+    """Every axis's corrections as written and as read back beside the truth, at places drawn in the box."""
     rng = np.random.default_rng(SEED)
     q = np.stack([rng.uniform(nodes[0], nodes[-1], CHECKS) for nodes in grid.at], axis=1)
     state, meant = _state(wanted, q), truth(_full(wanted, q))
-
-    def check(k: int, name: str) -> Check:
-        def distance(back: Grid) -> float:
-            return float(np.abs(back.shift(name, state) - meant[:, k]).max())
-
+    found = []
+    for k, (name, content) in enumerate(zip(grid.axes, grid.contents(), strict=True)):
+        written, read = (float(np.abs(one.shift(name, state) - meant[:, k]).max()) for one in (grid, back))
         # Where a place drawn here is farther off than all that were looked at before, that is what is said of the grid.
-        return Check(max(off, distance(grid)), request.form.rounding[0], request.tolerance_um, distance)
-
-    return tuple(check(k, name) for k, name in enumerate(grid.axes))
+        found.append(Table(content, max(off, written), request.form.rounding[0], request.tolerance_um, read))
+    return tuple(found)
 
 
 def _nodes(wanted: Wanted, axis: Axis, truth: Truth, limit_um: float, request: Request) -> np.ndarray:
