@@ -1,6 +1,6 @@
 """Tables and reports for machines that are no five-axis mills: what they can have they get, what they cannot is said.
 
-The drill errs by a formula written out here, and its tables are looked up by `tests.control.test_control_formats`.
+The drill errs by a formula written out here, and its tables are looked up by `tests.control.cases`.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from twin.machine.control import Terms
 SCHEMA: Final = "twin.control/1"
 DONE_TWICE: Final = (
     "Programs: with these tables on, compensate them with the calibration.yaml of this folder and no other. It says what the "
-    "control takes out by "
-    "itself; with the one it was made from the errors would be taken out twice."
+    "control takes out by itself; with the one it was made from the errors would be taken out twice."
 )
 
 FROM_NOW_ON: Final = (

@@ -93,8 +93,7 @@ class Existing:
         if self.remains is None:
             lines.append(
                 "  The errors of this calibration were measured with tables on: what it wants is what is still to be added, and no "
-                "difference tells "
-                "whether these tables are right."
+                "difference tells whether these tables are right."
             )
         lines.append("  moves  along    largest correction    differs by    of that the same everywhere")
         lines += [

@@ -1,4 +1,4 @@
-"""All table formats, and reading by the name of one."""
+"""All table formats, a file each; a new one is its file and a line in `FORMATS`."""
 
 from __future__ import annotations
 
