@@ -114,8 +114,8 @@ def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _undone(machine: Machine, row: int) -> tuple[ca.Function, BatchFunction]:
-    """What one linear axis does against errors of all: (q m and rad, (6, axes) µm and µrad, length m) → µm.
+def _undone(machine: Machine) -> tuple[ca.Function, BatchFunction]:
+    """What the linear axes do against errors of all: (q m and rad, (6, axes) µm and µrad, length m) → (3,) µm.
 
     Errors of an axis are a shift of the point `Rest.centre` carried along with it and a turn, along the base frame's directions with
     all axes at zero.
@@ -130,8 +130,9 @@ def _undone(machine: Machine, row: int) -> tuple[ca.Function, BatchFunction]:
         centre = place + back @ ca.DM((rest.centre(axis) - rest.places[axis.name]) * MM)
         shift, spin = back @ errors[:3, i], back @ errors[3:, i]
         total = total + _SIGN[axis.side] * (shift + ca.cross(spin, tip - centre))
-    weights = check_linear(machine)[row]
-    function = ca.Function("undone", [q, errors, length], [ca.densify(-ca.dot(ca.DM(weights), total))])
+    function = ca.Function(
+        "undone", [q, errors, length], [ca.densify(-(ca.sparsify(ca.DM(check_linear(machine))) @ total))]
+    )
     return function, BatchFunction(function)
 
 
@@ -173,13 +174,13 @@ class Volumetric(Correction):
         errors = [
             curves[name][i](positions) if i in curves.get(name, {}) else 0.0 for name in machine.names for i in range(6)
         ]
-        expression, batch = _undone(machine, self.axes.index(axis))
+        (expression, batch), row = _undone(machine), self.axes.index(axis)
         if any(isinstance(one, ca.SX) for one in q):
-            return expression(ca.vertcat(*q), ca.reshape(ca.vertcat(*errors), 6, -1), length)
+            return expression(ca.vertcat(*q), ca.reshape(ca.vertcat(*errors), 6, -1), length)[row]
         rows = np.stack(np.broadcast_arrays(*q, *errors), axis=-1)
         flat = rows.reshape(-1, rows.shape[-1])
         (found,) = batch(flat[:, : len(q)], flat[:, len(q) :], np.array([length]))
-        return found.reshape(rows.shape[:-1])
+        return found[:, row].reshape(rows.shape[:-1])
 
     def contents(self) -> tuple[Content, ...]:
         """See `Correction.contents`."""
