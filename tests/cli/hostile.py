@@ -15,6 +15,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import twin
+from tests.control.cases import CASES
 from twin.compensation.fewer_blocks.points import points_program
 from twin.identification.axis_run import (
     AxisLayout,
@@ -25,8 +26,9 @@ from twin.identification.axis_run import (
     to_dict,
     to_text,
 )
-from twin.machine.control import Curve, Term, grid, heidenhain, isg, linuxcnc, read_tables, siemens
-from twin.machine.control.geometry import Geometry
+from twin.machine.control import Curve, Term, Terms, format_named, read_tables
+from twin.machine.control.spatial import Grid
+from twin.machine.control.volumetric import AxisErrors, Volumetric
 from twin.machine.machine import bundled_folder
 from twin.measurement.table import load as load_table
 from twin.measurement.thesis_export import load_export
@@ -264,6 +266,7 @@ KINDS: Mapping[str, Kind] = {
     "export": Kind("a.csv", [], _export),
     "points": Kind("a.csv", [], _points),
     "siemens": Kind("a.mpf", NC, _control("siemens")),
+    "siemens_eec": Kind("a.mpf", NC, _control("siemens_eec")),
     "heidenhain": Kind("X_CORR.COM", NC, _control("heidenhain")),
     "isg": Kind("a.csv", [], _control("isg")),
     "linuxcnc": Kind("X.comp", [], _control("linuxcnc")),
@@ -330,19 +333,21 @@ def _small_run() -> str:
     return data.to_csv(layout(), comment="a test")
 
 
-def _terms() -> list[Term]:
+def _terms(kind: str) -> Mapping[str, str]:
     nodes = (0.0, 125.0, 250.0, 375.0, 500.0)
-    return [Term("X", (Curve("X", nodes, (0.0, 1.0, 4.0, 2.0, -3.0), None, side),)) for side in (1, -1)]
+    values = (0.0, 1.0, 4.0, 2.0, -3.0)
+    terms = tuple(Term("X", (Curve("X", nodes, values, None, side),)) for side in (1, -1))
+    return format_named(kind).write(Terms(terms, machine()))
 
 
 def _isg() -> str:
     curves = {i: Curve("X", (0.0, 250.0, 500.0), (0.0, 1.0, -2.0)) for i in range(6)}
-    return isg.write([isg.AxisErrors("X", curves)], Geometry(machine(), 120.0))[isg.FILE]
+    return format_named("isg").write(Volumetric((AxisErrors("X", curves),), machine(), 120.0))["volcomp.csv"]
 
 
 def _grid() -> str:
     at = ((0.0, 500.0), (0.0, 450.0), (-400.0, 0.0))
-    return grid.write(grid.Grid(("X", "Y", "Z"), at, np.arange(24.0).reshape(2, 2, 2, 3)))[grid.FILE]
+    return format_named("grid").write(Grid(machine(), at, np.arange(24.0).reshape(2, 2, 2, 3)))["grid.csv"]
 
 
 def _identification() -> str:
@@ -370,11 +375,12 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
         _csv("", np.empty((0, 0))).strip() + "".join(f"{t}{i}, {i}, 2, 3.5\n" for t in "KP" for i in range(3))
     ),
     "points": lambda: _csv("x_mm,y_mm,z_mm,B_deg,C_deg", np.arange(40.0).reshape(8, 5)),
-    "siemens": lambda: "".join(siemens.write(_terms(), machine()).values()),
-    "heidenhain": lambda: next(iter(heidenhain.write(_terms(), machine()).values())),
+    "siemens": lambda: "".join(_terms("siemens").values()),
+    "siemens_eec": lambda: CASES["siemens_eec"].GOOD["eec.mpf"],
+    "heidenhain": lambda: next(iter(_terms("heidenhain").values())),
     "isg": _isg,
-    "linuxcnc": lambda: linuxcnc.write(_terms(), machine())["X.comp"],
-    "ini": lambda: next(text for name, text in linuxcnc.write(_terms(), machine()).items() if name.endswith(".ini")),
+    "linuxcnc": lambda: _terms("linuxcnc")["X.comp"],
+    "ini": lambda: _terms("linuxcnc")["joints.ini"],
     "grid": _grid,
     "identified": _identification,
     "iso": lambda: "%\nG21 G90 G94\nG0 X1 Y2 Z-3\nG1 X10. B3 C4 F500\nG2 X20 Y2 I5 J0\nG91\nG1 X1 (a)\nM30\n%\n",
@@ -389,9 +395,9 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
 def beside(kind: str, folder: Path) -> None:
     """Write what a kind of file is read with."""
     if kind in ("ini", "linuxcnc"):
-        files = linuxcnc.write(_terms(), machine())
+        files = _terms("linuxcnc")
     elif kind == "heidenhain":
-        files = heidenhain.write(_terms(), machine())
+        files = _terms("heidenhain")
     else:
         return
     for name, text in files.items():

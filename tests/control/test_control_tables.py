@@ -1,6 +1,6 @@
 """Tables made from a calibration: machines that err are sent to q + c(q), and come nearer to where they were meant to be.
 
-The DMU 50 is `tests.truth.machine`'s and its tables are looked up by `tests.control.test_control_formats`: nothing of `twin` but the
+The DMU 50 is `tests.truth.machine`'s and its tables are looked up by `tests.control.cases`: nothing of `twin` but the
 files is in it.
 """
 
@@ -15,16 +15,16 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from tests.control.test_control_formats import BY_HAND, put
+from tests.control.cases import BY_HAND
+from tests.control.test_control_formats import put
 from tests.truth.machine import TruthMachine
 from twin._common.errors import InputError
 from twin.cli import main
 from twin.compensation import compensate
 from twin.control import Made, Request, account_of, deliver, make
-from twin.control.make import bundle
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
+from twin.machine.control import FORMATS, ControlSection, TableEntry, Terms, format_named, read_tables
 from twin.machine.effects import CrossAxis, Reversal
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
@@ -38,7 +38,7 @@ def slow(kind: str) -> object:
     return pytest.param(kind, marks=pytest.mark.slow)
 
 
-TOLERANCE_UM = {kind: 5.0 if kind == "grid" else 1.0 for kind in FORMATS}
+TOLERANCE_UM = {form.name: form.tolerance_um for form in FORMATS}
 
 
 def drawn(machine: Machine, seed: int, *, rotary: bool, um: float = 10.0, urad: float = 60.0) -> Calibration:
@@ -150,7 +150,8 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     assert off < 1.7 if kind == "isg" else off > 3.0
     # Where the errors are those left under them, nobody knows which tool was active then: it is said wherever they are used.
     left = ControlSection(
-        "remaining", tuple(TableEntry.of(tmp_path / "tables" / name, kind, ()) for name in bundle(made.files, kind))
+        "remaining",
+        tuple(TableEntry.of(tmp_path / "tables" / name, kind, ()) for name in format_named(kind).to_read(made.files)),
     )
     report = compensate("cone_frustum.nc", dmu50, calibration.with_control(left)).report
     assert report.control is not None
@@ -280,14 +281,14 @@ def test_few_tables_go_to_what_takes_out_most(
     counted = set(re.findall(r"^\$AN_CEC\[(\d+),", made.files["cec.mpf"], re.M))
     assert 7 <= len(counted) <= 8
     assert made.left_out
-    smallest = min(one.peak for one in made.tables if " times " not in one.name)
+    smallest = min(one.content.largest for one in made.tables if " times " not in one.content.name)
     assert all(float(text.split(": ")[1]) <= smallest + 0.05 for text in made.left_out if " times " not in text)
     assert any("no table left" in text for text in made.unmet)
 
 
 def test_a_step_that_is_too_wide_is_said(dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]) -> None:
     made = make(dmu50, truth[False][0], Request("linuxcnc", tool_length_mm=LENGTH, step=250.0))
-    assert [one.nodes for one in made.tables] == [3, 3, 3]
+    assert [one.content.nodes for one in made.tables] == [3, 3, 3]
     assert any("more than the tolerance" in text for text in made.unmet)
     with pytest.raises(InputError, match="more points than the format has"):
         make(dmu50, truth[False][0], Request("linuxcnc", step=0.5))
@@ -443,7 +444,9 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     given = ["-c", str(mine), "--tool-length", f"{length:g}"]
     assert run(["report", "-o", str(tmp_path / "r.html"), *given, "--json", str(tmp_path / "r.json")]) == 0
     report = json.loads((tmp_path / "r.json").read_text())
-    assert {one["format"] for one in report["control_tables"]} == {"siemens", "heidenhain", "linuxcnc"}
+    assert {one["format"] for one in report["control_tables"]} == {
+        form.name for form in FORMATS if form.correction is Terms
+    }
     for one in report["control_tables"]:
         out = tmp_path / one["format"]
         assert run(["control", "--to", one["format"], "-o", str(out), *given, "--json", str(tmp_path / "c.json")]) == 0

@@ -1,6 +1,6 @@
 """Tables and reports for machines that are no five-axis mills: what they can have they get, what they cannot is said.
 
-The drill errs by a formula written out here, and its tables are looked up by `tests.control.test_control_formats`.
+The drill errs by a formula written out here, and its tables are looked up by `tests.control.cases`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.control.test_control_formats import BY_HAND
+from tests.control.cases import BY_HAND
 from tests.control.test_control_tables import state_of
 from tests.real import stage
 from tests.truth import few_axes

@@ -73,14 +73,15 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
         InputError: no such format; a file that cannot be read, or is no such table for this machine.
     """
     found: dict[str, list[Path]] = {}
+    known = [form.name for form in FORMATS]
     for entry in entries:
         kind, equals, file = entry.partition("=")
-        if not equals or kind not in FORMATS:
+        if not equals or kind not in known:
             raise InputError(
                 "--control does not fit",
-                expected=f"FORMAT=FILE, each file of the control once, FORMAT one of {', '.join(FORMATS)}",
+                expected=f"FORMAT=FILE, each file of the control once, FORMAT one of {', '.join(known)}",
                 value=entry,
-                nearest=nearest(kind, FORMATS),
+                nearest=nearest(kind, known),
             )
         found.setdefault(kind, []).append(Path(file))
     for kind, files in found.items():

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, final
 
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin.control.loading import rows, steps, trial
-from twin.control.make import Made, Table, classes_of
+from twin._common.json_form import json_form
+from twin._common.provenance import ILLUSTRATIVE, texts, to_json
+from twin.control.design import Table
+from twin.control.make import Made
 from twin.control.remains import Carried, Remains
+from twin.machine.calibration import Calibration
+from twin.machine.control import Terms
 
 SCHEMA: Final = "twin.control/1"
 DONE_TWICE: Final = (
     "Programs: with these tables on, compensate them with the calibration.yaml of this folder and no other. It says what the "
-    "control takes out by "
-    "itself; with the one it was made from the errors would be taken out twice."
+    "control takes out by itself; with the one it was made from the errors would be taken out twice."
 )
 
 FROM_NOW_ON: Final = (
@@ -34,16 +36,19 @@ class Account:
         remains: what they leave at the tool.
         carried: every error of the calibration.
         missing: effects left out for want of a temperature or the time, by the channel.
-        source: the calibration's file.
-        warnings: of where its numbers come from.
+        errors: the calibration they were made from.
     """
 
     made: Made
     remains: Remains
     carried: tuple[Carried, ...]
     missing: Mapping[str, tuple[str, ...]]
-    source: str
-    warnings: tuple[SourceWarning, ...]
+    errors: Calibration
+
+    @property
+    def source(self) -> str:
+        """The calibration's file."""
+        return str(self.errors.path or "no file: the machine as drawn")
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -60,52 +65,56 @@ class Account:
         request = made.request
         where = ", ".join(f"{name} {value:g}" for name, value in wanted.at.items())
         lines = [f"Compensation tables for {wanted.machine.name}: {request.kind}"]
-        lines += texts(self.warnings)
+        lines += texts(self.errors.warnings)
         lines += [
             f"from {self.source}",
             f"tool length {wanted.tool_length_mm:g} mm, the other axes at {where}",
             f"files: {', '.join(made.files)}",
             "",
-            *rows(made.tables),
+            *_rows(made.tables),
             "",
             "  between nodes: how far the model is at most from the straight lines; read back: how far the file, read again, was "
             "from the model at places drawn.",
             "",
             *self.remains.to_lines(),
         ]
-        lines += ["", "Error motions", *_shares(self.carried)]
-        if request.kind in ("linuxcnc", "heidenhain", "siemens"):
-            lines += [
-                "",
-                "A table of one axis over another is right where the other axes stand as above. What an angular error makes "
-                "elsewhere is its angle times the "
-                "distance from there"
-                + (
-                    ", which the products carry."
-                    if any(" times " in one.name for one in made.tables)
-                    else ": it stays."
-                ),
-            ]
-        if request.kind in ("linuxcnc", "heidenhain", "siemens", "grid"):
-            lines.append(
-                f"Angular errors change with the tool: for another length than {wanted.tool_length_mm:g} mm make the tables again."
-            )
-        lines += ["", "To load and switch on", *(f"  {i}. {text}" for i, text in enumerate(steps(made), start=1))]
+        lines += ["", "Error motions", *_shares(self.carried), *self._limits()]
+        lines += ["", "To load and switch on", *(f"  {i}. {text}" for i, text in enumerate(self.load, start=1))]
         if made.increment:
             lines.append(
                 "  These files are the old tables and the new ones together: load them in place of the old ones. added/ has the "
                 "new part alone, for twin."
             )
-        if made.unchecked:
-            lines += [
-                "",
-                "NOT CHECKED against a public description of the control:",
-                *(f"  - {text}" for text in made.unchecked),
-            ]
-        lines += ["", trial(made), DONE_TWICE if wanted.machine.runs_programs else FROM_NOW_ON]
+        if request.form.unchecked:
+            lines += ["", "NOT CHECKED against a public description of the control:"]
+            lines += [f"  - {text}" for text in request.form.unchecked]
+        lines += ["", _trial(made), DONE_TWICE if wanted.machine.runs_programs else FROM_NOW_ON]
         if self.unmet:
             lines += ["", "Not met:", *(f"  - {text}" for text in self.unmet)]
         return "\n".join(lines) + "\n"
+
+    @property
+    def load(self) -> tuple[str, ...]:
+        """How the tables get into the control, step by step."""
+        return self.made.request.form.loading(self.made.correction, self.made.largest)
+
+    def _limits(self) -> list[str]:
+        """Where the tables are right."""
+        made, found = self.made, list[str]()
+        if isinstance(made.correction, Terms):
+            products = any(len(term.factors) > 1 for term in made.correction.terms)
+            found += [
+                "",
+                "A table of one axis over another is right where the other axes stand as above. What an angular error makes "
+                "elsewhere is its angle times the distance from there"
+                + (", which the products carry." if products else ": it stays."),
+            ]
+        if not made.request.form.knows_machine:
+            length = f"{made.wanted.tool_length_mm:g} mm"
+            found.append(
+                f"Angular errors change with the tool: for another length than {length} make the tables again."
+            )
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -114,34 +123,35 @@ class Account:
             "schema": SCHEMA,
             "machine": wanted.machine.name,
             "calibration": self.source,
-            "illustrative": ILLUSTRATIVE in self.warnings,
-            "warnings": to_json(self.warnings),
+            "illustrative": ILLUSTRATIVE in self.errors.warnings,
+            "warnings": to_json(self.errors.warnings),
             "format": made.request.kind,
-            "classes": list(classes_of(made.request.kind, sorted(made.request.classes))),
+            "classes": list(made.request.carried_classes),
             "tool_length_mm": wanted.tool_length_mm,
             "at": dict(wanted.at),
             "files": list(made.files),
-            "tables": [row(one) for one in made.tables],
+            "tables": [_row(one) for one in made.tables],
             "error_at_tool": self.remains.to_dict(),
-            "errors": [asdict(one) for one in self.carried],
-            "unchecked": list(made.unchecked),
-            "load": list(steps(made)),
+            "errors": json_form(self.carried),
+            "unchecked": list(made.request.form.unchecked),
+            "load": list(self.load),
             "unmet": list(self.unmet),
         }
 
 
-def row(one: Table) -> dict[str, Any]:
+def _row(one: Table) -> dict[str, Any]:
     """A table, units in its names."""
+    what = one.content
     return {
-        "table": one.name,
-        "from": one.low,
-        "to": one.high,
-        "nodes": one.nodes,
-        "step": one.step,
-        f"largest_{one.unit}": one.peak,
-        f"between_nodes_{one.unit}": one.off,
-        f"read_back_{one.unit}": one.back,
-        f"allowed_{one.unit}": one.off + one.rounding,
+        "table": what.name,
+        "from": what.low,
+        "to": what.high,
+        "nodes": what.nodes,
+        "step": what.step,
+        f"largest_{what.unit}": what.largest,
+        f"between_nodes_{what.unit}": one.off,
+        f"read_back_{what.unit}": one.back,
+        f"allowed_{what.unit}": one.off + one.rounding,
         "holds": one.holds,
         "within_tolerance": one.fine,
     }
@@ -158,4 +168,40 @@ def _shares(carried: tuple[Carried, ...]) -> list[str]:
         found += [
             f"{title}: {' '.join(names)}" + (f" ({reason})" if reason else "") for reason, names in by_reason.items()
         ]
+    return found
+
+
+def _trial(made: Made) -> str:
+    """The check on the machine that shows a sign the wrong way round."""
+    # A shift shows by itself; an angle alone only of a rotary axis.
+    tables = [one.content for one in made.tables if one.content.nodes]
+    best = max(tables, key=lambda one: (one.unit == "um", one.largest), default=None)
+    if best is None:
+        return ""
+    against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
+    return (
+        f"Before cutting: drive the axis with the largest correction ({best.name}, up to {best.largest:.1f} "
+        f"{unit_shown(best.unit)}) against a {against} with the tables off and on. The error must become smaller. If it doubles, "
+        "the control reads the sign the other way round: switch the tables off."
+    )
+
+
+def unit_shown(unit: str) -> str:
+    """``µm`` of ``um``."""
+    return unit.replace("u", "µ", 1)
+
+
+def _rows(tables: Sequence[Table]) -> list[str]:
+    """The tables, a line each."""
+    width = max([len(one.content.name) for one in tables] + [5])
+    found = [f"  {'table':<{width}}  {'range':>17}  nodes    step    largest   between nodes   read back   (allowed)"]
+    for one in tables:
+        what = one.content
+        span = f"{what.low:g} … {what.high:g}"
+        nodes = f"{what.nodes:>5}  {what.step:>6g}" if what.nodes else f"{'':>5}  {'':>6}"
+        marks = ("" if one.holds else "  NOT WHAT WAS MEANT") + ("" if one.fine else "  ABOVE TOLERANCE")
+        found.append(
+            f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {one.off:>14.3f}  {one.back:>10.4f}  "
+            f"{one.off + one.rounding:>10.4f} {unit_shown(what.unit)}{marks}"
+        )
     return found

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from twin._common.errors import InputError
 from twin._common.files import check_writable, scratch_folder, write_whole
 from twin.control.account import Account
-from twin.control.make import Made, bundle, classes_of
+from twin.control.make import Made, design_of
 from twin.control.remains import carried, remains
 from twin.machine.calibration import Calibration
-from twin.machine.control import ControlSection, TableEntry, grid, heidenhain, isg, linuxcnc, siemens
-from twin.machine.control.section import BasicClass
+from twin.machine.control import ControlSection, TableEntry, TableFormat, format_named
 from twin.machine.machine import Machine
 
 README: Final = "README.txt"
@@ -24,13 +23,7 @@ ADDED: Final = "added"
 
 def outputs_of(folder: Path, kind: str, machine: Machine) -> list[Path]:
     """Every file that may be written into a folder."""
-    names = {
-        "linuxcnc": [*(f"{name}.comp" for name in machine.names), linuxcnc.INI],
-        "heidenhain": [*(f"{name}_CORR.COM" for name in machine.names), heidenhain.CMA],
-        "siemens": [siemens.FILE],
-        "isg": [isg.FILE, isg.LIST],
-        "grid": [grid.FILE],
-    }[kind]
+    names = format_named(kind).files(machine)
     return [folder / name for name in (*names, README, CALIBRATION)]
 
 
@@ -49,16 +42,17 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
         missing: these, by channel.
     """
     with scratch_folder() as folder:
-        section = _section(made, _write(made.increment or made.files, folder, made.request.kind))
+        section = _section(made, _write(made.increment or made.files, folder, made.request.form))
         left = remains(made.wanted, known.with_control(section))
     request = made.request
     return Account(
         made,
         left,
-        carried(made.wanted, request.kind, request.classes, products=request.products and not made.left_out),
+        carried(
+            made.wanted, replace(request, products=request.products and not made.left_out), design_of(request.form)
+        ),
         missing,
-        str(errors.path or "no file: the machine as drawn"),
-        errors.warnings,
+        errors,
     )
 
 
@@ -85,24 +79,26 @@ def deliver(
             raise InputError("an output is one of the inputs", expected="another folder", file=path)
     account = account_of(made, errors, known, missing)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = _write(made.files, folder, made.request.kind)
+    paths = _write(made.files, folder, made.request.form)
     if made.increment:
         (folder / ADDED).mkdir(exist_ok=True)
         check_writable([folder / ADDED / name for name in made.increment])
-        paths = _write(made.increment, folder / ADDED, made.request.kind)
+        paths = _write(made.increment, folder / ADDED, made.request.form)
     write_whole(folder / README, account.to_text())
     told = replace(errors, source=f"{errors.source}; its control has compensation tables ({made.request.kind})")
     told.with_control(_section(made, paths)).save(folder / CALIBRATION)
     return account
 
 
-def _write(files: Mapping[str, str], folder: Path, kind: str) -> list[Path]:
+def _write(files: Mapping[str, str], folder: Path, form: TableFormat[Any]) -> list[Path]:
     """Write all, and say which of them are read back."""
     for name, text in files.items():
         write_whole(folder / name, text)
-    return [folder / name for name in bundle(files, kind)]
+    return [folder / name for name in form.to_read(files)]
 
 
 def _section(made: Made, paths: Sequence[Path]) -> ControlSection:
-    classes: tuple[BasicClass, ...] = classes_of(made.request.kind, sorted(made.request.classes))  # type: ignore[assignment]
-    return ControlSection("uncorrected", tuple(TableEntry.of(path, made.request.kind, classes) for path in paths))
+    request = made.request
+    return ControlSection(
+        "uncorrected", tuple(TableEntry.of(path, request.kind, request.carried_classes) for path in paths)
+    )

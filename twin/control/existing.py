@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin.control.design import named
-from twin.control.make import middle_of
+from twin._common.json_form import json_form
+from twin._common.provenance import ILLUSTRATIVE, texts, to_json
+from twin.control.account import unit_shown
 from twin.control.remains import Remains, remains
 from twin.control.wanted import Wanted
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.control import ControlSection, Correction, TableEntry, Terms, read_tables
-from twin.machine.control.grid import Grid
-from twin.machine.control.isg import Volumetric
+from twin.machine.conditions import APPROACH, Conditions
+from twin.machine.control import ControlSection, Correction, TableEntry, TableFormat, format_named
 from twin.machine.iso16907 import BASIC
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.machine import Machine
 
 PLACES = 1001
-
-
-@final
-@dataclass(frozen=True)
-class Content:
-    """One table of the files: its nodes (mm, degrees), and the largest value in ``unit`` (``um``, ``urad``)."""
-
-    name: str
-    low: float
-    high: float
-    nodes: int
-    step: float
-    largest: float
-    unit: str
 
 
 @final
@@ -67,49 +52,52 @@ class Existing:
     """What was found.
 
     Attributes:
-        files, kind: what was read.
-        contents: every table.
+        kind: name of the format.
+        files: what was read.
+        correction: what they do.
+        calibration: they are compared with.
+        wanted: what that wants.
         differences: against the model, along every axis.
         remains: at the tool over the volume; None where the model's errors are those left under tables.
-        at: where the other axes stand.
-        tool_length_mm: taken.
-        source: the calibration's file.
-        remaining: whether the model's errors were measured with tables on.
-        warnings: of where the model's numbers come from.
     """
 
-    files: tuple[Path, ...]
     kind: str
-    contents: tuple[Content, ...]
+    files: tuple[Path, ...]
+    correction: Correction
+    calibration: Calibration
+    wanted: Wanted
     differences: tuple[Difference, ...]
     remains: Remains | None
-    at: Mapping[str, float]
-    tool_length_mm: float
-    source: str
-    remaining: bool
-    warnings: tuple[SourceWarning, ...]
+
+    @property
+    def source(self) -> str:
+        """The calibration's file."""
+        return str(self.calibration.path or "the machine as drawn")
 
     def to_text(self) -> str:
         """As it is printed."""
-        where = ", ".join(f"{name} {value:g}" for name, value in self.at.items())
-        width = max([len(one.name) for one in self.contents] + [5])
+        where = ", ".join(f"{name} {value:g}" for name, value in self.wanted.at.items())
+        contents = self.correction.contents()
+        width = max([len(one.name) for one in contents] + [5])
         lines = [f"{self.kind}: {', '.join(file.name for file in self.files)}"]
         lines += [
             f"  {one.name:<{width}}  {one.low:g} … {one.high:g}, {one.nodes} nodes, step {one.step:g}, largest {one.largest:.3f} "
-            f"{one.unit.replace('u', 'µ', 1)}"
-            for one in self.contents
+            f"{unit_shown(one.unit)}"
+            for one in contents
         ]
-        lines += ["", f"Against {self.source}, tool length {self.tool_length_mm:g} mm, the other axes at {where}"]
-        lines += [f"  {text}" for text in texts(self.warnings)]
-        if self.remaining:
+        lines += [
+            "",
+            f"Against {self.source}, tool length {self.wanted.tool_length_mm:g} mm, the other axes at {where}",
+        ]
+        lines += [f"  {text}" for text in texts(self.calibration.warnings)]
+        if self.remains is None:
             lines.append(
                 "  The errors of this calibration were measured with tables on: what it wants is what is still to be added, and no "
-                "difference tells "
-                "whether these tables are right."
+                "difference tells whether these tables are right."
             )
         lines.append("  moves  along    largest correction    differs by    of that the same everywhere")
         lines += [
-            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {one.unit.replace('u', 'µ', 1):<6}  {one.differs:>10.2f}  "
+            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {unit_shown(one.unit):<6}  {one.differs:>10.2f}  "
             f"{one.constant:>18.2f}"
             for one in self.differences
         ]
@@ -125,17 +113,17 @@ class Existing:
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it."""
         return {
-            "schema": "twin.machine.control-read/1",
+            "schema": "twin.control-read/1",
             "format": self.kind,
             "files": [str(file) for file in self.files],
-            "tables": [asdict(one) for one in self.contents],
+            "tables": json_form(self.correction.contents()),
             "calibration": self.source,
-            "calibration_errors_are_remaining": self.remaining,
-            "illustrative": ILLUSTRATIVE in self.warnings,
-            "warnings": to_json(self.warnings),
-            "tool_length_mm": self.tool_length_mm,
-            "at": dict(self.at),
-            "differences": [asdict(one) for one in self.differences],
+            "calibration_errors_are_remaining": self.remains is None,
+            "illustrative": ILLUSTRATIVE in self.calibration.warnings,
+            "warnings": to_json(self.calibration.warnings),
+            "tool_length_mm": self.wanted.tool_length_mm,
+            "at": dict(self.wanted.at),
+            "differences": json_form(self.differences),
             "error_at_tool": None if self.remains is None else self.remains.to_dict(),
         }
 
@@ -163,90 +151,34 @@ def compared(
     Raises:
         InputError: whatever does not fit in a file.
     """
-    correction = read_tables(kind, files, machine)
-    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+    form = format_named(kind)
+    correction = form.read(files, machine)
     remaining = calibration.control is not None and calibration.control.errors_are == "remaining"
-    wanted = Wanted(
-        machine, calibration.with_control(None), middle_of(machine, at), length, frozenset(BASIC), conditions
-    )
+    wanted = Wanted(machine, calibration, at, tool_length_mm, frozenset(BASIC), conditions)
     section = ControlSection("uncorrected", tuple(TableEntry.of(file, kind, ()) for file in files))
     left = None if remaining else remains(wanted, calibration.with_control(section))
-    return Existing(
-        tuple(files),
-        kind,
-        _contents(correction, machine),
-        _differences(correction, wanted, kind),
-        left,
-        wanted.at,
-        length,
-        str(calibration.path or "the machine as drawn"),
-        remaining,
-        calibration.warnings,
-    )
+    return Existing(kind, tuple(files), correction, calibration, wanted, _differences(correction, wanted, form), left)
 
 
-def _contents(correction: Correction, machine: Machine) -> tuple[Content, ...]:
-    found = []
-    if isinstance(correction, Terms):
-        for term in correction.terms:
-            curve = term.factors[0]
-            largest = float(np.prod([max(abs(value) for value in factor.values) for factor in term.factors]))
-            unit = "um" if machine.by_name[term.axis].linear else "urad"
-            found.append(Content(named(term), curve.at[0], curve.at[-1], len(curve.at), curve.step, largest, unit))
-    elif isinstance(correction, Volumetric):
-        for one in correction.errors:
-            for i, curve in one.curves.items():
-                largest = max(abs(value) for value in curve.values)
-                name = f"E_{DIRECTIONS[i]}{one.axis}"
-                found.append(
-                    Content(
-                        name, curve.at[0], curve.at[-1], len(curve.at), curve.step, largest, "um" if i < 3 else "urad"
-                    )
-                )
-    elif isinstance(correction, Grid):
-        for k, name in enumerate(correction.names):
-            nodes = correction.at[k]
-            largest = float(np.abs(correction.values[..., k]).max())
-            found.append(
-                Content(f"d{name} over the box", nodes[0], nodes[-1], len(nodes), nodes[1] - nodes[0], largest, "um")
-            )
-    return tuple(found)
-
-
-def _differences(correction: Correction, wanted: Wanted, kind: str) -> tuple[Difference, ...]:
+def _differences(correction: Correction, wanted: Wanted, form: TableFormat[Any]) -> tuple[Difference, ...]:
     machine = wanted.machine
     linear = [machine.axes[i].name for i in machine.linear]
     # Tables of single axes are about linear axes' own errors; a control that knows the machine moves them for the rotary ones' too.
-    about = tuple(machine.names) if kind == "isg" else tuple(linear)
+    about = tuple(machine.names) if form.knows_machine else tuple(linear)
     found = []
-    for axis in machine.axes:
-        low, high = wanted.range_of(axis)
-        q = np.linspace(low, high, PLACES)
+    for axis, moved in product(machine.axes, (machine.by_name[name] for name in correction.axes)):
+        if moved.name != axis.name and not (moved.linear and (axis.linear or form.knows_machine)):
+            continue
+        q = np.linspace(*wanted.range_of(axis), PLACES)
         line = wanted.line(axis, q)
-        for moved in correction.axes:
-            own = machine.by_name[moved]
-            if not own.linear and moved != axis.name:
-                continue
-            said, off = [], []
-            for side in (1, -1):
-                state: dict[str, Any] = {name: line[:, i] for i, name in enumerate(machine.names)}
-                state |= {f"approach_{name}": np.full(PLACES, float(side)) for name in machine.names}
-                shift = np.broadcast_to(correction.shift(moved, state), PLACES)
-                wants = (
-                    wanted.point(about, line, side)[:, linear.index(moved)] if own.linear else wanted.turn(own, q, side)
-                )
-                said.append(shift)
-                off.append(shift - wants)
-            constant = float(np.mean(off))
-            if axis.linear or not own.linear or kind == "isg":
-                found.append(
-                    Difference(
-                        moved,
-                        axis.name,
-                        "um" if own.linear else "urad",
-                        float(np.abs(said).max()),
-                        float(np.abs(off).max()),
-                        constant,
-                    )
-                )
+        said, off = [], []
+        for side in (1, -1):
+            state: dict[str, Any] = dict(zip(machine.names, line.T, strict=True))
+            state |= {f"{APPROACH}{name}": np.full(PLACES, float(side)) for name in machine.names}
+            said.append(np.broadcast_to(correction.shift(moved.name, state), PLACES))
+            wants = wanted.point(about, line, side)[:, linear.index(moved.name)] if moved.linear else None
+            off.append(said[-1] - (wanted.turn(moved, q, side) if wants is None else wants))
+        largest, differs = (float(np.abs(one).max()) for one in (said, off))
+        unit = "um" if moved.linear else "urad"
+        found.append(Difference(moved.name, axis.name, unit, largest, differs, float(np.mean(off))))
     return tuple(found)

@@ -12,7 +12,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 
 Truth = Callable[[np.ndarray], np.ndarray]
-"""(n,) positions, mm or degrees → (n, k) values, or (n,)."""
+"""(n,) positions, mm or degrees → (n, k) values."""
 RESOLUTION: Final = 1e-4
 """mm and degrees: nodes are whole numbers of these, so that no format rounds them."""
 BETWEEN: Final = 20
@@ -74,11 +74,7 @@ def at(truth: Truth, nodes: np.ndarray) -> Nodes:
     """The truth at given nodes, and how far it is from the straight lines between them."""
     nodes = np.round(nodes / RESOLUTION) * RESOLUTION
     dense = np.interp(np.arange(BETWEEN * (len(nodes) - 1) + 1) / BETWEEN, np.arange(len(nodes)), nodes)
-    seen = _columns(truth(dense))
+    seen = truth(dense)
     values = seen[::BETWEEN]
     lines = np.stack([np.interp(dense, nodes, column) for column in values.T], axis=1)
     return Nodes(locked(nodes), locked(values), locked(MARGIN * np.abs(seen - lines).max(axis=0)))
-
-
-def _columns(values: np.ndarray) -> np.ndarray:
-    return values[:, None] if values.ndim == 1 else values

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal, final
+from dataclasses import dataclass
+from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.json_form import json_form
+from twin.control.design import Design, Share
+from twin.control.request import Request
 from twin.control.wanted import Wanted, step_back
-from twin.display import UNKNOWN, finite
+from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Listening
-from twin.machine.effects import ControlCorrection, Effect
+from twin.machine.conditions import APPROACH, Listening
+from twin.machine.effects import ControlCorrection
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, known_volume
 
-Share = Literal["whole", "line", "no"]
 STEPS: Final = 2
 """Of the linear axes, so that what they can take out is gone to a nanometre."""
-
-SOME_BEYOND: Final = 0.01
-ALL_BEYOND: Final = 0.99
-"""Share of an error that lies where no linear axis moves the point; products of two errors are a thousandth."""
 
 
 @final
@@ -41,10 +38,6 @@ class Left:
     max_um: float
     expected_rms_um: float
     tilt_rms_urad: tuple[float, float]
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is unknown."""
-        return {**asdict(self), "expected_rms_um": finite(self.expected_rms_um)}
 
 
 @final
@@ -81,12 +74,7 @@ class KnownTo:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where it is unknown."""
-        return {
-            "definition": DEFINITION,
-            "rms_um": finite(self.rms_um),
-            "max_um": finite(self.max_um),
-            "without_uncertainty": list(self.without_uncertainty),
-        }
+        return {"definition": DEFINITION, **json_form(self, leave_out=("standard_rms_um",))}
 
 
 @final
@@ -95,17 +83,17 @@ class Remains:
     """Before, after the tables, after a compensated program on top of them.
 
     Attributes:
+        poses: over how many.
         before, tables, program: the errors; ``program`` is None for a machine that runs none.
         known_to: how well the point is known: U of all three.
-        poses: over how many.
-        at_limits: of these, in how many an axis would have to leave its range to correct the rest.
+        at_limits: of the poses, in how many an axis would have to leave its range to correct the rest.
     """
 
+    poses: int
     before: Left
     tables: Left
     program: Left | None
     known_to: KnownTo
-    poses: int
     at_limits: int
 
     @property
@@ -144,14 +132,8 @@ class Remains:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "poses": self.poses,
-            "before": self.before.to_dict(),
-            "with_tables": self.tables.to_dict(),
-            "with_tables_and_program": None if self.program is None else self.program.to_dict(),
-            "uncertainty": self.known_to.to_dict(),
-            "poses_at_limits": self.at_limits,
-        }
+        names = {"tables": "with_tables", "program": "with_tables_and_program", "known_to": "uncertainty"}
+        return json_form(self, rename=names | {"at_limits": "poses_at_limits"})
 
 
 def _row(name: str, left: Left, u: KnownTo) -> str:
@@ -181,7 +163,7 @@ def remains(wanted: Wanted, calibration: Calibration) -> Remains:
         reached, limited = _program(wanted, with_tables, q, sides, goal)
         program = _left(reached, goal, known_to)
     before, tables = (_left(one.forward(q, sides), goal, known_to) for one in (real, with_tables))
-    return Remains(before, tables, program, known_to, len(q), limited)
+    return Remains(len(q), before, tables, program, known_to, limited)
 
 
 def _program(
@@ -223,61 +205,41 @@ class Carried:
     why: str
 
 
-def carried(wanted: Wanted, kind: str, classes: frozenset[str], *, products: bool) -> tuple[Carried, ...]:
-    """Every error of the calibration."""
-    return tuple(
-        Carried(effect.name, iso_class, *_share(effect, iso_class, wanted, kind, products=products))
-        if iso_class in classes
-        else Carried(effect.name, iso_class, "no", "not in --scope")
-        for effect in wanted.calibration.effects
-        if not isinstance(effect, ControlCorrection)
-        for iso_class in (wanted.class_of(effect),)
-    )
+def carried(wanted: Wanted, request: Request, design: Design[Any]) -> tuple[Carried, ...]:
+    """Every error of the calibration.
 
-
-def _share(effect: Effect, iso_class: str, wanted: Wanted, kind: str, *, products: bool) -> tuple[Share, str]:
-    axis = wanted.machine.by_name[effect.frame.axis]
-    heard = _Heard(wanted)
-    effect.components(heard)
-    others = sorted(name for name in heard.used if name != axis.name and name in wanted.machine.by_name)
-    directed = f"approach_{axis.name}" in heard.asked
-    if kind in ("isg", "grid") and directed:
-        return "no", "the format has no directions: the mean of both is taken"
-    if kind == "grid":
-        if not axis.linear:
-            return "no", "an error of a rotary axis: a grid knows X, Y and Z only"
-        rotary = [name for name in others if not wanted.machine.by_name[name].linear]
-        return ("line", f"depends on {' '.join(rotary)} too") if rotary else ("whole", "")
-    if kind == "isg":
-        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
-    if not axis.linear:
-        if iso_class != "R-POS":
-            return "no", "moves the point in a direction that turns with the rotary axes"
-        return ("line", f"depends on {' '.join(others)} too") if others else ("whole", "")
-    if kind == "linuxcnc" and iso_class in ("L-STR", "L-SQU"):
-        return "no", "moves other axes than its own: the format has no such tables"
-    beyond = wanted.beyond(effect)
-    if beyond > ALL_BEYOND:
-        return "no", "no linear axis moves the point that way"
-    if beyond > SOME_BEYOND:
-        return "line", f"no linear axis moves the point the way of {100.0 * beyond:.0f} % of it"
-    if others:
-        return "line", f"depends on {' '.join(others)} too"
-    if iso_class == "L-ANG" and kind == "linuxcnc":
-        return "line", "along its own axis only, and there with the lever of the reference position"
-    if iso_class == "L-ANG" and not (kind == "siemens" and products):
-        return "line", "with the lever of the reference position"
-    return "whole", ""
+    Args:
+        wanted: the machine and its errors.
+        request: the format, classes, and whether two tables are multiplied.
+        design: how the tables of the format are worked out.
+    """
+    found, by_name = [], wanted.machine.by_name
+    for effect in wanted.calibration.effects:
+        if isinstance(effect, ControlCorrection):
+            continue
+        iso_class, axis = wanted.class_of(effect), by_name[effect.frame.axis]
+        heard = _Heard(wanted)
+        effect.components(heard)
+        others = [by_name[name] for name in sorted(heard.used) if name != axis.name and name in by_name]
+        share: tuple[Share, str]
+        if iso_class not in request.classes:
+            share = "no", "not in --scope"
+        elif not request.form.directions and f"{APPROACH}{axis.name}" in heard.used:
+            share = "no", "the format has no directions: the mean of both is taken"
+        else:
+            share = design.share(wanted, effect, others, request)
+        found.append(Carried(effect.name, iso_class, *share))
+    return tuple(found)
 
 
 @final
 class _Heard(dict[str, Any]):
-    """One pose that remembers which axes, and which channels beside, an effect asks for."""
+    """One pose, and any channel an effect asks for: it remembers which of both are used."""
 
     def __init__(self, wanted: Wanted) -> None:
         self._source = Listening(wanted.machine)
-        super().__init__(self._source)
         self.used: set[str] = set()
+        super().__init__(self._source)
 
     def __contains__(self, name: object) -> bool:
         return True
@@ -285,8 +247,3 @@ class _Heard(dict[str, Any]):
     def __getitem__(self, name: str) -> Any:
         self.used.add(name)
         return self._source[name]
-
-    @property
-    def asked(self) -> Mapping[str, None]:
-        """Channels beside the positions."""
-        return dict.fromkeys(self._source.asked)

@@ -29,9 +29,10 @@ class Wanted:
 
     Args:
         machine: the machine.
-        calibration: its errors alone, without what a control takes out; none whose channel the conditions do not give.
-        at: where the other axes stand while one moves: mm, degrees by axis.
-        tool_length_mm: at which length the point is corrected.
+        calibration: its errors, none whose channel the conditions do not give; what a control takes out is not counted in.
+        at: where the other axes stand while one moves, mm, degrees by axis; where none is given linear axes in the middle of their
+            ranges, rotary ones as near to zero as they come.
+        tool_length_mm: at which length the point is corrected; None: the machine file's.
         classes: basic classes of ISO/TR 16907 to correct.
         conditions: temperatures and time.
 
@@ -39,7 +40,8 @@ class Wanted:
         meant: the machine as drawn.
 
     Raises:
-        InputError: linear axes that move the point the same way, so that nobody knows which of them is to be corrected.
+        InputError: a position of no axis, or out of its range; linear axes that move the point the same way, so that nobody knows which
+            of them is to be corrected.
     """
 
     def __init__(
@@ -47,15 +49,15 @@ class Wanted:
         machine: Machine,
         calibration: Calibration,
         at: Mapping[str, float],
-        tool_length_mm: float,
+        tool_length_mm: float | None,
         classes: frozenset[str],
         conditions: Conditions,
     ) -> None:
         self.machine = machine
-        self.at = dict(at)
-        self.tool_length_mm = tool_length_mm
+        self.at = _middle_of(machine, at)
+        self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
         self.conditions = conditions
-        self.calibration = calibration
+        self.calibration = calibration.with_control(None)
         self.meant = self.under(Calibration.zero(machine))
         by = _by_linear(self.meant, np.array([[self.at[name] for name in machine.names]]), None)[0]
         if machine.linear and np.linalg.matrix_rank(by) < len(machine.linear):
@@ -66,7 +68,7 @@ class Wanted:
                 value=" ".join(machine.axes[i].name for i in machine.linear),
             )
         self._classes = classes
-        self._real: dict[str, Kinematics] = {}
+        self._real: dict[tuple[str, ...], Kinematics] = {}
 
     def under(self, errors: Calibration) -> Kinematics:
         """The machine with some errors, its tool and conditions."""
@@ -86,15 +88,14 @@ class Wanted:
 
     def real(self, axes: tuple[str, ...]) -> Kinematics:
         """The machine with the errors of these axes alone, of the classes wanted."""
-        key = " ".join(axes)
-        if key not in self._real:
+        if axes not in self._real:
             kept = {
                 effect.name
                 for effect in self.calibration.effects
                 if effect.frame.axis in axes and self.class_of(effect) in self._classes
             }
-            self._real[key] = self.under(self.calibration.where(lambda name: name in kept))
-        return self._real[key]
+            self._real[axes] = self.under(self.calibration.where(lambda name: name in kept))
+        return self._real[axes]
 
     def line(self, axis: Axis, q: np.ndarray, others: Mapping[str, float] | None = None) -> np.ndarray:
         """(n, axes) commands: one axis at q, the others where they stand while it moves, or at ``others``."""
@@ -111,7 +112,8 @@ class Wanted:
             positions: (n, axes) mm and degrees.
             side: the side these axes come from.
         """
-        return undo(self.real(axes), self.meant, positions, self._sides(axes, positions, side)) * 1e3
+        goal = self.meant.forward(positions).point_mm
+        return step_back(self.real(axes), positions, self._sides(axes, positions, side), goal) * 1e3
 
     def beyond(self, effect: Effect) -> float:
         """Share of what one effect does to the point that no linear axis can undo: 0 where there are three of them."""
@@ -145,9 +147,18 @@ class Wanted:
         return sides
 
 
-def undo(real: Kinematics, meant: Kinematics, positions: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
-    """(n, linear axes) mm: the step of the linear axes that takes the point to where it was meant to be, or as near as they can."""
-    return step_back(real, positions, sides, meant.forward(positions).point_mm)
+def _middle_of(machine: Machine, at: Mapping[str, float]) -> dict[str, float]:
+    """Where axes stand."""
+    for name, value in at.items():
+        if name not in machine.by_name:
+            raise InputError("--at of no axis", expected=f"one of {' '.join(machine.names)}", value=name)
+        low, high = machine.by_name[name].domain
+        if not low <= value <= high:
+            raise InputError(f"--at out of the range of {name}", expected=f"{low:g} … {high:g}", value=value)
+    middle = {
+        axis.name: 0.5 * sum(axis.domain) if axis.linear else float(np.clip(0.0, *axis.domain)) for axis in machine.axes
+    }
+    return {name: float(at.get(name, value)) for name, value in middle.items()}
 
 
 def step_back(real: Kinematics, positions: np.ndarray, sides: np.ndarray | None, goal_mm: np.ndarray) -> np.ndarray:

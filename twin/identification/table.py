@@ -13,7 +13,7 @@ from twin._common.units import URAD
 from twin.machine.calibration import Calibration
 from twin.machine.chain import frame_pose
 from twin.machine.effects import split_name
-from twin.machine.effects.base import error_vector
+from twin.machine.error_vector import error_vector
 from twin.numerics.spatial import fused_angles
 
 

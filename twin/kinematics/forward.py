@@ -15,17 +15,17 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin._common.units import DEG, MM, URAD
+from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
-from twin.machine.chain import chain_function, frame_pose
+from twin.machine.chain import chain_function
 from twin.machine.conditions import APPROACH, Conditions
-from twin.machine.effects.base import error_vector
 from twin.machine.effects.empirical import check_ranges
+from twin.machine.error_vector import error_vector
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM
-from twin.numerics.spatial import fused_angles, tilt
+from twin.numerics.spatial import tilt
 
 
 @final
@@ -231,33 +231,6 @@ class Kinematics:
         rotation, point = self.reached(q * self.machine.scale, approach)
         return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
-    def work_turn_urad(self, positions: Any, approach: Any = None) -> np.ndarray:
-        """How the work frame (the table) is turned from where it was meant to be: fused-like angles.
-
-        Those of `twin.numerics.spatial.fused_angles`. About x, y and z of the base frame: how the table leans about x and y, and how it
-        is turned in its plane; three numbers, a table has a direction within its surface.
-
-        Args:
-            positions: as of `forward`.
-            approach: as of `directed`.
-
-        Returns:
-            (n, 3) µrad about x, y and z.
-
-        Raises:
-            InputError: as `forward`; a table turned over.
-        """
-        q = self.check(positions)
-        at = self.symbols()
-        none = ca.SX.zeros(6 * len(self.machine.frames))
-        turned = [
-            frame_pose(self.machine, self.machine.work_frame, at[0], e).rotation for e in (self.errors(*at), none)
-        ]
-        (turn,) = BatchFunction(ca.Function("turn", at, [turned[0] @ turned[1].T]))(
-            *self.rows(q * self.machine.scale, approach)
-        )
-        return locked(fused_angles(turn.reshape(-1, 3, 3).transpose(0, 2, 1)) / URAD)
-
     def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
         """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
 
@@ -318,10 +291,3 @@ def rms_and_max(tilt_urad: np.ndarray) -> tuple[tuple[float, float], tuple[float
         return (0.0, 0.0), (0.0, 0.0)
     (a, b), (c, d) = np.sqrt(np.mean(tilt_urad**2, axis=0)), np.abs(tilt_urad).max(axis=0)
     return (float(a), float(b)), (float(c), float(d))
-
-
-def turned(axis: np.ndarray, vectors: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-    """(n, 3) ``vectors`` turned about one unit ``axis`` by (n,) angles (Rodrigues)."""
-    angle = (np.asarray(angles_deg) * DEG)[:, None]
-    along = (vectors @ axis)[:, None] * axis
-    return np.asarray(along + np.cos(angle) * (vectors - along) + np.sin(angle) * np.cross(axis, vectors))

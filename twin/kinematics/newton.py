@@ -15,13 +15,11 @@ from functools import cached_property
 from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
-import pinocchio as pin
 
 from twin._common.units import MM
 from twin.kinematics.forward import Kinematics
-from twin.machine.chain import Pose, constant_pose, joint_pose, joint_twist
+from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
-from twin.numerics.spatial import rotation_exp
 
 LARGEST_STEP: Final = 0.1
 """Radians a rotary axis may move in one step: a longer one has left the branch."""
@@ -38,22 +36,6 @@ class _Residual:
     """(3, axes)."""
     axis_by: Any
     """(2, axes)."""
-
-
-@dataclass(frozen=True)
-class _Chain:
-    """The machine's joints as they stand."""
-
-    machine: Machine
-    q: Any
-    errors: Any
-    """(6·frames,)."""
-    motions: dict[int, Pose]
-    """Of every joint on the way to tool and work."""
-    tool: list[int]
-    """Joints to the tool from where it parts from the work; those before move both."""
-    work: list[int]
-    length: Any
 
 
 @final
@@ -108,36 +90,58 @@ class Steps:
         machine, q = self._kinematics.machine, self._at[0]
         if not machine.rotary:
             return self._function("repair", [q])
-        left = _residual(self._chain, self._point, self._axis, terms=2)
-        return self._function("repair", [_repaired(machine, q, left, self._limit)])
+        return self._function("repair", [_repaired(machine, q, self._residual(terms=2), self._limit)])
 
     @cached_property
     def check(self) -> ca.Function:
-        """What is left."""
-        gap, apart, off = _gap(self._chain, self._point, self._axis)
+        """What is left: tip less goal, tool axis less target, and tool axis along the two directions across the target.
+
+        Two vectors a side are carried out along the chain, where derivatives need every frame on the way.
+        """
+        (tip, pointing), (goal, target) = (
+            branch.carried(*start)
+            for branch, start in zip(
+                self._branches, ((self._tip, _sparse(0.0, 0.0, 1.0)), (self._point, self._axis)), strict=True
+            )
+        )
+        gap, apart, off = tip - goal, pointing - target, ca.horzcat(*_across(target)).T @ pointing
         return self._function(
             "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(apart), gap, off]
         )
 
     @cached_property
-    def _chain(self) -> _Chain:
-        kinematics, q = self._kinematics, self._at[0]
-        machine = kinematics.machine
-        errors = ca.densify(kinematics.errors(*self._at))
-        tool, work = _apart(machine)
-        moving, erring = _places(machine)
-        motions = {}
-        for joint in tool + work:
-            if joint in erring:
-                i = erring[joint]
-                motions[joint] = Pose(rotation_exp(errors[i + 3 : i + 6]), errors[i : i + 3])
-            else:
-                motions[joint] = joint_pose(machine.model.joints[joint], q[moving[joint]] if joint in moving else 0.0)
-        return _Chain(machine, q, errors, motions, tool, work, kinematics.tool_length_mm * MM)
+    def _errors(self) -> Any:
+        return ca.densify(self._kinematics.errors(*self._at))
+
+    @cached_property
+    def _branches(self) -> tuple[Branch, Branch]:
+        return branches(self._kinematics.machine, self._at[0], self._errors)
+
+    def _residual(self, terms: int) -> _Residual:
+        """Tool less target, both in the frame where the chains to tool and work part."""
+        by_position = ca.jacobian(self._errors, self._at[0])
+        (tool, tool_twists), (work, work_twists) = (
+            one.twists(self._errors, by_position, terms) for one in self._branches
+        )
+        tip = tool.rotation @ self._tip + tool.translation
+        goal = work.rotation @ self._point + work.translation
+        pointing, target = tool.rotation[:, 2], work.rotation @ self._axis
+        across = ca.horzcat(*_across(target))
+        moved, turned = [], []
+        # Turn of the tool against the work by every axis, and velocity of the tip, both as one who stands on the work sees them.
+        for a, b in zip(tool_twists, work_twists, strict=True):
+            turn = a[0] - b[0]
+            moved.append(a[1] - b[1] + ca.cross(turn, tip))
+            turned.append(across.T @ ca.cross(turn, pointing))
+        return _Residual(tip - goal, across.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
+
+    @property
+    def _tip(self) -> Any:
+        return _sparse(0.0, 0.0, -self._kinematics.tool_length_mm * MM)
 
     @cached_property
     def _left(self) -> _Residual:
-        return _residual(self._chain, self._point, self._axis, terms=1)
+        return self._residual(terms=1)
 
     @property
     def _followed(self) -> Any:
@@ -149,116 +153,8 @@ class Steps:
         return ca.Function(name, [*self._at, self._point, self._axis], [ca.densify(result) for result in results])
 
 
-def _residual(chain: _Chain, point: Any, axis: Any, terms: int) -> _Residual:
-    """Tool less target, both in the frame where the chains to tool and work part."""
-    machine = chain.machine
-    by_position = ca.jacobian(chain.errors, chain.q)
-    tool, tool_twists = _branch(chain, chain.tool, machine.tool_frame, by_position, terms)
-    work, work_twists = _branch(chain, chain.work, machine.work_frame, by_position, terms)
-    tip = tool.rotation @ _sparse(0.0, 0.0, -chain.length) + tool.translation
-    goal = work.rotation @ point + work.translation
-    pointing, target = tool.rotation[:, 2], work.rotation @ axis
-    across = ca.horzcat(*_across(target))
-    moved, turned = [], []
-    for turn, shift in _relative(tool_twists, work_twists, tip):
-        moved.append(shift)
-        turned.append(across.T @ ca.cross(turn, pointing))
-    return _Residual(tip - goal, across.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
-
-
-def _gap(chain: _Chain, point: Any, axis: Any) -> tuple[Any, Any, Any]:
-    """Tip less goal, tool axis less target, and tool axis along the two directions across the target; of `_residual`, for less work.
-
-    Two vectors a side are carried out along the chain, where derivatives need every frame on the way.
-    """
-    machine = chain.machine
-    tip, pointing = _carried(
-        chain, chain.tool, machine.tool_frame, _sparse(0.0, 0.0, -chain.length), _sparse(0.0, 0.0, 1.0)
-    )
-    goal, target = _carried(chain, chain.work, machine.work_frame, point, axis)
-    return tip - goal, pointing - target, ca.horzcat(*_across(target)).T @ pointing
-
-
 def _sparse(*values: float) -> Any:
     return ca.SX(ca.sparsify(ca.DM(values)))
-
-
-def _carried(chain: _Chain, path: list[int], frame: int, point: Any, axis: Any) -> tuple[Any, Any]:
-    """A point and a direction of a frame, before the joints of ``path``."""
-    model = chain.machine.model
-    outwards = [constant_pose(model.frames[frame].placement)]
-    for joint in reversed(path):
-        outwards += [chain.motions[joint], constant_pose(model.jointPlacements[joint])]
-    for pose in outwards:
-        point, axis = pose.rotation @ point + pose.translation, pose.rotation @ axis
-    return point, axis
-
-
-def _places(machine: Machine) -> tuple[dict[int, int], dict[int, int]]:
-    """Joint → its axis; joint → where its six errors begin."""
-    erring = {frame.joint: 6 * i for i, frame in enumerate(machine.frames)}
-    return {joint: i for i, joint in enumerate(machine.axis_joints)}, erring
-
-
-def _apart(machine: Machine) -> tuple[list[int], list[int]]:
-    """Joints to the tool and to the work from where the two part; those before move both."""
-    tool, work = (_path(machine, frame) for frame in (machine.tool_frame, machine.work_frame))
-    shared = len([None for a, b in zip(tool, work, strict=False) if a == b])
-    return tool[shared:], work[shared:]
-
-
-def _path(machine: Machine, frame: int) -> list[int]:
-    """Joints from the root to a frame."""
-    found, joint = [], machine.model.frames[frame].parentJoint
-    while joint != 0:
-        found.append(joint)
-        joint = machine.model.parents[joint]
-    return found[::-1]
-
-
-Twist = tuple[Any, Any]
-"""Turn, and velocity of the point at the origin."""
-
-
-def _branch(chain: _Chain, path: list[int], frame: int, by_position: Any, terms: int) -> tuple[Pose, list[Twist]]:
-    """Pose of a frame behind the joints of ``path``, and its twist by every axis."""
-    machine, model = chain.machine, chain.machine.model
-    moving, erring = _places(machine)
-    none = ca.SX(3, 1)
-    twists: list[Twist] = [(none, none) for _ in machine.axes]
-    pose = constant_pose(pin.SE3.Identity())
-    for joint in path:
-        pose = pose.then(constant_pose(model.jointPlacements[joint]))
-        after = pose.then(chain.motions[joint])
-        if joint in moving:
-            turn, shift = joint_twist(model.joints[joint])
-            twists[moving[joint]] = _added(twists[moving[joint]], pose, pose.translation, turn, shift)
-        elif joint in erring:
-            i = erring[joint]
-            for axis in range(len(machine.axes)):
-                shift, turn = by_position[i : i + 3, axis], by_position[i + 3 : i + 6, axis]
-                if shift.nnz() + turn.nnz() == 0:
-                    continue
-                if terms > 1:
-                    turn = turn + 0.5 * ca.cross(chain.errors[i + 3 : i + 6], turn)
-                twists[axis] = _added(twists[axis], pose, after.translation, turn, shift)
-        pose = after
-    return pose.then(constant_pose(model.frames[frame].placement)), twists
-
-
-def _added(twist: Twist, pose: Pose, centre: Any, turn: Any, shift: Any) -> Twist:
-    """A twist, and another one given in the frame of ``pose`` about ``centre``."""
-    about = pose.rotation @ turn
-    return twist[0] + about, twist[1] + pose.rotation @ shift + ca.cross(centre, about)
-
-
-def _relative(tool: list[Twist], work: list[Twist], tip: Any) -> list[Twist]:
-    """Turn of the tool against the work by every axis, and velocity of the tip, both as one who stands on the work sees them."""
-    found = []
-    for a, b in zip(tool, work, strict=True):
-        turn = a[0] - b[0]
-        found.append((turn, a[1] - b[1] + ca.cross(turn, tip)))
-    return found
 
 
 def _across(z: Any) -> tuple[Any, Any]:

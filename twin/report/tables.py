@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, final
 
 from twin._common.errors import InputError
 from twin.control import Carried, Remains, Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-
-KINDS: Final = ("siemens", "heidenhain", "linuxcnc")
-"""Formats with tables of single axes; the volumetric ones, ``isg`` and ``grid``, are left to ``twin control``."""
+from twin.machine.control import FORMATS, Terms
 
 
 @final
@@ -21,7 +19,7 @@ class TablesLeft:
     """What the tables of one format leave.
 
     Attributes:
-        kind: the format, one of `KINDS`.
+        kind: the format, one with tables of single axes: the volumetric ones, ``isg`` and ``grid``, are left to ``twin control``.
         at: where the other axes stand while one moves: mm, degrees by axis.
         tool_length_mm: the tool length they are made for.
         remains: the error at the tool with them.
@@ -60,12 +58,14 @@ def tables_left(
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()
     found = []
-    for kind in KINDS:
-        request = Request(kind, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
+    for form in FORMATS:
+        if form.correction is not Terms:
+            continue
+        request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
         try:
             made = make(real.machine, real.calibration, request)
         except InputError:
             continue
         account = account_of(made, errors, real.calibration, missing)
-        found.append(TablesLeft(kind, made.wanted.at, real.tool_length_mm, account.remains, account.carried))
+        found.append(TablesLeft(form.name, made.wanted.at, real.tool_length_mm, account.remains, account.carried))
     return tuple(sorted(found, key=lambda one: -one.remains.worth))

@@ -10,11 +10,7 @@ and no other** while the tables are on, or the same errors are taken out twice.
 
 | format | carries | leaves |
 |---|---|---|
-| `linuxcnc` `.comp`, one a joint | positioning, reversals; of angular errors what they do along the axis | straightness, squareness |
-| `heidenhain` `.COM`, `.CMA` | also straightness and squareness (Y by X …); angular errors at one lever | other levers |
-| `siemens` CEC | also, by products of two tables, the levers: X by E_BX(X) times Z | errors of rotary axes but R-POS |
-| `isg` volumetric compensation | all error motions of all axes, at the point | reversals; the tool's orientation |
-| `grid` (ours) | all of the three linear axes, at one tool length | errors of rotary axes; reversals |
+FORMATS
 
 **What a table says.** Corrections are worked out from the machine's own kinematics, not from signs: with the errors of one axis
 alone the point is off by δ, and the linear axes undo it by −J⁻¹δ, on whichever side of the machine they stand; a rotary axis
@@ -45,8 +41,8 @@ model knows it, and a program is corrected for that. The control of `isg` counts
 measured with its tables on hold for the tool that was active then; every account of them says so.
 
 **What was not checked** against a public description of a control is said in the module of its format
-(`help(twin.machine.control.siemens)`), and again beside every table that is written. One sign the wrong way round doubles an error: the
-text says how to try a table before anything is cut.
+(`help(twin.machine.control.formats.siemens)`), and again beside every table that is written. One sign the wrong way round
+doubles an error: the text says how to try a table before anything is cut.
 
     from pathlib import Path
     from twin.machine.calibration import Calibration
@@ -62,54 +58,26 @@ text says how to try a table before anything is cut.
     tables.shift("X", {"X": 100.0, "Y": 0.0, "Z": -50.0, "B": 0.0, "C": 0.0})    # µm
 """
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Final
-
-from twin._common.errors import InputError
-from twin.machine.control import grid, heidenhain, isg, linuxcnc, siemens
-from twin.machine.control.base import Correction
+from twin.machine.control.correction import BasicClass, Content, Correction
 from twin.machine.control.curve import Curve, Term, Terms
-from twin.machine.control.section import BasicClass, ControlSection, TableEntry
-from twin.machine.machine import Machine
+from twin.machine.control.format import TableFormat
+from twin.machine.control.formats import FORMATS, format_named, read_tables
+from twin.machine.control.section import ControlSection, TableEntry
 
 __all__ = [
     "FORMATS",
     "BasicClass",
+    "Content",
     "ControlSection",
     "Correction",
     "Curve",
     "TableEntry",
+    "TableFormat",
     "Term",
     "Terms",
+    "format_named",
     "read_tables",
 ]
 
-FORMATS: Final = ("linuxcnc", "heidenhain", "siemens", "isg", "grid")
-"""Names of the formats, as of `read_tables`."""
-
-
-def read_tables(kind: str, files: Sequence[Path], machine: Machine) -> Correction:
-    """The tables of one control, from its files.
-
-    Args:
-        kind: one of `FORMATS`.
-        files: all files of the control together: those that say which table belongs to which axis too.
-        machine: whose axes they move.
-
-    Raises:
-        InputError: no such format; whatever does not fit in a file.
-    """
-    match kind:
-        case "linuxcnc":
-            return linuxcnc.read(files, machine)
-        case "heidenhain":
-            return heidenhain.read(files, machine)
-        case "siemens":
-            return siemens.read(files, machine)
-        case "isg":
-            return isg.read(files, machine)
-        case "grid":
-            return grid.read(files, machine)
-        case _:
-            raise InputError("no such format of control tables", expected=f"one of {' '.join(FORMATS)}", value=kind)
+_ROWS = "\n".join(f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" for form in FORMATS)
+__doc__ = (__doc__ or "").replace("FORMATS\n", f"{_ROWS}\n", 1)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
 import casadi as ca
 import numpy as np
 
-from twin.machine.control.base import Correction
-from twin.machine.machine import Machine
+from twin._common.units import TURN
+from twin.machine.control.correction import Content, Correction
+from twin.machine.machine import Axis, Machine
 from twin.numerics.elementary import floor, fmax
 
 Direction = Literal[-1, 0, 1]
@@ -64,9 +65,18 @@ class Curve:
         return value
 
     @property
-    def step(self) -> float:
-        """Distance of its first two nodes; 0 of a single one."""
-        return self.at[1] - self.at[0] if len(self.at) > 1 else 0.0
+    def peak(self) -> float:
+        """Its largest value, whatever the sign."""
+        return max(abs(value) for value in self.values)
+
+    def scaled(self, by: float) -> Curve:
+        """The same curve times a number."""
+        return replace(self, values=tuple(value * by for value in self.values))
+
+
+def period_of(axis: Axis) -> float | None:
+    """A turn for an axis that turns without end."""
+    return TURN if axis.lower is None else None
 
 
 @final
@@ -89,25 +99,42 @@ class Term:
             value = value * factor(positions)
         return value
 
+    @property
+    def peak(self) -> float:
+        """Largest value, µm or µrad."""
+        return float(np.prod([factor.peak for factor in self.factors]))
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What it is a table of: the axis moved, and axis and direction of every factor."""
+        return (self.axis, *((curve.of, curve.direction) for curve in self.factors))
+
+    @property
+    def name(self) -> str:
+        """``Y by X``, ``X by X times Z``, ``X by X, X moving up``."""
+        first = self.factors[0]
+        side = {0: "", 1: f", {first.of} moving up", -1: f", {first.of} moving down"}[first.direction]
+        return f"{self.axis} by {first.of}{''.join(f' times {other.of}' for other in self.factors[1:])}{side}"
+
 
 @final
+@dataclass(frozen=True, eq=False)
 class Terms(Correction):
     """Tables of one axis each, and products of them, that add up.
 
-    Args:
+    Attributes:
         terms: the tables.
         machine: whose axes they name.
     """
 
-    def __init__(self, terms: Sequence[Term], machine: Machine) -> None:
-        self.terms = tuple(terms)
-        moved = {term.axis for term in self.terms}
-        self._axes = tuple(name for name in machine.names if name in moved)
+    terms: tuple[Term, ...]
+    machine: Machine
 
     @property
     def axes(self) -> tuple[str, ...]:
         """See `Correction.axes`."""
-        return self._axes
+        moved = {term.axis for term in self.terms}
+        return tuple(name for name in self.machine.names if name in moved)
 
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
         """See `Correction.shift`."""
@@ -116,3 +143,29 @@ class Terms(Correction):
             if term.axis == axis:
                 total = total + term(positions)
         return total
+
+    def contents(self) -> tuple[Content, ...]:
+        """See `Correction.contents`."""
+        units = {axis.name: "um" if axis.linear else "urad" for axis in self.machine.axes}
+        return tuple(Content.over(one.name, one.factors[0].at, one.peak, units[one.axis]) for one in self.terms)
+
+    def plus(self, old: Terms) -> Terms:
+        """A table each where one is there already, beside it otherwise; see `Correction.plus`."""
+        singles: dict[tuple[str, str], list[Term]] = {}
+        products: list[Term] = []
+        for term in (*old.terms, *self.terms):
+            alike = singles.setdefault((term.axis, term.factors[0].of), []) if len(term.factors) == 1 else products
+            alike.append(term)
+        found: list[Term] = []
+        for terms in singles.values():
+            curves = [term.factors[0] for term in terms]
+            sides: tuple[Direction, ...] = (BOTH,) if all(one.direction == 0 for one in curves) else (UP, DOWN)
+            for side in sides:
+                values = np.sum([one.values for one in curves if one.direction in (0, side)], axis=0)
+                whole = replace(curves[0], values=tuple(values.tolist()), direction=side)
+                found.append(Term(terms[0].axis, (whole,)))
+        return Terms((*found, *products), self.machine)
+
+    def rounded(self, axis: str) -> int:
+        """See `Correction.rounded`."""
+        return sum(term.axis == axis for term in self.terms)

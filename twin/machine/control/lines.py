@@ -1,84 +1,103 @@
-"""Lines of a control's file: numbered, and numbers in them that must be numbers."""
+"""Lines of a control's file, and numbers and axes in them that must be what they should."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, final
 
 from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.machine.machine import Axis, Machine
 
-UM_IN_MM = 1e-3
-URAD_IN_DEG = 180e-6 / 3.141592653589793
-LARGEST = 1e9
+UM_IN_MM: Final = 1e-3
+URAD_IN_DEG: Final = 180e-6 / 3.141592653589793
+LARGEST: Final = 1e9
 """Of any number in a control's file: a thousand kilometres, more than the increments of any scale."""
-LETTERS = tuple("XYZABCUVW")
-"""What LinuxCNC and HEIDENHAIN call axes."""
+LETTERS: Final = tuple("XYZABCUVW")
+"""What controls that name axes by a letter call them."""
 
 
-def numbered(path: Path) -> list[tuple[int, str]]:
-    """Every line with its number from 1 on, without blanks at its ends.
+@final
+@dataclass(frozen=True)
+class Line:
+    """A line of a file, or a part of it.
+
+    Attributes:
+        path: the file.
+        number: of the line, from 1 on; None: what is not there.
+        text: without blanks at its ends.
+    """
+
+    path: Path
+    number: int | None
+    text: str
+
+    def error(self, what: str, expected: str, value: object = None) -> InputError:
+        """What is wrong here."""
+        return InputError(what, expected=expected, file=self.path, line=self.number, value=value)
+
+    def decimal(self, what: str, text: str | None = None) -> float:
+        """Return a number of magnitude up to `LARGEST`.
+
+        Args:
+            what: it is.
+            text: the number; the whole line's if None.
+
+        Raises:
+            InputError: it is none.
+        """
+        shown = self.text if text is None else text
+        try:
+            value = float(shown)
+        except ValueError:
+            value = float("nan")
+        if not abs(value) <= LARGEST:
+            raise self.error(f"{what} is no number", f"a number of at most {LARGEST:g}", shown)
+        return value
+
+    def axis(self, name: str, machine: Machine) -> Axis:
+        """Return the axis of a name.
+
+        Raises:
+            InputError: the machine has none.
+        """
+        if name not in machine.by_name:
+            raise self.error(f"{machine.name} has no such axis", f"one of {' '.join(machine.names)}", name)
+        return machine.by_name[name]
+
+
+def numbered(path: Path) -> list[Line]:
+    """Every line of a file.
 
     Raises:
         InputError: the file cannot be read.
     """
-    return [(number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
+    return [Line(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
-def number(text: str, path: Path, line: int, what: str) -> float:
-    """Return a number of magnitude up to `LARGEST`.
-
-    Raises:
-        InputError: it is none.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) <= LARGEST:
-        raise InputError(
-            f"{what} is no number", expected=f"a number of at most {LARGEST:g}", file=path, line=line, value=text
-        )
-    return value
-
-
-def rising(at: tuple[float, ...], lines: tuple[int, ...], path: Path) -> None:
-    """Nothing, if positions rise from line to line.
-
-    Raises:
-        InputError: one does not.
-    """
+def check_rising(at: Sequence[float], lines: Sequence[Line]) -> None:
+    """Raise `InputError` unless positions rise from line to line."""
     for before, after, line in zip(at, at[1:], lines[1:], strict=False):
         if after <= before:
-            raise InputError(
-                "positions do not rise", expected=f"more than {before:g}", file=path, line=line, value=f"{after:g}"
-            )
+            raise line.error("positions do not rise", f"more than {before:g}", f"{after:g}")
 
 
-def axis_named(name: str, machine: Machine, path: Path, line: int | None) -> Axis:
-    """An axis of the machine.
+def the_one(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
+    """Return the only file with a suffix.
 
     Raises:
-        InputError: it has none of that name.
+        InputError: none has it, or several.
     """
-    if name not in machine.by_name:
-        raise InputError(
-            f"{machine.name} has no such axis",
-            expected=f"one of {' '.join(machine.names)}",
-            file=path,
-            line=line,
-            value=name,
-        )
-    return machine.by_name[name]
+    found = [file for file in files if file.suffix.lower() == suffix]
+    if len(found) != 1:
+        raise InputError(what, expected=expected, value=" ".join(file.name for file in files))
+    return found[0]
 
 
 def check_letters(names: Iterable[str], control: str) -> None:
-    """That a control which names its axes by a letter has them.
-
-    Raises:
-        InputError: a name that is none of its letters.
-    """
+    """Raise `InputError` unless a control that names its axes by a letter has all of these."""
     for name in names:
         if name not in LETTERS:
             raise InputError(

@@ -17,17 +17,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Any, Literal, final
 
 from twin._common.errors import InputError
 from twin._common.files import read_bytes
+from twin.machine.control.formats import FORMATS
 
 ErrorsAre = Literal["uncorrected", "remaining"]
-BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
-"""The classes of ISO/TR 16907 that every error motion belongs to exactly one of."""
-
-COUNT_THE_TOOL: Final = ("isg",)
-"""Formats of controls that count the active tool's length in."""
 
 
 @final
@@ -37,7 +33,7 @@ class TableEntry:
 
     Attributes:
         file: where it is.
-        format: its kind, as of `twin.machine.control.read_tables`.
+        format: its kind, one of `twin.machine.control.FORMATS`.
         classes: classes of ISO/TR 16907 whose errors it takes out, as far as it can.
         sha256: of the file's bytes when it was entered.
     """
@@ -92,7 +88,8 @@ class ControlSection:
     @property
     def caution(self) -> str:
         """What is to be minded where the errors are those its tables leave: a sentence, or nothing."""
-        if self.errors_are == "uncorrected" or not set(self.formats) & set(COUNT_THE_TOOL):
+        counted = {form.name for form in FORMATS if form.knows_machine}
+        if self.errors_are == "uncorrected" or counted.isdisjoint(self.formats):
             return ""
         return (
             "The control counts the active tool in: these errors are what it left with the tool that was active while measuring, "

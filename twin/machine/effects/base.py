@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, final
 
-import casadi as ca
 import numpy as np
 import pinocchio as pin
 
@@ -135,15 +134,6 @@ def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions:
         for component, value in effect.components(positions).items():
             row[component] = row[component] + value * (UM if component < 3 else URAD)
     return total
-
-
-def error_vector(
-    machine: Machine, effects: tuple[Effect, ...], q: Any, channels: Mapping[str, Any] | None = None
-) -> Any:
-    """(6·frames,) errors at positions ``q`` (metres, radians) under a model; ``channels``: numbers or expressions by name."""
-    positions = {axis.name: q[i] / axis.scale for i, axis in enumerate(machine.axes)} | dict(channels or {})
-    rows = assemble(effects, machine.frames, positions)
-    return ca.vertcat(*[component for row in rows for component in row])
 
 
 def at_rest(machine: Machine, joint: int) -> np.ndarray:

@@ -1,0 +1,76 @@
+"""Component errors of every axis, for a control that knows the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import final
+
+import numpy as np
+
+from twin.control.design import URAD_A_UM, WORTH, Design, Plan, Share, Table, depending, drawn
+from twin.control.nodes import Nodes, at, chosen
+from twin.control.request import Request
+from twin.control.wanted import Wanted
+from twin.machine.control import Curve
+from twin.machine.control.curve import period_of
+from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
+from twin.machine.effects import Effect
+from twin.machine.machine import Axis
+
+
+@final
+class ComponentErrors(Design[Volumetric]):
+    """What acts in the error frame of every axis, its place and squareness included."""
+
+    correction = Volumetric
+
+    def plan(self, wanted: Wanted, request: Request, old: Volumetric | None) -> Plan[Volumetric]:
+        """See `Design.plan`."""
+        form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
+        limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_A_UM] * 3)
+        before = {} if old is None else {one.axis: next(iter(one.curves.values())).at for one in old.errors}
+        for axis in wanted.machine.axes:
+            truth = _truth(wanted, axis)
+            low, high = wanted.range_of(axis)
+            peaks = np.abs(truth(np.linspace(low, high, 501))).max(axis=0)
+            used = [i for i in range(6) if peaks[i] > WORTH * limit[i]]
+            if not used:
+                continue
+            if axis.name in before:
+                nodes = at(truth, np.array(before[axis.name]))
+            else:
+                nodes = chosen(truth, low, high, limit, step=request.step, most=form.points)
+            where, period = tuple(nodes.at.tolist()), period_of(axis)
+            curves = {i: Curve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
+            q = drawn(where[0], where[-1])
+            planned.append((AxisErrors(axis.name, curves), nodes, q, truth(q)))
+        correction = Volumetric(tuple(one[0] for one in planned), wanted.machine, wanted.tool_length_mm)
+
+        def compared(back: Volumetric) -> tuple[Table, ...]:
+            contents, read = iter(correction.contents()), {one.axis: one.curves for one in back.errors}
+            found = []
+            for own, nodes, q, meant in planned:
+                for i in own.curves:
+                    off, back_off = float(nodes.off[i]), float(np.abs(meant[:, i] - read[own.axis][i].along(q)).max())
+                    found.append(Table(next(contents), off, form.rounding[i // 3], float(limit[i]), back_off))
+            return tuple(found)
+
+        return Plan(correction, compared)
+
+    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
+        """See `Design.share`."""
+        return depending(others)
+
+
+def _truth(wanted: Wanted, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:
+    """Component errors of an axis at the point the control has them at: (n,) positions → (n, 6) µm and µrad."""
+    rest = at_rest(wanted.machine)
+    turn, lever = rest.turns[axis.name], rest.centre(axis) - rest.places[axis.name]
+
+    def truth(q: np.ndarray) -> np.ndarray:
+        own = wanted.frame_errors(axis, q)
+        shift, spin = own[:, :3] @ turn.T, own[:, 3:] @ turn.T
+        # µrad times mm are nanometres.
+        return np.concatenate([shift + 1e-3 * np.cross(spin, lever), spin], axis=1)
+
+    return truth

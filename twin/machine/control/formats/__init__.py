@@ -1,0 +1,55 @@
+"""All table formats, a file each; a new one is its file and a line in `FORMATS`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from twin._common.errors import InputError
+from twin.machine.control.correction import Correction
+from twin.machine.control.format import TableFormat
+from twin.machine.control.formats.grid import SpatialGrid
+from twin.machine.control.formats.heidenhain import HeidenhainTables
+from twin.machine.control.formats.isg import Isg
+from twin.machine.control.formats.linuxcnc import LinuxCnc
+from twin.machine.control.formats.siemens import Siemens
+from twin.machine.control.formats.siemens_eec import SiemensEec
+from twin.machine.machine import Machine
+
+FORMATS: Final[tuple[TableFormat[Any], ...]] = (
+    LinuxCnc(),
+    HeidenhainTables(),
+    Siemens(),
+    Isg(),
+    SpatialGrid(),
+    SiemensEec(),
+)
+"""Every format there is: the one place that names them."""
+
+
+def format_named(name: str) -> TableFormat[Any]:
+    """Return a format.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    for form in FORMATS:
+        if form.name == name:
+            return form
+    names = " ".join(form.name for form in FORMATS)
+    raise InputError("no such format of control tables", expected=f"one of {names}", value=name)
+
+
+def read_tables(kind: str, files: Sequence[Path], machine: Machine) -> Correction:
+    """The tables of one control, from its files.
+
+    Args:
+        kind: name of one of `FORMATS`.
+        files: all files of the control together: those that say which table belongs to which axis too.
+        machine: whose axes they move.
+
+    Raises:
+        InputError: no such format; whatever does not fit in a file.
+    """
+    return format_named(kind).read(files, machine)

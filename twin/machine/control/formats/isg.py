@@ -1,0 +1,259 @@
+"""ISG kernel and TwinCAT CNC: parameter files of the volumetric compensation (FCT-C26, TF5280) in ISG CSV format.
+
+Checked against public descriptions, infosys.beckhoff.com/content/1033/tf5280_volumetric_comp/ (the same pages at
+www.isg-stuttgart.de/kernel-html5):
+
+- 296429067: columns named in a head line, records below, ``//`` comments, ``#`` between a block and the next, which has a head
+  line of its own; a component error's block starts with its argument.
+- 296423819: names, EXX … ECC and X0C …, P0X P0Y P0Z, N0X N0Y N0Z, PXC … and VXC ….
+- isg-stuttgart.de/fileadmin/kernel/kernel-html/en-GB/296426379.html: values in mm and rad, arguments in mm and degrees.
+- 296433163 and P-VOLC-00014: ``interpolation GRID`` (default), linear.
+- 296386187: the tool's position is corrected, by the three linear axes, not its orientation. 296392971: the tool length counts
+  where N0X N0Y N0Z are given, and is kept up to date by the control.
+- 296390283 and tf5200_volumetric_comp_params/563009163: the lines of `LIST`.
+
+What is written: component errors only. Squareness and the place of a rotary axis are folded into the curves, so that nothing
+depends on which way round the control reads a position error; components along the machine's x, y, z with all axes at zero; of a
+linear axis at the point of the spindle nose it carries along, of a rotary axis at its centre of rotation (PXB … in the file).
+
+**Not checked** (`unchecked`): that a positive component error is the actual deviation as of ISO 230-1 (``negate`` turns it
+round); that the lever of an angular error is counted from the point that moves with the axis; positions beyond a block's ends:
+taken as held, rotary arguments as wrapped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.machine.control.curve import Curve, period_of
+from twin.machine.control.format import TableFormat
+from twin.machine.control.lines import Line, check_rising, numbered, plain
+from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
+from twin.machine.machine import DIRECTIONS, Axis, Machine
+
+FILE: Final = "volcomp.csv"
+LIST: Final = "volcomp.lis"
+_DIGITS: Final = (6, 9)
+"""Behind the point: mm, rad."""
+_UNITS: Final = (1e3, 1e3, 1e3, 1e6, 1e6, 1e6)
+"""Our µm and µrad in the file's mm and rad, by component."""
+_LENGTH: Final = re.compile(r"twin: tool length (\S+) mm")
+_SAME_MM: Final = 1e-3
+
+
+@final
+class Isg(TableFormat[Volumetric]):
+    """ISG kernel and TwinCAT CNC: volumetric compensation."""
+
+    name = "isg"
+    title = "ISG"
+    what = "volumetric compensation"
+    carries = "all error motions of all axes, at the point"
+    leaves = "reversals; the tool's orientation"
+    correction = Volumetric
+    written = (FILE, LIST)
+    classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG")
+    points = 400
+    """Records of an axis: ``vol_comp[0].max_records`` is to be their sum or more."""
+    rounding = (0.0005, 0.0005)
+    knows_machine = True
+    unread = (LIST,)
+    unchecked = (
+        "sign: a positive component error is taken as the actual deviation (ISO 230-1); `negate` turns an axis round",
+        "levers of angular errors: taken from the point that moves with the axis",
+        "beyond the ends of a block: the end value; rotary arguments wrapped into a turn",
+    )
+
+    def write(self, correction: Volumetric, notes: Sequence[str] = ()) -> dict[str, str]:
+        """The parameter file, and lines of the compensation list; see `TableFormat.write`.
+
+        Args:
+            correction: all curves of an axis have the same nodes; its tool length is noted.
+            notes: said at the head.
+
+        Raises:
+            InputError: axes of other names than X Y Z A B C.
+        """
+        machine = correction.machine
+        for axis in machine.axes:
+            if axis.name not in DIRECTIONS:
+                raise InputError("an axis the volumetric compensation has not", expected="X Y Z A B C", value=axis.name)
+        named = _dimensions(machine)
+        lines = [
+            *(f"// {note}" for note in notes),
+            f"// twin: tool length {correction.tool_length_mm:g} mm (the control takes the active tool's by itself)",
+            "// the machine: spindle nose, tool direction, centres and directions of the rotary axes, all axes at zero",
+            "  ".join(named),
+            "  ".join(plain(value, 6) for value in named.values()),
+        ]
+        for one in correction.errors:
+            components = sorted(one.curves)
+            lines += ["#", f"// component errors of {one.axis}: mm, rad"]
+            lines.append("  ".join([one.axis, *(f"E{DIRECTIONS[i]}{one.axis}" for i in components)]))
+            for n, q in enumerate(one.curves[components[0]].at):
+                cells = [plain(one.curves[i].values[n] / _UNITS[i], _DIGITS[i // 3]) for i in components]
+                lines.append("  ".join([plain(q, 4), *cells]))
+        return {FILE: "\n".join(lines) + "\n", LIST: "".join(f"# {note}\n" for note in notes) + _list(machine)}
+
+    def read(self, files: Sequence[Path], machine: Machine) -> Volumetric:
+        """Component errors from parameter files; a compensation list (``.lis``) among them is not read.
+
+        Raises:
+            InputError: a column of another name, blocks of two arguments, a parameter given twice, a machine of other dimensions,
+                position errors of linear axes; whatever is no number.
+        """
+        curves: dict[str, dict[int, Curve]] = {name: {} for name in machine.names}
+        length = machine.tool_length_mm
+        blocks: list[_Block] = []
+        for path in files:
+            if path.suffix.lower() != ".lis":
+                lines = numbered(path)
+                for line in lines:
+                    noted = _LENGTH.search(line.text)
+                    length = length if noted is None else line.decimal("a tool length", noted[1])
+                blocks += _blocks(lines)
+        if not blocks:
+            raise InputError("no parameter file", expected=FILE, value=" ".join(file.name for file in files))
+        for block in blocks:
+            arguments = [name for name in block.names if name in DIRECTIONS]
+            if len(arguments) > 1:
+                raise block.head.error("a block of two arguments", "one", " ".join(arguments))
+            if arguments:
+                axis = block.head.axis(arguments[0], machine)
+                own = curves[axis.name]
+                for component, curve in _of_block(block, axis).items():
+                    if component in own:
+                        what = f"E{DIRECTIONS[component]}{axis.name}"
+                        raise block.head.error("given twice", "each error once", what)
+                    own[component] = curve
+            else:
+                _constants(block, machine, curves)
+        errors = tuple(AxisErrors(name, own) for name, own in curves.items() if own)
+        return Volumetric(errors, machine, length)
+
+    def loading(self, correction: Volumetric, largest: Mapping[str, float]) -> tuple[str, ...]:
+        """See `TableFormat.loading`."""
+        machine = correction.machine
+        records = sum(max(len(curve.at) for curve in one.curves.values()) for one in correction.errors) + 1
+        return (
+            f"Copy {FILE} to the controller and the lines of {LIST} into its volumetric compensation list; put the machine's "
+            "logical axis numbers in, and check chain and workpiece_axes.",
+            f"hochlauf.lis: vol_comp[0].max_records {records} or more.",
+            "Switch on in the program (#VOLCOMP ON [ID 0]) or by the CNC object; it corrects the tool's position with "
+            f"{' '.join(machine.axes[i].name for i in machine.linear)} and leaves its orientation.",
+            "Give the tool its length in the control: with N0X N0Y N0Z in the file it counts.",
+        )
+
+
+def _dimensions(machine: Machine) -> dict[str, float]:
+    """Names and values of the kinematic parameters; places counted from the spindle nose with all axes at zero."""
+    rest = at_rest(machine)
+
+    def named(letter: str, vector: np.ndarray, axis: str = "") -> dict[str, float]:
+        return {f"{letter}{name}{axis}": float(part) for name, part in zip("XYZ", vector, strict=True)}
+
+    found = named("P0", np.zeros(3)) | named("N0", rest.tool)
+    for axis in machine.axes:
+        if not axis.linear:
+            found |= named("P", rest.places[axis.name] - rest.nose, axis.name)
+            found |= named("V", rest.turns[axis.name] @ axis.direction, axis.name)
+    return found
+
+
+def _list(machine: Machine) -> str:
+    """Lines of the compensation list: which file, which axes, the order of the chain from workpiece to tool."""
+    depth = {
+        axis.name: len(machine.model.supports[joint])
+        for axis, joint in zip(machine.axes, machine.axis_joints, strict=True)
+    }
+    by_depth = sorted(machine.axes, key=lambda axis: depth[axis.name])
+    work = [axis.name for axis in sorted(machine.axes, key=lambda axis: -depth[axis.name]) if axis.side == "work"]
+    chain = [*work, *(axis.name for axis in by_depth if axis.side == "tool")]
+    lines = [
+        "# logical axis numbers: put in those of the machine",
+        *(f"{axis.name.lower()}  {i}" for i, axis in enumerate(machine.axes, start=1)),
+        f"chain  {''.join(chain)}",
+        f"workpiece_axes  {len(work)}",
+        f"file[0]  {FILE}",
+        "file_format[0]  ISG_CSV",
+        "interpolation  GRID",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+@final
+@dataclass
+class _Block:
+    """One block while it is read: its head line, the names in it, and the numbers below."""
+
+    head: Line
+    names: tuple[str, ...]
+    rows: list[tuple[Line, tuple[float, ...]]] = field(default_factory=list)
+
+
+def _blocks(lines: Sequence[Line]) -> Iterator[_Block]:
+    """The blocks of a file; a line with ``#`` ends each."""
+    block: _Block | None = None
+    for line in (*lines, Line(lines[0].path, None, "#")) if lines else ():
+        text = line.text.partition("//")[0].strip()
+        cells = re.split(r"[\s;,]+", text)
+        if text.startswith("#"):
+            if block is not None:
+                if not block.rows:
+                    raise block.head.error("no records below the head line", "one or more")
+                yield block
+            block = None
+        elif text and block is None:
+            if len(set(cells)) != len(cells):
+                raise line.error("a column given twice", "each once", text)
+            block = _Block(line, tuple(cells))
+        elif text and block is not None:
+            if len(cells) != len(block.names):
+                raise line.error(f"{len(cells)} cells", f"{len(block.names)}: {' '.join(block.names)}", text)
+            numbers = tuple(line.decimal(name, cell) for cell, name in zip(cells, block.names, strict=True))
+            block.rows.append((line, numbers))
+
+
+def _of_block(block: _Block, axis: Axis) -> dict[int, Curve]:
+    """The curves of a block over an axis, by component."""
+    place = block.names.index(axis.name)
+    at = tuple(row[place] for _, row in block.rows)
+    check_rising(at, [line for line, _ in block.rows])
+    found = {}
+    for column, name in enumerate(block.names):
+        if column == place:
+            continue
+        if not (len(name) == 3 and name[0] == "E" and name[1] in DIRECTIONS and name[2] == axis.name):
+            raise block.head.error(f"a column of a block over {axis.name}", f"EX{axis.name} … EC{axis.name}", name)
+        component = DIRECTIONS.index(name[1])
+        values = tuple(row[column] * _UNITS[component] for _, row in block.rows)
+        found[component] = Curve(axis.name, at, values, period_of(axis))
+    return found
+
+
+def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, Curve]]) -> None:
+    """Position errors of rotary axes join their curves; the machine's dimensions must be the machine's."""
+    if len(block.rows) != 1:
+        raise block.rows[1][0].error("records without an argument", "one")
+    known = _dimensions(machine)
+    line, row = block.rows[0]
+    for name, value in zip(block.names, row, strict=True):
+        if name in known:
+            if abs(value - known[name]) > _SAME_MM:
+                raise line.error(f"{name} is not {machine.name}'s", f"{known[name]:.4f}", value)
+            continue
+        axis = machine.by_name.get(name[2:])
+        if len(name) != 3 or name[0] not in DIRECTIONS or name[1] != "0" or axis is None or axis.linear:
+            expected = "component errors, X0C … of rotary axes, dimensions of this machine"
+            raise block.head.error("a parameter that is not read", expected, name)
+        component, own = DIRECTIONS.index(name[0]), curves[axis.name]
+        old = own.get(component, Curve(axis.name, (axis.domain[0],), (0.0,)))
+        values = tuple(before + value * _UNITS[component] for before in old.values)
+        own[component] = Curve(old.of, old.at, values, old.period)
