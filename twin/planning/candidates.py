@@ -11,11 +11,10 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.information import MOST
 from twin.planning.kit import Kit
+from twin.planning.model import MOST
 from twin.planning.sight import Sight
 from twin.uncertainty.budget import latin_hypercube
 
@@ -35,47 +34,33 @@ AT_AN_END: Final = 0.4
 """Share of the poses that have an axis at an end of its range: curves are worst known there."""
 
 
-def safe_poses(
-    machine: Machine, kit: Kit, rng: np.random.Generator, count: int = POSES, levels: int | None = None
-) -> np.ndarray:
-    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Measurements:
+    """Every reading that could be taken: a row each, as a plan; each axis comes from a side drawn for the pose.
 
     Args:
         machine: the machine.
-        kit: ranges and reflectors.
-        rng: of the draws.
-        count: how many.
-        levels: positions of each axis at most, evenly over its range; any whole number if None.
+        kit: what there is to measure with.
+        rng: of poses and sides.
+        levels: positions of each axis at most, evenly over its range (`levels_for`); any whole number if None.
 
     Raises:
-        InputError: hardly any does.
+        InputError: hardly any pose is clear; a reflector that no station ever sees.
     """
-    clearance = Clearance(machine, kit)
-    found: list[np.ndarray] = []
-    low, high = kit.ranges.T
-    unlimited = np.array([axis.lower is None for axis in machine.axes])
-    for _ in range(TRIES):
-        drawn = latin_hypercube(kit.ranges, count, rng)
-        ended = np.flatnonzero(rng.random(count) < AT_AN_END)
-        axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
-        for row, i in zip(ended, axis, strict=False):
-            drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
-        if levels is not None:
-            # A turn has no end: its last level is the first again.
-            step = (high - low) / np.where(unlimited, levels, levels - 1)
-            drawn = low + np.round((drawn - low) / step) * step
-            drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
-        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
-        found += [pose for pose in whole if clearance.free(pose)]
-        if len(found) >= count:
-            break
-    if len(found) < FEWEST:
-        raise InputError(
-            "hardly any pose keeps the tool side clear of the work side",
-            expected=f"at least {FEWEST} of {TRIES * count} poses: shorter holders, or narrower `ranges` in the kit",
-            value=len(found),
-        )
-    return np.unique(np.array(found[:count]), axis=0)
+    positions = _safe_poses(machine, kit, rng, levels)
+    seen = Sight(machine, kit).sees(positions)
+    sides = rng.choice([-1.0, 1.0], positions.shape)
+    rows: list[tuple[int, str, str]] = []
+    for name in kit.targets:
+        mine = [(int(i), station, name) for station in kit.stations for i in np.flatnonzero(seen[station, name])]
+        if not mine:
+            raise InputError(
+                f"target {name} is hidden from every station at every pose",
+                expected="another place for it, another station, or `stops_the_beam: nothing`",
+                value=f"{kit.targets[name].place_mm} mm on the {kit.targets[name].carrier} side",
+            )
+        rows += mine
+    pose = np.array([row[0] for row in rows])
+    return plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
 
 
 def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
@@ -99,31 +84,38 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
     return None if levels >= MOST + BEYOND else levels
 
 
-def setting_of(kit: Kit) -> Setting:
-    """Stations and places as the kit has them."""
-    return Setting(kit.stations, {name: target.place_mm for name, target in kit.targets.items()})
-
-
-def candidates(machine: Machine, kit: Kit, positions: np.ndarray, rng: np.random.Generator) -> Measurements:
-    """Every reading that could be taken at some poses: a row each, as a plan; each axis comes from a side drawn for the pose.
+def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
+    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
 
     Raises:
-        InputError: a reflector that no station ever sees.
+        InputError: hardly any does.
     """
-    seen = Sight(machine, kit).sees(positions)
-    sides = rng.choice([-1.0, 1.0], positions.shape)
-    rows: list[tuple[int, str, str]] = []
-    for name in kit.targets:
-        mine = [(int(i), station, name) for station in kit.stations for i in np.flatnonzero(seen[station, name])]
-        if not mine:
-            raise InputError(
-                f"target {name} is hidden from every station at every pose",
-                expected="another place for it, another station, or `stops_the_beam: nothing`",
-                value=f"{kit.targets[name].place_mm} mm on the {kit.targets[name].carrier} side",
-            )
-        rows += mine
-    pose = np.array([row[0] for row in rows])
-    return plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+    clearance = Clearance(machine, kit)
+    found: list[np.ndarray] = []
+    low, high = kit.ranges.T
+    unlimited = np.array([axis.lower is None for axis in machine.axes])
+    for _ in range(TRIES):
+        drawn = latin_hypercube(kit.ranges, POSES, rng)
+        ended = np.flatnonzero(rng.random(POSES) < AT_AN_END)
+        axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
+        for row, i in zip(ended, axis, strict=False):
+            drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
+        if levels is not None:
+            # A turn has no end: its last level is the first again.
+            step = (high - low) / np.where(unlimited, levels, levels - 1)
+            drawn = low + np.round((drawn - low) / step) * step
+            drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
+        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
+        found += [pose for pose in whole if clearance.free(pose)]
+        if len(found) >= POSES:
+            break
+    if len(found) < FEWEST:
+        raise InputError(
+            "hardly any pose keeps the tool side clear of the work side",
+            expected=f"at least {FEWEST} of {TRIES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
+            value=len(found),
+        )
+    return np.unique(np.array(found[:POSES]), axis=0)
 
 
 def plan_table(

@@ -10,19 +10,15 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-from twin.planning.design import Aim, Say, choose, covariance_of
-from twin.planning.kit import Kit
+from twin.planning.aims import Aim
+from twin.planning.design import Choice, covariance_of
 from twin.planning.route import Route, Session, route
+from twin.planning.task import FEWEST, Task
 
-MOST_READINGS: Final = 10_000
-"""A plan's work grows with their square; a day has some 5,000."""
 STATIONS: Final = 4
 """Stations of one plan at most: each more is set up, placed by the data, and paid for."""
-FEWEST: Final = 12
-"""Readings below which nothing is planned: a station and two reflectors alone take four."""
 CLOSE: Final = 0.95
 """Share of the time allowed that a plan fills, or it is chosen again."""
 ALMOST: Final = 1.1
@@ -77,47 +73,20 @@ class Stand:
     points: int
     value: float
 
+    @property
+    def least(self) -> int:
+        """Readings that a choice begins with: enough to place every station and target."""
+        return PLACING * len(self.stations) * len(set(self.readings.plan.target))
+
 
 @final
+@dataclass(frozen=True)
 class Filler:
-    """One plan being made.
+    """One plan being made."""
 
-    Args:
-        machine: the machine.
-        kit: what there is to measure with.
-        minutes: that it may take.
-        seed: of every draw.
-        say: told how far it is.
-        first_round: number of the first round.
+    task: Task
 
-    Raises:
-        InputError: time for more readings than can be planned.
-    """
-
-    def __init__(
-        self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say, *, first_round: int = 1
-    ) -> None:
-        longest = MOST_READINGS * kit.seconds.point / 60.0
-        if not minutes <= longest:
-            raise InputError(
-                f"time for more than {MOST_READINGS} readings",
-                expected=f"at most {longest:.4g} minutes, or a kit that takes longer over a reading",
-                value=minutes,
-            )
-        self.first_round = first_round
-        self.machine = machine
-        self.kit = kit
-        self.seconds = 60.0 * minutes
-        self.seed = seed
-        self.say = say
-        self.rng = np.random.default_rng(seed)
-
-    @property
-    def expected_points(self) -> int:
-        """How many readings there will be, about: the way takes as long as the readings."""
-        return max(FEWEST, int((self.seconds - self.kit.seconds.station) / (2.0 * self.kit.seconds.point)))
-
-    def stands(self, readings: Readings) -> list[Stand]:
+    def _stands(self, readings: Readings) -> list[Stand]:
         """What an even spread of readings from every set of places would give in the time there is.
 
         Raises:
@@ -126,7 +95,7 @@ class Filler:
         found = []
         plan = readings.plan
         names = tuple(dict.fromkeys(plan.station))
-        order = self.rng.permutation(len(plan))
+        order = self.task.rng.permutation(len(plan))
         for count in range(1, min(STATIONS, len(names)) + 1):
             each: float | None = None
             for stations in combinations(names, count):
@@ -141,38 +110,36 @@ class Filler:
                 covariance = covariance_of(readings.prior, readings.rows[np.resize(inside, points)])
                 found.append(Stand(readings, stations, points, readings.aim.value(covariance)))
         if not found:
-            least = (self._set_up(names[:1], readings) + FEWEST * self.kit.seconds.point) / 60.0
+            least = (self._set_up(names[:1], readings) + FEWEST * self.task.kit.seconds.point) / 60.0
             raise InputError(
                 "no time to measure anything",
                 expected=f"{least:.0f} minutes or more",
-                value=f"{self.seconds / 60.0:g} minutes",
+                value=f"{self.task.minutes:g} minutes",
             )
         return found
 
-    def best(self, stands: list[Stand]) -> list[Stand]:
-        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first."""
+    def stands(self, every: Sequence[Readings]) -> list[Stand]:
+        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first.
+
+        Args:
+            every: of each instrument.
+
+        Raises:
+            InputError: no time to measure anything.
+        """
+        stands = [one for readings in every for one in self._stands(readings)]
         kinds: dict[tuple[str, int], list[Stand]] = {}
         for one in sorted(stands, key=lambda stand: stand.value):
             kinds.setdefault((one.readings.instrument.name, len(one.stations)), []).append(one)
         tried = [one for kind in kinds.values() for one in kind[:OF_A_KIND]]
         found = []
         for number, one in enumerate(tried):
-            self.say("choosing", 0.1 + 0.3 * number / len(tried))
+            self.task.say("choosing", 0.1 + 0.3 * number / len(tried))
             inside = np.flatnonzero(np.isin(one.readings.plan.station, one.stations))
-            rows, cost = one.readings.rows[inside], np.full(len(inside), self.kit.seconds.point)
-            first = np.random.default_rng(self.seed).permutation(len(inside))
-            chosen = choose(
-                one.readings.prior,
-                rows,
-                cost,
-                one.readings.aim,
-                one.points,
-                first,
-                least=self._least(one),
-                exchanged=GLIMPSE,
-                among=GLIMPSED,
-            )
-            found.append(replace(one, value=one.readings.aim.value(covariance_of(one.readings.prior, rows[chosen]))))
+            rows, cost = one.readings.rows[inside], np.full(len(inside), self.task.kit.seconds.point)
+            first = np.random.default_rng(self.task.seed).permutation(len(inside))
+            choice = Choice(one.readings.prior, rows, cost, one.readings.aim, exchanged=GLIMPSE, among=GLIMPSED)
+            found.append(replace(one, value=choice.value(choice.of(one.points, first, one.least))))
         return sorted(found, key=lambda stand: stand.value)
 
     def filled(self, best: Stand) -> Route:
@@ -183,7 +150,7 @@ class Filler:
         """
         readings = best.readings
         inside = np.flatnonzero(np.isin(readings.plan.station, best.stations))
-        first = self.rng.permutation(len(inside))
+        first = self.task.rng.permutation(len(inside))
         own = readings.plan.select(inside)
         session = readings.session[inside]
         taken = np.resize(first, best.points)
@@ -200,34 +167,26 @@ class Filler:
             part = 0.4 + 0.55 * turn / ROUNDS
 
             def say(stage: str, done: float, part: float = part) -> None:
-                self.say(stage, part + 0.55 * done / ROUNDS)
+                self.task.say(stage, part + 0.55 * done / ROUNDS)
 
             cost = self._cost(spread.plan, own, each)
-            taken = choose(
-                readings.prior,
-                readings.rows[inside],
-                cost,
-                readings.aim,
-                points,
-                first,
-                least=self._least(best),
-                say=say,
-            )
+            choice = Choice(readings.prior, readings.rows[inside], cost, readings.aim, say=say)
+            taken = choice.of(points, first, best.least)
             spread = self._routed(own, session, taken, best)
-            if CLOSE * self.seconds <= spread.seconds <= self.seconds:
+            if CLOSE * self.task.seconds <= spread.seconds <= self.task.seconds:
                 return spread
-            if spread.seconds <= self.seconds * ALMOST:
+            if spread.seconds <= self.task.seconds * ALMOST:
                 break
-        while spread.seconds > self.seconds:
+        while spread.seconds > self.task.seconds:
             # Every station and target loses the same share.
-            kept = int(len(taken) * min(0.99, self.seconds / spread.seconds))
-            taken = taken[np.sort(np.random.default_rng(self.seed).permutation(len(taken))[:kept])]
+            kept = int(len(taken) * min(0.99, self.task.seconds / spread.seconds))
+            taken = taken[np.sort(np.random.default_rng(self.task.seed).permutation(len(taken))[:kept])]
             spread = self._routed(own, session, taken, best)
         return spread
 
     def _each(self, readings: Readings, stations: tuple[str, ...], inside: np.ndarray) -> float:
         """Seconds that a reading takes with the way to it, from so many stations: as dense as they will be, the way is as short."""
-        each = self.kit.seconds.point
+        each = self.task.kit.seconds.point
         for _ in range(2):
             points = self._points(stations, readings, each)
             if points < FEWEST:
@@ -237,32 +196,19 @@ class Filler:
             each = (way.seconds - self._set_up(stations, readings)) / len(way.plan)
         return each
 
-    def _least(self, stand: Stand) -> int:
-        return PLACING * len(stand.stations) * len(set(stand.readings.plan.target))
-
     def _set_up(self, stations: Sequence[str], readings: Readings) -> float:
         """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
         times = 1 if len(stations) == 1 else len(stations) * len(readings.sessions)
-        return times * self.kit.seconds.station
+        return times * self.task.kit.seconds.station
 
     def _points(self, stations: Sequence[str], readings: Readings, each: float) -> int:
         """How many readings there is time for, at so many seconds each."""
-        return int((self.seconds - self._set_up(stations, readings)) / each)
+        return int((self.task.seconds - self._set_up(stations, readings)) / each)
 
     def _routed(
         self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand, *, clear: bool = True
     ) -> Route:
-        return route(
-            self.machine,
-            self.kit,
-            table.select(rows),
-            best.stations,
-            np.random.default_rng(self.seed),
-            session=session[rows],
-            sessions=best.readings.sessions,
-            first_round=self.first_round,
-            clear=clear,
-        )
+        return route(self.task, table.select(rows), best.stations, session[rows], best.readings.sessions, clear=clear)
 
     def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:
         """(n,) seconds that a reading of each candidate's target from its station took on the way, the way included."""
@@ -274,5 +220,5 @@ class Filler:
                 if np.count_nonzero(of) >= 5:
                     mine = (every.station == station) & (every.target == target)
                     # A station's set-up stands before its first reading and is not that reading's.
-                    cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.kit.seconds.point)
+                    cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.task.kit.seconds.point)
         return cost
