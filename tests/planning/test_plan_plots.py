@@ -68,10 +68,7 @@ def test_uncertainties(tmp_path: Path) -> None:
     data, _ = simulate(made.table, machine, zero, LaserTracker(), np.random.default_rng(1), setting=own.setting)
     found = identify(data, machine)
     figure = plot_uncertainties({"half": half, "whole": made.forecast}, {"whole": found})
-    assert [plot.get_ylabel() for plot in figure.axes] == [
-        "standard uncertainty [µm]",
-        "standard uncertainty [µrad]",
-    ]
+    assert [plot.get_ylabel() for plot in figure.axes] == ["standard uncertainty [µm]", "standard uncertainty [µrad]"]
     for panel, letters in ((0, "XYZ"), (1, "ABC")):
         names = [text.get_text() for text in figure.axes[panel].get_xticklabels()]
         assert all(name[2] in letters for name in names) and len({*names}) == len(names)

@@ -13,7 +13,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merged, to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import CALIBRATION, TABLE, Account, JsonOption, command
+from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.words import three_numbers
 from twin.identification.axis_run import (
     AxisLayout,
@@ -62,11 +62,10 @@ def axis_run(
     layout: LayoutOption,
     machine: options.MachineOption = DEFAULT,
     spread: Annotated[
-        RunScatter,
-        typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats."),
+        RunScatter, typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats.")
     ] = RunScatter.stated,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty."""
     loaded = Machine.load(machine)
     standing = AxisLayout.load(_layout_file(layout), loaded)
@@ -77,7 +76,7 @@ def axis_run(
     )
     curves.calibration.save(output)
     found = (standing, data, motions, curves)
-    return Account(to_text(*found), lambda: to_dict(*found), met=not data.set_aside)
+    return CommandResult(to_text(*found), lambda: to_dict(*found), met=not data.set_aside)
 
 
 @command(
@@ -95,7 +94,7 @@ def simulate_axis_run(
     seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer."""
     loaded = Machine.load(machine)
     standing = AxisLayout.load(_layout_file(layout), loaded)
@@ -141,7 +140,7 @@ def simulate_axis_run(
         "rows": len(table),
         "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
     }
-    return Account("", lambda: told, written=f"written: {{}}, {len(table)} rows")
+    return CommandResult("", lambda: told, written=f"written: {{}}, {len(table)} rows")
 
 
 def _layout_file(path: Path) -> Path:

@@ -8,7 +8,7 @@ import sys
 from twin.cli import info, compare, volume, compensate, path, scene, simulate  # isort: skip
 from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
 from twin._common.errors import InputError, OutputError
-from twin.cli.shared.account import app
+from twin.cli.shared.command import app
 from twin.cli.shared.complete import told_word_by_word
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.cli.shared.signals import as_interrupt

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import POSITIVE, Account, JsonOption, command, progress
+from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress
 from twin.comparison import compare as compared
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
@@ -20,8 +20,7 @@ from twin.machine.machine import DEFAULT, Machine
 )
 def compare(
     first: Annotated[
-        Path,
-        typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations),
+        Path, typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations)
     ],
     second: Annotated[
         Path,
@@ -41,7 +40,7 @@ def compare(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """What changed between two calibrations of one machine, what of it is significant, and what it means at the tool.
 
     The exit status is 0 whether anything changed or not, and 3 if an error could not be compared or judged: only one of the two gives
@@ -58,4 +57,4 @@ def compare(
             tolerance_mm=tolerance,
             progress=say,
         )
-    return Account(found.to_text(), found.to_dict, met=not found.unjudged)
+    return CommandResult(found.to_text(), found.to_dict, met=not found.unjudged)

@@ -15,7 +15,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.files import write_whole
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import ANY, POSITIVE, Account, JsonOption, Output, command, progress
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.compensation import Compensator, Options
 from twin.compensation.many import JSON, TEXT, Outcome, compensate_files
@@ -82,7 +82,7 @@ def compensate(
     tls_ca: options.TlsCaOption = None,
     tls_cert: options.TlsCertOption = None,
     tls_key: options.TlsKeyOption = None,
-) -> Account:
+) -> CommandResult:
     """Write the program whose execution on the machine with errors lands where the given one meant.
 
     A calibration extended by twin diagnose may need more: temperatures (--temperature X=23.1 bed=21) and, for a warm-up, the time
@@ -119,7 +119,7 @@ def compensate(
     return account
 
 
-def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> Account:
+def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
     source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
@@ -131,7 +131,7 @@ def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool)
         )
     with progress() as say:
         report = compensator.compensate_file(source, output, say, into=target)
-    return Account(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
+    return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
 
 
 def _finished(outcomes: Generator[Outcome, None, None], strict: bool) -> tuple[dict[Path, Outcome], bool]:
@@ -146,7 +146,7 @@ def _finished(outcomes: Generator[Outcome, None, None], strict: bool) -> tuple[d
     return found, False
 
 
-def _several(programs: list[Path], found: Mapping[Path, Outcome], folder: Path, *, interrupted: bool) -> Account:
+def _several(programs: list[Path], found: Mapping[Path, Outcome], folder: Path, *, interrupted: bool) -> CommandResult:
     told = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
     count = Counter(outcome.verdict for outcome in told)
@@ -165,7 +165,7 @@ def _several(programs: list[Path], found: Mapping[Path, Outcome], folder: Path, 
         status = BAD_INPUT
     elif failed or count["not met"]:
         status = NOT_ALL_MET
-    return Account(
+    return CommandResult(
         "\n".join([*lines, ""]),
         lambda: {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in told]},
         written="",

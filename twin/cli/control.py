@@ -10,7 +10,7 @@ import typer
 
 from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
-from twin.cli.shared.account import JsonOption, Output, command, progress
+from twin.cli.shared.command import JsonOption, Output, command, progress
 from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.options import (
     CalibrationOption,

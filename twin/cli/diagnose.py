@@ -10,7 +10,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.files import write_whole
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import CALIBRATION, HTML, Account, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import joined
@@ -48,7 +48,7 @@ def diagnose(
             help="Also write what has no known cause, where readings held out confirm it; valid only inside the range measured.",
         ),
     ] = False,
-) -> Account:
+) -> CommandResult:
     """Show what the model gets wrong about measured data, and name the cause."""
     if empirical and extended is None:
         raise InputError("--empirical without a file to write", expected="--extended CALIBRATION.yaml as well")
@@ -67,4 +67,4 @@ def diagnose(
         from twin.diagnosis.report import diagnosis_html  # matplotlib takes its time, and only this option needs it
 
         write_whole(html_file, diagnosis_html(found))
-    return Account(found.to_text(), found.to_dict, met=not found.data.set_aside)
+    return CommandResult(found.to_text(), found.to_dict, met=not found.data.set_aside)

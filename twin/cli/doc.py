@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from twin._common.errors import InputError, nearest
-from twin.cli.shared.account import Account, JsonOption, command
+from twin.cli.shared.command import CommandResult, JsonOption, command
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -42,7 +42,7 @@ def doc(
         ),
     ] = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """A page of the manual: how one part works, what it is good for and what not.
 
     The pages are the docstrings of the package: the same in a notebook by `help(twin.diagnosis)`.
@@ -61,7 +61,7 @@ def doc(
         for name, text in pages.items():
             console.print(f"twin doc {name:<15} {text.splitlines()[0]}", markup=False, highlight=False)
 
-    return Account("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
+    return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
 
 
 def page_text(room: str) -> str:

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from twin._common.errors import InputError, OutputError
 from twin._common.json_form import json_form
-from twin.cli.shared.account import Account, JsonOption, command, progress
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress
 from twin.cli.shared.installation import Finding, browser, extras, packages, python, shown, size
 from twin.compensation import Compensator, Options
 from twin.compute.native import compiler, in_use, store
@@ -38,7 +38,7 @@ PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35
 
 
 @command("twin doctor", "twin doctor --json doctor.json")
-def doctor(json_file: JsonOption = None) -> Account:
+def doctor(json_file: JsonOption = None) -> CommandResult:
     """What is installed, what is missing, and a short check that this machine computes what it should.
 
     The exit status is 0 if all that is needed is there and right, and 3 if a check failed. What is optional may be missing.
@@ -58,7 +58,7 @@ def doctor(json_file: JsonOption = None) -> Account:
     taken = perf_counter() - clock
     failed = [one.name for one in found if one.status == "FAILED"]
     told = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(found)}
-    return Account(shown(found, taken), lambda: told, met=not failed, written="written: {}")
+    return CommandResult(shown(found, taken), lambda: told, met=not failed, written="written: {}")
 
 
 def _cache() -> Finding:

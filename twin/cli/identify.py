@@ -14,7 +14,7 @@ import typer
 from twin._common.errors import InputError, nearest
 from twin._common.files import scratch_folder
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import CALIBRATION, Account, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
 from twin.identification import identify as run_identification
 from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
@@ -24,7 +24,7 @@ from twin.measurement.table import joined
 from twin.measurement.table import load as load_measurements
 
 
-class Scatter(StrEnum):
+class ScatterChoice(StrEnum):
     """Whose scatter an uncertainty carries."""
 
     stated = "stated"
@@ -42,7 +42,7 @@ InstrumentOption = Annotated[
     ),
 ]
 UncertaintyOption = Annotated[
-    Scatter,
+    ScatterChoice,
     typer.Option(
         "--uncertainty",
         help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
@@ -51,9 +51,7 @@ UncertaintyOption = Annotated[
 OnlyOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--only",
-        help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.",
-        autocompletion=complete.errors,
+        "--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.", autocompletion=complete.errors
     ),
 ]
 ControlOption = Annotated[
@@ -76,11 +74,11 @@ def identify(
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration."), CALIBRATION],
     machine: options.MachineOption = DEFAULT,
     instrument: InstrumentOption = None,
-    spread: UncertaintyOption = Scatter.stated,
+    spread: UncertaintyOption = ScatterChoice.stated,
     only: OnlyOption = None,
     control: ControlOption = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Identify error motions, squareness and axis locations from measured points, with their uncertainty."""
     loaded = Machine.load(machine)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
@@ -115,7 +113,7 @@ def identify(
         text += "\nThese errors are what the control's tables left: leave them on; add to them, never replace them "
         text += "(twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
-    return Account(text, found.to_dict, met=found.complete)
+    return CommandResult(text, found.to_dict, met=found.complete)
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:

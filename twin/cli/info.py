@@ -18,7 +18,7 @@ from twin._common.errors import InputError, printable
 from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
 from twin.cli.shared import options
-from twin.cli.shared.account import CALIBRATION, Account, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
 from twin.compute.native import in_use
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -58,7 +58,7 @@ def info(
         Path | None, typer.Option("--output", "-o", help="Write the calibration in that datum."), CALIBRATION
     ] = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Axes, ranges, frames and the error budget of a machine, and its calibration in another datum."""
     loaded = Machine.load(machine)
     if output is not None and datum is None:
@@ -78,7 +78,7 @@ def info(
     if output is not None:
         errors.save(output)
     found = _Info(given, errors, kinematics, missing, rows, classes, over, list(uncertainty.without_uncertainty))
-    return Account("", found.to_dict, show=found.show)
+    return CommandResult("", found.to_dict, show=found.show)
 
 
 @final

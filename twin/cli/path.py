@@ -9,7 +9,7 @@ import typer
 
 from twin._common.files import write_whole
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import ANY, POSITIVE, Account, JsonOption, command, progress
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import refit
 from twin.compensation.fewer_blocks.points import is_points
@@ -43,8 +43,7 @@ def path(
         POSITIVE,
     ] = DEFAULT_TOLERANCE_MM,
     compensated: Annotated[
-        bool,
-        typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too."),
+        bool, typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too.")
     ] = True,
     mode: options.ModeOption = options.Mode.axis,
     tool_length: options.ToolOption = None,
@@ -59,7 +58,7 @@ def path(
     time: options.TimeOption = None,
     strict: options.StrictOption = False,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
 
     The tolerance holds for the path the machine with its errors executes; corners stay corners, everything that is no run passes
@@ -83,4 +82,4 @@ def path(
         )
     write_whole(output, result.text.encode("latin-1"))
     report = result.report
-    return Account(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
+    return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)

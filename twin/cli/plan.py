@@ -10,7 +10,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import texts, to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import POSITIVE, TABLE, Account, JsonOption, command, progress
+from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
@@ -55,9 +55,7 @@ SeparateOption = Annotated[
 AfterOption = Annotated[
     Path | None,
     typer.Option(
-        "--after",
-        help="With --separate: what has been measured already (a table).",
-        autocompletion=complete.tables,
+        "--after", help="With --separate: what has been measured already (a table).", autocompletion=complete.tables
     ),
 ]
 JudgeOption = Annotated[
@@ -100,7 +98,7 @@ def plan(
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the poses tried.")] = 0,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Plan the next measurement worth making: what tells most in the time there is."""
     loaded = Machine.load(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
@@ -142,12 +140,12 @@ def plan(
             )
     if output is not None:
         made.save(output)
-    return Account(made.to_text(), made.to_dict, met=made.complete)
+    return CommandResult(made.to_text(), made.to_dict, met=made.complete)
 
 
 def _judged(
     plan: Path, machine: Machine, kit: Kit, errors: Calibration, instrument: str, tool_length_mm: float | None
-) -> Account:
+) -> CommandResult:
     """What somebody's own plan will tell, and how long it takes."""
     table = load_measurements(options.plan_file(plan), machine, plan=True)
     reader = options.instrument_named(instrument)
@@ -167,4 +165,4 @@ def _judged(
         "forecast": told.to_dict(),
         "warnings": to_json(errors.warnings),
     }
-    return Account("\n".join(lines), lambda: report, met=not table.set_aside)
+    return CommandResult("\n".join(lines), lambda: report, met=not table.set_aside)

@@ -11,7 +11,7 @@ import typer
 from twin._common.files import write_whole
 from twin._common.provenance import texts
 from twin.cli.shared import options
-from twin.cli.shared.account import HTML, Account, JsonOption, command, progress
+from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import load as load_measurements
 from twin.report import MachineReport, machine_report
@@ -40,7 +40,7 @@ def report(
     time: options.TimeOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the draws of what is not known.")] = 0,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """One page about a machine: what is wrong most, what it makes at the tool, what to do and what not, and what it rests on."""
     options.need_pictures("the report")
     loaded = Machine.load(machine)
@@ -67,7 +67,7 @@ def report(
         page = machine_html(found)
     write_whole(output, page)
     text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])
-    return Account(text, found.to_dict, met=not found.unmet, after=[f"not met: {text}" for text in found.unmet])
+    return CommandResult(text, found.to_dict, met=not found.unmet, after=[f"not met: {text}" for text in found.unmet])
 
 
 def _first_screen(found: MachineReport) -> list[str]:

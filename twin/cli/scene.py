@@ -10,7 +10,7 @@ import typer
 
 from twin._common.provenance import texts, to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import HTML, POSITIVE, Account, JsonOption, command, progress
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
 
@@ -39,7 +39,7 @@ def scene(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network."""
     from twin.report.scene import draw_program  # meshcat takes its time, and only this command needs it
 
@@ -77,7 +77,7 @@ def scene(
         "largest_at_line": int(run.lines[int(np.argmax(distance))]),
     }
     left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
-    return Account(
+    return CommandResult(
         "".join(f"{text}\n" for text in texts(errors.warnings)),
         lambda: told,
         met=not run.left_out,

@@ -12,7 +12,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merged, to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.account import TABLE, Account, JsonOption, command, progress
+from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress
 from twin.cli.shared.words import three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
@@ -30,11 +30,7 @@ PlanArgument = Annotated[
 ]
 InstrumentOption = Annotated[
     str,
-    typer.Option(
-        "--instrument",
-        help=", ".join(one.name for one in INSTRUMENTS),
-        autocompletion=complete.instruments,
-    ),
+    typer.Option("--instrument", help=", ".join(one.name for one in INSTRUMENTS), autocompletion=complete.instruments),
 ]
 AirOption = Annotated[
     str | None,
@@ -62,7 +58,7 @@ def simulate(
     air: AirOption = None,
     drift: DriftOption = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """Measure a plan on the machine with the errors of a calibration, as an instrument would."""
     loaded = Machine.load(machine)
     reader = options.instrument_named(instrument)
@@ -102,7 +98,7 @@ def simulate(
         "notices": list(planned.notices),
     }
     notes = [*(f"set aside, {text}" for text in grouped_notes(planned.set_aside)), *planned.notices]
-    return Account(
+    return CommandResult(
         "",
         lambda: told,
         met=not planned.set_aside,

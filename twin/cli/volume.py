@@ -9,7 +9,7 @@ import typer
 
 from twin._common.provenance import texts
 from twin.cli.shared import options
-from twin.cli.shared.account import Account, JsonOption, command, progress
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_machines
@@ -40,7 +40,7 @@ def volume(
     tls_cert: options.TlsCertOption = None,
     tls_key: options.TlsKeyOption = None,
     json_file: JsonOption = None,
-) -> Account:
+) -> CommandResult:
     """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
 
     The same seed gives the same numbers to the last bit on any number of workers, here or on a Dask cluster (--scheduler).
@@ -70,7 +70,7 @@ def volume(
         *_lines(found, programs=loaded.runs_programs),
         *options.unused(at, errors),
     ]
-    return Account("\n".join([*lines, ""]), found.to_dict)
+    return CommandResult("\n".join([*lines, ""]), found.to_dict)
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:

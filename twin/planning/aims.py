@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.planning.model import Model
+from twin.planning.model import PlanModel
 from twin.planning.task import AIMS
 from twin.uncertainty.budget import volume
 
@@ -118,7 +118,7 @@ class Weakest(Aim):
         return float(np.sqrt(np.linalg.eigvalsh(self._machine @ covariance @ self._machine.T)[-1]))
 
 
-def aim_of(model: Model, names: Sequence[str], tool_length_mm: float) -> Aim:
+def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float) -> Aim:
     """What is to become small, of what the readings together can determine at all.
 
     Args:

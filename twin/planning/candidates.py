@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Final, final
 
 import numpy as np
 
@@ -34,8 +36,48 @@ AT_AN_END: Final = 0.4
 """Share of the poses that have an axis at an end of its range: curves are worst known there."""
 
 
-def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Measurements:
-    """Every reading that could be taken: a row each, as a plan; each axis comes from a side drawn for the pose.
+@final
+@dataclass(frozen=True)
+class Session:
+    """A state of the machine in which readings are taken.
+
+    Attributes:
+        words: how to bring it about.
+        start_s: on the clock of ``time_s``, at the earliest.
+        temperatures: °C of axes and sensors.
+    """
+
+    words: str
+    start_s: float = 0.0
+    temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+ALWAYS: Final = (Session("as it is"),)
+"""Where the state does not matter."""
+
+
+@final
+@dataclass(frozen=True)
+class Candidates:
+    """Readings that could be taken, in any state of the machine.
+
+    Attributes:
+        plan: a row each.
+        session: (n,) index of the session each belongs to.
+        sessions: the states of the machine that readings are taken in, in order.
+    """
+
+    plan: Measurements
+    session: np.ndarray
+    sessions: tuple[Session, ...] = ALWAYS
+
+    def select(self, rows: np.ndarray) -> Candidates:
+        """Some of them, by index; again and again if it repeats."""
+        return replace(self, plan=self.plan.select(rows), session=self.session[rows])
+
+
+def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Candidates:
+    """Every reading that could be taken: a row each; each axis comes from a side drawn for the pose.
 
     Args:
         machine: the machine.
@@ -60,7 +102,8 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
             )
         rows += mine
     pose = np.array([row[0] for row in rows])
-    return plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+    table = plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+    return Candidates(table, np.zeros(len(table), dtype=int))
 
 
 def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:

@@ -38,7 +38,7 @@ def inverse(precision: np.ndarray) -> np.ndarray:
 
 @final
 @dataclass(frozen=True)
-class Choice:
+class Exchange:
     """Readings to choose from, and how.
 
     Attributes:

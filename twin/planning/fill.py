@@ -13,8 +13,9 @@ from twin._common.errors import InputError
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.aims import Aim
-from twin.planning.design import Choice, covariance_of
-from twin.planning.route import Route, Session, route
+from twin.planning.candidates import Candidates
+from twin.planning.design import Exchange, covariance_of
+from twin.planning.route import Route, route
 from twin.planning.task import FEWEST, Task
 
 STATIONS: Final = 4
@@ -34,26 +35,32 @@ GLIMPSE: Final = (0.9,)
 
 @final
 @dataclass(frozen=True)
-class Readings:
+class DesignProblem:
     """Everything that could be read with one instrument, and what is aimed at.
 
     Attributes:
         instrument: what reads.
-        plan: a row each.
-        session: (n,) index of the session each belongs to.
-        sessions: the states of the machine that readings are taken in, in order.
+        every: the readings.
         prior: (f, f) precision of the unknowns' coordinates before any reading.
         rows: (n, 3, f) derivatives of the whitened readings.
         aim: what is to become small.
     """
 
     instrument: Instrument
-    plan: Measurements
-    session: np.ndarray
-    sessions: tuple[Session, ...]
+    every: Candidates
     prior: np.ndarray
     rows: np.ndarray
     aim: Aim
+
+    @property
+    def plan(self) -> Measurements:
+        """The readings, a row each."""
+        return self.every.plan
+
+    def at(self, stations: Sequence[str]) -> DesignProblem:
+        """Those from some stations."""
+        inside = np.flatnonzero(np.isin(self.plan.station, stations))
+        return replace(self, every=self.every.select(inside), rows=self.rows[inside])
 
 
 @final
@@ -68,7 +75,7 @@ class Stand:
         value: of the aim.
     """
 
-    readings: Readings
+    readings: DesignProblem
     stations: tuple[str, ...]
     points: int
     value: float
@@ -81,12 +88,41 @@ class Stand:
 
 @final
 @dataclass(frozen=True)
-class Filler:
+class Filled:
+    """The readings of a plan in their order, and the ways to stand that were tried for them.
+
+    Attributes:
+        stands: the best first, which is the plan's.
+        route: its readings.
+    """
+
+    stands: tuple[Stand, ...]
+    route: Route
+
+
+def fill(task: Task, problems: Sequence[DesignProblem]) -> Filled:
+    """Choose where to stand and what to read from there, in the time there is.
+
+    Args:
+        task: what the plan is made for.
+        problems: of each instrument.
+
+    Raises:
+        InputError: no time to measure anything.
+    """
+    filler = _Filler(task)
+    stands = filler.best([one for problem in problems for one in filler.stands(problem)])
+    return Filled(tuple(stands), filler.filled(stands[0]))
+
+
+@final
+@dataclass(frozen=True)
+class _Filler:
     """One plan being made."""
 
     task: Task
 
-    def _stands(self, readings: Readings) -> list[Stand]:
+    def stands(self, readings: DesignProblem) -> list[Stand]:
         """What an even spread of readings from every set of places would give in the time there is.
 
         Raises:
@@ -118,16 +154,8 @@ class Filler:
             )
         return found
 
-    def stands(self, every: Sequence[Readings]) -> list[Stand]:
-        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first.
-
-        Args:
-            every: of each instrument.
-
-        Raises:
-            InputError: no time to measure anything.
-        """
-        stands = [one for readings in every for one in self._stands(readings)]
+    def best(self, stands: Sequence[Stand]) -> list[Stand]:
+        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first."""
         kinds: dict[tuple[str, int], list[Stand]] = {}
         for one in sorted(stands, key=lambda stand: stand.value):
             kinds.setdefault((one.readings.instrument.name, len(one.stations)), []).append(one)
@@ -135,10 +163,10 @@ class Filler:
         found = []
         for number, one in enumerate(tried):
             self.task.say("choosing", 0.1 + 0.3 * number / len(tried))
-            inside = np.flatnonzero(np.isin(one.readings.plan.station, one.stations))
-            rows, cost = one.readings.rows[inside], np.full(len(inside), self.task.kit.seconds.point)
-            first = np.random.default_rng(self.task.seed).permutation(len(inside))
-            choice = Choice(one.readings.prior, rows, cost, one.readings.aim, exchanged=GLIMPSE, among=GLIMPSED)
+            own = one.readings.at(one.stations)
+            cost = np.full(len(own.plan), self.task.kit.seconds.point)
+            first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
+            choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=GLIMPSE, among=GLIMPSED)
             found.append(replace(one, value=choice.value(choice.of(one.points, first, one.least))))
         return sorted(found, key=lambda stand: stand.value)
 
@@ -148,16 +176,13 @@ class Filler:
         Raises:
             InputError: no time to measure anything.
         """
-        readings = best.readings
-        inside = np.flatnonzero(np.isin(readings.plan.station, best.stations))
-        first = self.task.rng.permutation(len(inside))
-        own = readings.plan.select(inside)
-        session = readings.session[inside]
+        own = best.readings.at(best.stations)
+        first = self.task.rng.permutation(len(own.plan))
         taken = np.resize(first, best.points)
-        spread = self._routed(own, session, taken, best, clear=False)
+        spread = route(self.task, own.every.select(taken), best.stations, clear=False)
         for turn in range(ROUNDS):
-            each = (spread.seconds - self._set_up(best.stations, readings)) / len(spread.plan)
-            points = self._points(best.stations, readings, each)
+            each = (spread.seconds - self._set_up(best.stations, own)) / len(spread.plan)
+            points = self._points(best.stations, own, each)
             if points < FEWEST:
                 raise InputError(
                     "no time to measure anything",
@@ -169,10 +194,9 @@ class Filler:
             def say(stage: str, done: float, part: float = part) -> None:
                 self.task.say(stage, part + 0.55 * done / ROUNDS)
 
-            cost = self._cost(spread.plan, own, each)
-            choice = Choice(readings.prior, readings.rows[inside], cost, readings.aim, say=say)
+            choice = Exchange(own.prior, own.rows, self._cost(spread.plan, own.plan, each), own.aim, say=say)
             taken = choice.of(points, first, best.least)
-            spread = self._routed(own, session, taken, best)
+            spread = route(self.task, own.every.select(taken), best.stations)
             if CLOSE * self.task.seconds <= spread.seconds <= self.task.seconds:
                 return spread
             if spread.seconds <= self.task.seconds * ALMOST:
@@ -181,34 +205,28 @@ class Filler:
             # Every station and target loses the same share.
             kept = int(len(taken) * min(0.99, self.task.seconds / spread.seconds))
             taken = taken[np.sort(np.random.default_rng(self.task.seed).permutation(len(taken))[:kept])]
-            spread = self._routed(own, session, taken, best)
+            spread = route(self.task, own.every.select(taken), best.stations)
         return spread
 
-    def _each(self, readings: Readings, stations: tuple[str, ...], inside: np.ndarray) -> float:
+    def _each(self, readings: DesignProblem, stations: tuple[str, ...], inside: np.ndarray) -> float:
         """Seconds that a reading takes with the way to it, from so many stations: as dense as they will be, the way is as short."""
         each = self.task.kit.seconds.point
         for _ in range(2):
             points = self._points(stations, readings, each)
             if points < FEWEST:
                 break
-            stand = Stand(readings, stations, points, 0.0)
-            way = self._routed(readings.plan, readings.session, np.resize(inside, points), stand, clear=False)
+            way = route(self.task, readings.every.select(np.resize(inside, points)), stations, clear=False)
             each = (way.seconds - self._set_up(stations, readings)) / len(way.plan)
         return each
 
-    def _set_up(self, stations: Sequence[str], readings: Readings) -> float:
+    def _set_up(self, stations: Sequence[str], readings: DesignProblem) -> float:
         """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
-        times = 1 if len(stations) == 1 else len(stations) * len(readings.sessions)
+        times = 1 if len(stations) == 1 else len(stations) * len(readings.every.sessions)
         return times * self.task.kit.seconds.station
 
-    def _points(self, stations: Sequence[str], readings: Readings, each: float) -> int:
+    def _points(self, stations: Sequence[str], readings: DesignProblem, each: float) -> int:
         """How many readings there is time for, at so many seconds each."""
         return int((self.task.seconds - self._set_up(stations, readings)) / each)
-
-    def _routed(
-        self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand, *, clear: bool = True
-    ) -> Route:
-        return route(self.task, table.select(rows), best.stations, session[rows], best.readings.sessions, clear=clear)
 
     def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:
         """(n,) seconds that a reading of each candidate's target from its station took on the way, the way included."""

@@ -9,6 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
+from twin._common.json_form import json_form
 from twin.display import UNKNOWN, Html, card, chips, note, pairs, readable, table
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -16,7 +17,7 @@ from twin.machine.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
 from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
-from twin.planning.model import Hidden, Model
+from twin.planning.model import Hidden, PlanModel
 from twin.planning.task import length_of
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.uncertainty.budget import volume
@@ -36,7 +37,7 @@ class Forecast:
         positions: (n, axes) the volume it is asked for over, mm and degrees.
     """
 
-    model: Model
+    model: PlanModel
     covariance: np.ndarray
     determined: tuple[str, ...]
     observability: Observability
@@ -104,10 +105,7 @@ class Forecast:
         """What a display says of it."""
         over, o = self.at_tool, self.observability
         place = ", ".join(f"{name} {value:.0f}" for name, value in over.where.items()).replace("-", "−")
-        by_axis: dict[str, list[str]] = {}
-        for name, u in self.errors.items():
-            by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2g} {readable(unit_of(name))}")
-        rows = [(axis, chips(found)) for axis, found in by_axis.items()]
+        rows = [(axis, chips(found)) for axis, found in self._by_axis(".2g").items()]
         why: dict[str, list[str]] = {}
         for one in self.hidden:
             why.setdefault(one.reason, []).append(one.name)
@@ -138,11 +136,7 @@ class Forecast:
             "",
             f"errors, standard uncertainty (k = 1; of a curve the largest over its range) from {self.readings} numbers read:",
         ]
-        by_axis: dict[str, list[str]] = {}
-        for name, u in self.errors.items():
-            unit = "µm" if unit_of(name) == "um" else "µrad"
-            by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2f} {unit}")
-        lines += [f"  {', '.join(found)}" for found in by_axis.values()] or ["  none is determined"]
+        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or ["  none is determined"]
         lines += [
             "",
             "observability of the machine's unknowns, each in its plausible size (Sun and Hollerbach 2008; larger is better):",
@@ -167,15 +161,22 @@ class Forecast:
                 "where": self.at_tool.where,
             },
             "observability": {"O1": o.o1, "O2": o.o2, "O3": o.o3, "O4": o.o4, "O5": o.o5},
-            "not_identifiable": [{"name": one.name, "reason": one.reason} for one in self.hidden],
+            "not_identifiable": json_form(self.hidden),
         }
+
+    def _by_axis(self, digits: str) -> dict[str, list[str]]:
+        """Every error with its standard uncertainty, by the axis it belongs to."""
+        found: dict[str, list[str]] = {}
+        for name, u in self.errors.items():
+            found.setdefault(split_name(name)[2], []).append(f"{name} {u:{digits}} {readable(unit_of(name))}")
+        return found
 
     def _of(self, columns: list[int]) -> np.ndarray:
         rows = self.model.plausible[columns, None] * self.model.free[columns]
         return np.asarray(rows @ self.covariance @ rows.T)
 
 
-def forecast(model: Model, tool_length_mm: float | None = None) -> Forecast:
+def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
     """What readings will tell when they are taken.
 
     Args:

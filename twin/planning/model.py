@@ -8,7 +8,7 @@ those expected.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, final
@@ -67,7 +67,7 @@ class Hidden:
 
 @final
 @dataclass(frozen=True)
-class Model:
+class PlanModel:
     """The unknowns of a planned measurement, and what is known of them before it.
 
     Attributes:
@@ -103,7 +103,7 @@ class Model:
         instrument: Instrument,
         expected: Calibration,
         known: Collection[str] = (),
-    ) -> Model:
+    ) -> PlanModel:
         """The unknowns of a plan's axes, stations and targets, as `identify` has them.
 
         A constant that the readings do not show is a station's or a location's: its curve has none.
@@ -134,7 +134,7 @@ class Model:
         expected: Calibration,
         known: Collection[str],
         offsets: list[str] | None,
-    ) -> Model:
+    ) -> PlanModel:
         """The same with a constant in some of the curves that can have one (`Unknowns`); in all of them if None."""
         turning = {split_name(c.name)[2] for c in expected.curves.values() if c.basis == FOURIER.name}
         bases: dict[str, Basis] = {
@@ -163,9 +163,8 @@ class Model:
     @cached_property
     def rows(self) -> np.ndarray:
         """(n, 3, f) derivatives of the whitened readings by the coordinates; zero where nothing is read."""
-        plan = self.plan
         readings, _ = simulate(
-            plan,
+            self.plan,
             self.machine,
             Calibration.zero(self.machine),
             self.instrument,
@@ -174,14 +173,10 @@ class Model:
             noise=False,
         )
         network = Network(self.machine, readings, self.instrument, self.unknowns)
-        stations, targets = list(dict.fromkeys(plan.station)), list(dict.fromkeys(plan.target))
-        own = self._of(stations, targets)
-        kept = self._columns(stations, targets)
-        found = np.empty((len(plan), 3, self.free.shape[1]))
-        for start in range(0, len(plan), PIECE):
-            piece = network.piece(self.about, own, np.arange(start, min(start + PIECE, len(plan))))
-            scaled = piece.jacobian * self.plausible[kept]
-            found[piece.rows] = scaled @ self.free[kept]
+        found = np.empty((len(readings), 3, self.free.shape[1]))
+        for start in range(0, len(readings), PIECE):
+            piece = network.piece(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+            found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
     def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
@@ -235,28 +230,6 @@ class Model:
     def curves(self) -> dict[str, CurveSpace]:
         """The spaces of the error motions by name."""
         return {space.name: space for space in self.unknowns.curves}
-
-    def _of(self, stations: Sequence[str], targets: Sequence[str]) -> SetUp:
-        """The set-up of some stations and targets, in that order."""
-        whole = self.setup
-        s, t = [whole.stations.index(n) for n in stations], [whole.targets.index(n) for n in targets]
-        return SetUp(
-            tuple(stations),
-            whole.rotation[s],
-            whole.origin[s],
-            whole.dead[s],
-            tuple(targets),
-            whole.place[t],
-            whole.station_known[s],
-            whole.target_known[t],
-            whole.lengths_only,
-        )
-
-    def _columns(self, stations: Sequence[str], targets: Sequence[str]) -> np.ndarray:
-        """Where the unknowns of `_of` stand among all."""
-        names = self.setup.names
-        own = self._of(stations, targets).names
-        return np.array([*range(len(self.unknowns)), *(len(self.unknowns) + names.index(name) for name in own)])
 
 
 def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:

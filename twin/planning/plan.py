@@ -17,12 +17,11 @@ from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.aims import aim_of
 from twin.planning.candidates import candidates, levels_for
-from twin.planning.fill import Filler, Readings
+from twin.planning.fill import DesignProblem, fill
 from twin.planning.forecast import Forecast, forecast
 from twin.planning.kit import Kit
-from twin.planning.model import Model
+from twin.planning.model import PlanModel
 from twin.planning.result import Plan
-from twin.planning.route import ALWAYS
 from twin.planning.task import Say, Task, length_of, wanted
 
 
@@ -60,18 +59,14 @@ def plan(
         task.say("looking", 0.0)
         levels = levels_for(machine, task.expected_points, task.kit.numbers, task.expected)
         every = candidates(machine, task.kit, task.rng, levels)
-        readings = []
-        for instrument in task.kit.instruments:
-            model = task.model(every, instrument)
-            aim = aim_of(model, names, length)
-            always = np.zeros(len(every), dtype=int)
-            readings.append(Readings(instrument, every, always, ALWAYS, model.prior, model.rows, aim))
-        filler = Filler(task)
-        stands = filler.stands(readings)
-        route = filler.filled(stands[0])
+        models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
+        filled = fill(
+            task,
+            [DesignProblem(one.instrument, every, one.prior, one.rows, aim_of(one, names, length)) for one in models],
+        )
         task.say("foretelling", 0.95)
-        told = forecast(task.model(route.plan, stands[0].readings.instrument), length)
-        return Plan.of(task, " ".join(names), stands, route, forecast=told)
+        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), length)
+        return Plan.of(task, " ".join(names), filled, forecast=told)
 
 
 def judge(
@@ -106,4 +101,4 @@ def judge(
     )
     reader = LaserTracker() if instrument is None else instrument
     sizes = Calibration.default(machine) if expected is None else expected
-    return forecast(Model.of(machine, placed, setting, reader, sizes, known), tool_length_mm)
+    return forecast(PlanModel.of(machine, placed, setting, reader, sizes, known), tool_length_mm)

@@ -7,9 +7,10 @@ apart what colours do.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
@@ -48,8 +49,7 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
             "no picture of places that nobody knows", expected="place_… and station_… in every row", file=table.source
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
-    figure = Figure(figsize=(12.0, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _figure(6.2, title or "Where the plan measures")
     for plot, (i, j, view, across, up) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for name in dict.fromkeys(table.station):
             rows = table.station == name
@@ -64,26 +64,15 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
         for side, colour, marker in (("tool", FORWARD, "o"), ("work", BACKWARD, "s")):
             of = table.carrier == side
             if np.any(of):
-                plot.plot(
-                    points[of, i],
-                    points[of, j],
-                    color=colour,
-                    marker=marker,
-                    markersize=3.5,
-                    linestyle="",
-                    label=f"reflectors on the {side} side",
-                    zorder=3,
-                )
+                style = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "", "zorder": 3}
+                plot.plot(points[of, i], points[of, j], label=f"reflectors on the {side} side", **style)
         plot.set_aspect("equal", adjustable="datalim")
         plot.margins(0.12)
         plot.set_xlabel(f"{across} [mm]")
         plot.set_ylabel(f"{up} [mm]")
         plot.set_title(view, loc="left", fontsize=10)
-        plot.grid(color="#dddddd", linewidth=0.6)
-        plot.set_axisbelow(True)
-        plot.spines[["top", "right"]].set_visible(False)
+        _grid(plot)
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=True)
-    figure.suptitle(title or "Where the plan measures", x=0.01, horizontalalignment="left", fontweight="bold")
     return figure
 
 
@@ -103,55 +92,43 @@ def plot_uncertainties(
     if not 1 <= len(foretold) <= len(STYLES):
         raise InputError("too many plans for one picture", expected=f"1 to {len(STYLES)}", value=len(foretold))
     every = list(dict.fromkeys(name for one in foretold.values() for name in one.errors))
-    figure = Figure(figsize=(12.0, 5.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _figure(5.8, title or "How well every error is known (of a curve, where it is known worst)")
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
         below = limit
         at = {name: k for k, name in enumerate(names)}
         for (label, one), (colour, marker) in zip(foretold.items(), STYLES, strict=False):
-            mine = [name for name in names if name in one.errors]
-            plot.plot(
-                [at[name] for name in mine],
-                [one.errors[name] for name in mine],
-                color=colour,
-                marker=marker,
-                markerfacecolor="white",
-                markersize=7,
-                linestyle="",
-                label=f"{label}: foretold",
-            )
+            series = [(one.errors, "foretold", {"markerfacecolor": "white", "markersize": 7})]
             if found is not None and label in found:
-                stated = _stated(found[label])
-                mine = [name for name in names if name in stated]
-                plot.plot(
-                    [at[name] for name in mine],
-                    [stated[name] for name in mine],
-                    color=colour,
-                    marker=marker,
-                    markersize=4,
-                    linestyle="",
-                    label=f"{label}: identified",
-                )
+                series.append((_stated(found[label]), "identified", {"markersize": 4}))
+            for values, kind, style in series:
+                x = [at[name] for name in names if name in values]
+                y = [values[name] for name in names if name in values]
+                plot.plot(x, y, color=colour, marker=marker, linestyle="", label=f"{label}: {kind}", **style)
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter(PLAIN)
         plot.yaxis.set_minor_formatter(PLAIN)
         plot.set_xticks(range(len(names)), names, rotation=60, fontsize=8)
         plot.set_ylabel(f"standard uncertainty [{unit}]")
-        plot.grid(color="#dddddd", linewidth=0.6, which="both", axis="y")
-        plot.set_axisbelow(True)
-        plot.spines[["top", "right"]].set_visible(False)
+        _grid(plot, which="both", axis="y")
     figure.legend(
         *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9, ncols=2 * len(foretold)
     )
-    figure.suptitle(
-        title or "How well every error is known (of a curve, where it is known worst)",
-        x=0.01,
-        horizontalalignment="left",
-        fontweight="bold",
-    )
     return figure
+
+
+def _figure(height: float, title: str) -> Figure:
+    figure = Figure(figsize=(12.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.01, horizontalalignment="left", fontweight="bold")
+    return figure
+
+
+def _grid(plot: Axes, **lines: Any) -> None:
+    plot.grid(color="#dddddd", linewidth=0.6, **lines)
+    plot.set_axisbelow(True)
+    plot.spines[["top", "right"]].set_visible(False)
 
 
 def _stated(found: Identification) -> dict[str, float]:

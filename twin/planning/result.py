@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.fill import Stand
+from twin.planning.fill import Filled
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
@@ -135,17 +134,16 @@ class Plan:
         cls,
         task: Task,
         aim: str,
-        stands: Sequence[Stand],
-        route: Route,
+        filled: Filled,
         *,
         forecast: Forecast | None = None,
         separation: Separation | None = None,
     ) -> Plan:
-        """From the ways to stand that were tried, the best first, and the route from the best of them."""
-        best = stands[0]
+        """From the ways to stand that were tried and the route from the best of them."""
+        best = filled.stands[0]
         alternatives = tuple(
             Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
-            for one in stands
+            for one in filled.stands
         )
         return cls(
             task.machine,
@@ -153,7 +151,7 @@ class Plan:
             aim,
             best.readings.instrument,
             best.stations,
-            route,
+            filled.route,
             forecast,
             alternatives,
             task.seed,

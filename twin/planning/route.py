@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, final
 
@@ -12,6 +12,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.planning.candidates import Candidates
 from twin.planning.clearance import Clearance
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
@@ -21,26 +22,6 @@ PASSES: Final = 2
 """Times a station goes through its points: what comes back between the passes can be told from what does not."""
 TRIED: Final = 12
 """Nearest points tried for one that a straight move reaches in the clear."""
-
-
-@final
-@dataclass(frozen=True)
-class Session:
-    """A state of the machine in which readings are taken.
-
-    Attributes:
-        words: how to bring it about.
-        start_s: on the clock of ``time_s``, at the earliest.
-        temperatures: °C of axes and sensors.
-    """
-
-    words: str
-    start_s: float = 0.0
-    temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-
-
-ALWAYS: Final = (Session("as it is"),)
-"""Where the state does not matter."""
 
 
 @final
@@ -82,25 +63,16 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
     return sum(clock.spent.values())
 
 
-def route(
-    task: Task,
-    plan: Measurements,
-    stations: Sequence[str],
-    session: np.ndarray,
-    sessions: Sequence[Session],
-    *,
-    clear: bool = True,
-) -> Route:
+def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: bool = True) -> Route:
     """Put a plan in order: session by session, station by station, in two passes, always on to the point that is reached soonest.
 
     Args:
         task: what the plan is made for.
-        plan: its rows in any order.
-        stations: the order of the stations.
-        session: (n,) index of the session of each row.
-        sessions: in order.
+        chosen: the readings, in any order.
+        stations: in their order.
         clear: whether the way has to keep clear; to know about how long it takes, it need not.
     """
+    plan, session, sessions = chosen.plan, chosen.session, chosen.sessions
     clock = _Clock(task.machine, task.kit, plan, Clearance(task.machine, task.kit) if clear else None)
     rng = np.random.default_rng(task.seed)
     number = task.first_round - 1
@@ -133,27 +105,13 @@ def route(
     return Route(ordered, MappingProxyType(clock.spent), tuple(clock.blocked), tuple(begun))
 
 
-def _towards(machine: Machine, kit: Kit, plan: Measurements) -> np.ndarray:
-    """(n, 3) unit vectors from reflectors to stations, on the reflectors' carriers; zero where the kit lacks either."""
-    sight = Sight(machine, kit)
-    poses = sight.poses(plan.positions)
-    found = np.zeros((len(plan), 3))
-    for station in kit.stations:
-        for target in kit.targets:
-            rows = np.flatnonzero((plan.station == station) & (plan.target == target))
-            if len(rows):
-                of = {side: pose[rows] for side, pose in poses.items()}
-                found[rows] = sight.towards(of, kit.targets[target], kit.stations[station].origin_mm)
-    return found
-
-
 class _Clock:
     """A machine on its way through a plan."""
 
     def __init__(self, machine: Machine, kit: Kit, plan: Measurements, clearance: Clearance | None) -> None:
         self.kit = kit
         self.plan = plan
-        self.towards = _towards(machine, kit, plan)
+        self.towards = Sight(machine, kit).directions(plan)
         self.clearance = clearance
         self.now = 0.0
         self.spent = dict.fromkeys(("station", "target", "aim", "travel", "point"), 0.0)

@@ -32,13 +32,12 @@ from twin.measurement.instruments import Instrument, LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.aims import AtTool
-from twin.planning.candidates import candidates
+from twin.planning.candidates import ALWAYS, Candidates, Session, candidates
 from twin.planning.design import covariance_of
-from twin.planning.fill import Filler, Readings
+from twin.planning.fill import DesignProblem, fill
 from twin.planning.kit import Kit
 from twin.planning.model import as_told, setup_of
 from twin.planning.result import ODDS, Plan, Separation
-from twin.planning.route import ALWAYS, Session
 from twin.planning.task import Say, Task
 
 POWER: Final = 1.645
@@ -129,20 +128,17 @@ def separate(
             rounds = max((int(name) for name in after.round if str(name).isdecimal()), default=0)
             task = replace(task, kit=_beside(task.kit, after), first_round=1 + rounds)
         task.say("looking", 0.0)
-        sessions = _sessions(causes)
-        every, session = _in_sessions(candidates(machine, task.kit, task.rng), sessions)
+        every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
         question = _Question(task, causes, after)
-        cells = question.cells(every)
-        readings = [question.readings(one, every, session, sessions, cells) for one in task.kit.instruments]
-        filler = Filler(task)
-        stands = filler.stands(readings)
-        route = filler.filled(stands[0])
-        last = question.cells(route.plan)
-        always = np.zeros(len(route.plan), dtype=int)
-        told = question.readings(stands[0].readings.instrument, route.plan, always, ALWAYS, last)
+        cells = question.cells(every.plan)
+        filled = fill(task, [question.problem(one, every, cells) for one in task.kit.instruments])
+        chosen = filled.route.plan
+        last = question.cells(chosen)
+        in_order = Candidates(chosen, np.zeros(len(chosen), dtype=int))
+        told = question.problem(filled.stands[0].readings.instrument, in_order, last)
         aim = f"separate {causes[0].text} from {causes[1].text}"
         separation = _separation(causes, last, covariance_of(told.prior, told.rows))
-        return Plan.of(task, aim, stands, route, separation=separation)
+        return Plan.of(task, aim, filled, separation=separation)
 
 
 Meant = tuple[Candidate, Cell]
@@ -169,16 +165,9 @@ class _Question:
         first, second = (form_meant(one, self.task.machine, plan, self.task.expected) for one in self.causes)
         return first, second
 
-    def readings(
-        self,
-        instrument: Instrument,
-        every: Measurements,
-        session: np.ndarray,
-        sessions: tuple[Session, ...],
-        cells: tuple[Meant, Meant],
-    ) -> Readings:
+    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[Meant, Meant]) -> DesignProblem:
         """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
-        problem = self._planned(instrument, every)
+        problem = self._planned(instrument, every.plan)
         columns = [problem.signature(cell.columns) for _, cell in cells]
         setup, doubt = len(problem.setup), len(problem.prior)
         whole = np.concatenate([problem.nuisance, *columns], axis=1)
@@ -198,7 +187,7 @@ class _Question:
         for (begin, end), size in zip(pairwise(ends), safe, strict=True):
             both[range(begin, end), range(begin, end)] = 1.0 / size
         aim = AtTool(both[None], "separate", "of the sizes meant")
-        return Readings(instrument, every, session, sessions, prior, whole.reshape(len(every), 3, total), aim)
+        return DesignProblem(instrument, every, prior, whole.reshape(-1, 3, total), aim)
 
     def _planned(self, instrument: Instrument, every: Measurements) -> Problem:
         machine, kit = self.task.machine, self.task.kit
@@ -273,15 +262,16 @@ def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
     return tuple(found)
 
 
-def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> tuple[Measurements, np.ndarray]:
-    """Every reading in every session, and (n,) which session."""
+def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidates:
+    """Every reading in every session."""
     n = len(plain)
     session = np.repeat(np.arange(len(sessions)), n)
     every = plain.select(np.tile(np.arange(n), len(sessions)))
     names = dict.fromkeys(name for one in sessions for name in one.temperatures)
     temperatures = {name: locked(np.array([one.temperatures[name] for one in sessions])[session]) for name in names}
     starts = np.array([one.start_s for one in sessions])
-    return replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures)), session
+    timed = replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures))
+    return Candidates(timed, session, sessions)
 
 
 def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> Meant:

@@ -16,7 +16,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.model import Model
+from twin.planning.model import PlanModel
 
 Say = Callable[[str, float], None]
 AIMS: Final = ("tool", "everything", "weakest")
@@ -51,13 +51,7 @@ class Task:
 
     @classmethod
     def of(
-        cls,
-        machine: Machine,
-        kit: Kit | None,
-        minutes: float,
-        expected: Calibration | None,
-        seed: int,
-        say: Say | None,
+        cls, machine: Machine, kit: Kit | None, minutes: float, expected: Calibration | None, seed: int, say: Say | None
     ) -> Task:
         """With `Kit.default` and the machine file's own calibration where none is given.
 
@@ -80,9 +74,9 @@ class Task:
         """Of the poses, and of the spreads of readings that a choice begins with."""
         return np.random.default_rng(self.seed)
 
-    def model(self, plan: Measurements, instrument: Instrument) -> Model:
+    def model(self, plan: Measurements, instrument: Instrument) -> PlanModel:
         """What readings of an instrument would tell."""
-        return Model.of(self.machine, plan, self.kit.setting, instrument, self.expected, self.kit.known)
+        return PlanModel.of(self.machine, plan, self.kit.setting, instrument, self.expected, self.kit.known)
 
     @property
     def seconds(self) -> float:

@@ -12,7 +12,7 @@ import typer
 
 from twin._common.errors import InputError, nearest
 from twin.cli.shared import complete
-from twin.cli.shared.account import POSITIVE
+from twin.cli.shared.command import POSITIVE
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import number, three_numbers
 from twin.compensation.toolpath import Setup
@@ -61,10 +61,7 @@ OriginOption = Annotated[
 ModeOption = Annotated[Mode, typer.Option("--mode", help="axis: words are axis positions; tcp: tool-tip coordinates.")]
 TemperatureOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--temperature",
-        help="°C of an axis's scale or of a sensor, over the whole program: X=23.1 bed=21.",
-    ),
+    typer.Option("--temperature", help="°C of an axis's scale or of a sensor, over the whole program: X=23.1 bed=21."),
 ]
 TimeOption = Annotated[
     float | None,
@@ -88,8 +85,7 @@ RotaryLimitOption = Annotated[
     float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation."), POSITIVE
 ]
 MeasuredArgument = Annotated[
-    list[Path],
-    typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
+    list[Path], typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables)
 ]
 WorkersOption = Annotated[
     int | None,
@@ -172,9 +168,7 @@ def need_pictures(what: str) -> None:
         import_module("matplotlib.figure")
     except ImportError as error:
         raise InputError(
-            f"{what} draws pictures, and matplotlib is not installed",
-            expected="pip install 'twin[plots]'",
-            value=error,
+            f"{what} draws pictures, and matplotlib is not installed", expected="pip install 'twin[plots]'", value=error
         ) from error
 
 

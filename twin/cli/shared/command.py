@@ -59,7 +59,7 @@ JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the repor
 
 @final
 @dataclass(frozen=True)
-class Account:
+class CommandResult:
     """What a command found, for people and for programs.
 
     Attributes:
@@ -83,7 +83,7 @@ class Account:
     show: Callable[[], None] | None = None
 
 
-Function = TypeVar("Function", bound=Callable[..., Account | None])
+Function = TypeVar("Function", bound=Callable[..., CommandResult | None])
 
 
 def command(*examples: str, name: str | None = None) -> Callable[[Function], Function]:
@@ -154,7 +154,7 @@ def progress() -> Iterator[Any]:
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
 
 
-def _give(account: Account, outputs: Sequence[Path], json_file: Path | None) -> None:
+def _give(account: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
     """Write the JSON, print the rest, and end with the account's exit status."""
     if json_file is not None:
         write_json(json_file, account.report())
