@@ -7,10 +7,9 @@ apart what colours do.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
@@ -49,7 +48,8 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
             "no picture of places that nobody knows", expected="place_… and station_… in every row", file=table.source
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
-    figure = _figure(6.2, title or "Where the plan measures")
+    figure = Figure(figsize=(12.0, 6.2), layout="constrained")
+    FigureCanvasAgg(figure)
     for plot, (i, j, view, across, up) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for name in dict.fromkeys(table.station):
             rows = table.station == name
@@ -64,15 +64,26 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
         for side, colour, marker in (("tool", FORWARD, "o"), ("work", BACKWARD, "s")):
             of = table.carrier == side
             if np.any(of):
-                style = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "", "zorder": 3}
-                plot.plot(points[of, i], points[of, j], label=f"reflectors on the {side} side", **style)
+                plot.plot(
+                    points[of, i],
+                    points[of, j],
+                    color=colour,
+                    marker=marker,
+                    markersize=3.5,
+                    linestyle="",
+                    label=f"reflectors on the {side} side",
+                    zorder=3,
+                )
         plot.set_aspect("equal", adjustable="datalim")
         plot.margins(0.12)
         plot.set_xlabel(f"{across} [mm]")
         plot.set_ylabel(f"{up} [mm]")
         plot.set_title(view, loc="left", fontsize=10)
-        _grid(plot)
+        plot.grid(color="#dddddd", linewidth=0.6)
+        plot.set_axisbelow(True)
+        plot.spines[["top", "right"]].set_visible(False)
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=True)
+    figure.suptitle(title or "Where the plan measures", x=0.01, horizontalalignment="left", fontweight="bold")
     return figure
 
 
@@ -92,43 +103,55 @@ def plot_uncertainties(
     if not 1 <= len(foretold) <= len(STYLES):
         raise InputError("too many plans for one picture", expected=f"1 to {len(STYLES)}", value=len(foretold))
     every = list(dict.fromkeys(name for one in foretold.values() for name in one.errors))
-    figure = _figure(5.8, title or "How well every error is known (of a curve, where it is known worst)")
+    figure = Figure(figsize=(12.0, 5.8), layout="constrained")
+    FigureCanvasAgg(figure)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
         below = limit
         at = {name: k for k, name in enumerate(names)}
         for (label, one), (colour, marker) in zip(foretold.items(), STYLES, strict=False):
-            series = [(one.errors, "foretold", {"markerfacecolor": "white", "markersize": 7})]
+            mine = [name for name in names if name in one.errors]
+            plot.plot(
+                [at[name] for name in mine],
+                [one.errors[name] for name in mine],
+                color=colour,
+                marker=marker,
+                markerfacecolor="white",
+                markersize=7,
+                linestyle="",
+                label=f"{label}: foretold",
+            )
             if found is not None and label in found:
-                series.append((_stated(found[label]), "identified", {"markersize": 4}))
-            for values, kind, style in series:
-                x = [at[name] for name in names if name in values]
-                y = [values[name] for name in names if name in values]
-                plot.plot(x, y, color=colour, marker=marker, linestyle="", label=f"{label}: {kind}", **style)
+                stated = _stated(found[label])
+                mine = [name for name in names if name in stated]
+                plot.plot(
+                    [at[name] for name in mine],
+                    [stated[name] for name in mine],
+                    color=colour,
+                    marker=marker,
+                    markersize=4,
+                    linestyle="",
+                    label=f"{label}: identified",
+                )
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter(PLAIN)
         plot.yaxis.set_minor_formatter(PLAIN)
         plot.set_xticks(range(len(names)), names, rotation=60, fontsize=8)
         plot.set_ylabel(f"standard uncertainty [{unit}]")
-        _grid(plot, which="both", axis="y")
+        plot.grid(color="#dddddd", linewidth=0.6, which="both", axis="y")
+        plot.set_axisbelow(True)
+        plot.spines[["top", "right"]].set_visible(False)
     figure.legend(
         *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9, ncols=2 * len(foretold)
     )
+    figure.suptitle(
+        title or "How well every error is known (of a curve, where it is known worst)",
+        x=0.01,
+        horizontalalignment="left",
+        fontweight="bold",
+    )
     return figure
-
-
-def _figure(height: float, title: str) -> Figure:
-    figure = Figure(figsize=(12.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.01, horizontalalignment="left", fontweight="bold")
-    return figure
-
-
-def _grid(plot: Axes, **lines: Any) -> None:
-    plot.grid(color="#dddddd", linewidth=0.6, **lines)
-    plot.set_axisbelow(True)
-    plot.spines[["top", "right"]].set_visible(False)
 
 
 def _stated(found: Identification) -> dict[str, float]:
