@@ -7,12 +7,16 @@ S = 1 + R C Rᵀ, where M (`twin.planning.aims`) weighs the unknowns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
+from twin.measurement.instruments import Instrument
+from twin.measurement.table import Measurements
 from twin.planning.aims import Aim
+from twin.planning.candidates import Candidates
 from twin.planning.task import Say
 
 AFRESH: Final = 50
@@ -34,6 +38,40 @@ def inverse(precision: np.ndarray) -> np.ndarray:
     size = 1.0 / np.sqrt(np.diag(precision))
     found = np.linalg.inv(precision * size[:, None] * size)
     return np.asarray((found + found.T) / 2.0 * size[:, None] * size)
+
+
+@final
+@dataclass(frozen=True)
+class DesignProblem:
+    """Everything that could be read with one instrument, and what is aimed at.
+
+    Attributes:
+        instrument: what reads.
+        every: the readings.
+        prior: (f, f) precision of the unknowns' coordinates before any reading.
+        rows: (n, 3, f) derivatives of the whitened readings.
+        aim: what is to become small.
+    """
+
+    instrument: Instrument
+    every: Candidates
+    prior: np.ndarray
+    rows: np.ndarray
+    aim: Aim
+
+    @property
+    def plan(self) -> Measurements:
+        """The readings, a row each."""
+        return self.every.plan
+
+    def at(self, stations: Sequence[str]) -> DesignProblem:
+        """Those from some stations."""
+        inside = np.flatnonzero(np.isin(self.plan.station, stations))
+        return replace(self, every=self.every.select(inside), rows=self.rows[inside])
+
+    def value(self, rows: np.ndarray) -> float:
+        """What is aimed at, after some of them."""
+        return self.aim.value(covariance_of(self.prior, self.rows[rows]))
 
 
 @final
@@ -70,19 +108,19 @@ class Exchange:
             least: readings that the choice begins with at least.
         """
         spread = np.concatenate([first] * (1 + (count - 1) // max(len(first), 1)))[:count]
-        best, value = list(spread), self.value(spread)
+        best, value = list(spread), self._value(spread)
         for number, share in enumerate(self.exchanged):
             # Something has to place stations and targets: a reading of a target that nothing places tells nothing, so that a choice
             # cannot begin with none. It begins with part of an even spread, then exchanges; what does not pay is not done.
             fewer = max(1, round(share * count))
             chosen = self._kept(best, fewer) if number else best[: max(count - fewer, min(least, count))]
             self._grow(chosen, count, number / len(self.exchanged))
-            reached = self.value(chosen)
+            reached = self._value(chosen)
             if reached < value:
                 best, value = chosen, reached
         return np.array(best)
 
-    def value(self, chosen: np.ndarray | list[int]) -> float:
+    def _value(self, chosen: np.ndarray | list[int]) -> float:
         """What is aimed at, after some readings."""
         return self.aim.value(covariance_of(self.prior, self.rows[chosen]))
 

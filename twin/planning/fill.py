@@ -10,11 +10,8 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-from twin.planning.aims import Aim
-from twin.planning.candidates import Candidates
-from twin.planning.design import Exchange, covariance_of
+from twin.planning.design import DesignProblem, Exchange
 from twin.planning.route import Route, route
 from twin.planning.task import FEWEST, Task
 
@@ -31,36 +28,6 @@ GLIMPSED: Final = 48
 OF_A_KIND: Final = 3
 GLIMPSE: Final = (0.9,)
 """Share of a plan that is exchanged to see what a place is worth."""
-
-
-@final
-@dataclass(frozen=True)
-class DesignProblem:
-    """Everything that could be read with one instrument, and what is aimed at.
-
-    Attributes:
-        instrument: what reads.
-        every: the readings.
-        prior: (f, f) precision of the unknowns' coordinates before any reading.
-        rows: (n, 3, f) derivatives of the whitened readings.
-        aim: what is to become small.
-    """
-
-    instrument: Instrument
-    every: Candidates
-    prior: np.ndarray
-    rows: np.ndarray
-    aim: Aim
-
-    @property
-    def plan(self) -> Measurements:
-        """The readings, a row each."""
-        return self.every.plan
-
-    def at(self, stations: Sequence[str]) -> DesignProblem:
-        """Those from some stations."""
-        inside = np.flatnonzero(np.isin(self.plan.station, stations))
-        return replace(self, every=self.every.select(inside), rows=self.rows[inside])
 
 
 @final
@@ -143,8 +110,7 @@ class _Filler:
                 points = self._points(stations, readings, each)
                 if points < FEWEST:
                     break
-                covariance = covariance_of(readings.prior, readings.rows[np.resize(inside, points)])
-                found.append(Stand(readings, stations, points, readings.aim.value(covariance)))
+                found.append(Stand(readings, stations, points, readings.value(np.resize(inside, points))))
         if not found:
             least = (self._set_up(names[:1], readings) + FEWEST * self.task.kit.seconds.point) / 60.0
             raise InputError(
@@ -167,7 +133,7 @@ class _Filler:
             cost = np.full(len(own.plan), self.task.kit.seconds.point)
             first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
             choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=GLIMPSE, among=GLIMPSED)
-            found.append(replace(one, value=choice.value(choice.of(one.points, first, one.least))))
+            found.append(replace(one, value=own.value(choice.of(one.points, first, one.least))))
         return sorted(found, key=lambda stand: stand.value)
 
     def filled(self, best: Stand) -> Route:

@@ -17,7 +17,8 @@ from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.aims import aim_of
 from twin.planning.candidates import candidates, levels_for
-from twin.planning.fill import DesignProblem, fill
+from twin.planning.design import DesignProblem
+from twin.planning.fill import fill
 from twin.planning.forecast import Forecast, forecast
 from twin.planning.kit import Kit
 from twin.planning.model import PlanModel

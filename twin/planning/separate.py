@@ -33,8 +33,8 @@ from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.aims import AtTool
 from twin.planning.candidates import ALWAYS, Candidates, Session, candidates
-from twin.planning.design import covariance_of
-from twin.planning.fill import DesignProblem, fill
+from twin.planning.design import DesignProblem, covariance_of
+from twin.planning.fill import fill
 from twin.planning.kit import Kit
 from twin.planning.model import as_told, setup_of
 from twin.planning.result import ODDS, Plan, Separation
