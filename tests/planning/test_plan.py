@@ -32,10 +32,11 @@ from twin.measurement.table import Measurements
 from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
 from twin.planning.aims import Aim, AtTool, Everything, Weakest, aim_of
-from twin.planning.candidates import candidates, levels_for
+from twin.planning.candidates import candidates
 from twin.planning.design import Exchange, covariance_of, gains
 from twin.planning.forecast import forecast
 from twin.planning.model import PlanModel
+from twin.planning.task import levels_for
 from twin.samples import thesis_plan
 from twin.uncertainty.at_tool import ToolUncertainty
 

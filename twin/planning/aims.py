@@ -118,13 +118,13 @@ class Weakest(Aim):
         return float(np.sqrt(np.linalg.eigvalsh(self._machine @ covariance @ self._machine.T)[-1]))
 
 
-def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float) -> Aim:
+def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None) -> Aim:
     """What is to become small, of what the readings together can determine at all.
 
     Args:
         model: of every reading that could be taken.
-        names: as of `twin.planning.task.wanted`.
-        tool_length_mm: of the tool whose point is meant.
+        names: as of `Task.wanted`.
+        tool_length_mm: of the tool whose point is meant; as of `PlanModel.tool_length` if None.
 
     Raises:
         InputError: no reading depends on any of the errors named.
@@ -137,7 +137,7 @@ def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float) -> Aim
     own = model.plausible[columns, None] * model.free[columns]
     (first, *_) = names
     if first == "tool":
-        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), tool_length_mm, lost) @ seen)
+        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), model.tool_length(tool_length_mm), lost) @ seen)
     if first in AIMS:
         if first == "weakest":
             # What is held to be small anyway stays as it is held, however much is read.

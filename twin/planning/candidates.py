@@ -11,12 +11,10 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
 from twin.planning.kit import Kit
-from twin.planning.model import MOST
 from twin.planning.sight import Sight
 from twin.uncertainty.budget import latin_hypercube
 
@@ -24,12 +22,6 @@ POSES: Final = 240
 TRIES: Final = 8
 """Times as many are drawn at most before it is said that there is no room."""
 FEWEST: Final = 20
-PAID: Final = 3.0
-"""Numbers read for every function of a curve: two thirds of them for stations, reflectors, and to object."""
-BEYOND: Final = 2
-"""Positions more than functions, to object."""
-LEVELS: Final = 3 + BEYOND
-"""At least: three functions."""
 ROUND: Final = 1.0
 """mm and degrees: commands a person can read."""
 AT_AN_END: Final = 0.4
@@ -83,7 +75,7 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
         machine: the machine.
         kit: what there is to measure with.
         rng: of poses and sides.
-        levels: positions of each axis at most, evenly over its range (`levels_for`); any whole number if None.
+        levels: positions of each axis at most, evenly over its range (`Task.levels`); any whole number if None.
 
     Raises:
         InputError: hardly any pose is clear; a reflector that no station ever sees.
@@ -104,27 +96,6 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
     pose = np.array([row[0] for row in rows])
     table = plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
     return Candidates(table, np.zeros(len(table), dtype=int))
-
-
-def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
-    """Positions of each axis that a plan can afford: a curve gets as many functions as it has positions, and all have to be paid for.
-
-    Not fewer than the curves that are expected need: with fewer an evaluation could not write the machine down, and what it then
-    left out would be in no uncertainty.
-
-    Args:
-        machine: the machine.
-        readings: how many there will be.
-        numbers: read at each.
-        expected: the machine's errors, about.
-
-    Returns:
-        Levels, or None where there is no need to keep to any.
-    """
-    functions = int(readings * numbers / (PAID * len(machine.motion_names)))
-    needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
-    levels = max(LEVELS, functions + BEYOND, needed + BEYOND)
-    return None if levels >= MOST + BEYOND else levels
 
 
 def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:

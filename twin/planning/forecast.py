@@ -18,7 +18,6 @@ from twin.numerics.observability import Determinability, Observability, observab
 from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
 from twin.planning.model import Hidden, PlanModel
-from twin.planning.task import length_of
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.uncertainty.budget import volume
 
@@ -190,7 +189,7 @@ def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
         covariance=covariance_of(model.prior, model.rows),
         determined=determined,
         observability=_observability(model.told, {*determined}),
-        tool_length_mm=length_of(model.machine, tool_length_mm),
+        tool_length_mm=model.tool_length(tool_length_mm),
         positions=volume(model.machine, POSES, SEED),
     )
 

@@ -196,6 +196,10 @@ class PlanModel:
                 own[:, :, k] += by_error[:, :, at] * values[:, None] * 1e6
         return np.asarray((own * self.plausible[: len(self.unknowns)]) @ self.free[: len(self.unknowns)])
 
+    def tool_length(self, given_mm: float | None) -> float:
+        """As given, else the machine file's, else 100 mm: at the nose itself a turn about it would look harmless."""
+        return given_mm if given_mm is not None else self.machine.tool_length_mm or 100.0
+
     @cached_property
     def told(self) -> Determinability:
         """What the readings determine, unknown by unknown, with nothing known beforehand but what is plausible."""

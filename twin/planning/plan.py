@@ -16,14 +16,14 @@ from twin.measurement.instruments import Instrument, LaserTracker
 from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.aims import aim_of
-from twin.planning.candidates import candidates, levels_for
+from twin.planning.candidates import candidates
 from twin.planning.design import DesignProblem
 from twin.planning.fill import fill
 from twin.planning.forecast import Forecast, forecast
 from twin.planning.kit import Kit
 from twin.planning.model import PlanModel
 from twin.planning.result import Plan
-from twin.planning.task import Say, Task, length_of, wanted
+from twin.planning.task import Say, Task
 
 
 def plan(
@@ -54,20 +54,19 @@ def plan(
         InputError: no time to measure anything; no room for any pose; a reflector nobody sees; a name of no error of the machine.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        names = wanted(machine, reduce)
-        task = Task.of(machine, kit, minutes, expected, seed, say)
-        length = length_of(machine, tool_length_mm)
+        task = Task.of(machine, kit, minutes, expected, seed, say, reduce)
         task.say("looking", 0.0)
-        levels = levels_for(machine, task.expected_points, task.kit.numbers, task.expected)
-        every = candidates(machine, task.kit, task.rng, levels)
+        every = candidates(machine, task.kit, task.rng, task.levels)
         models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
-        filled = fill(
-            task,
-            [DesignProblem(one.instrument, every, one.prior, one.rows, aim_of(one, names, length)) for one in models],
-        )
+        aims = [aim_of(one, task.wanted, tool_length_mm) for one in models]
+        problems = [
+            DesignProblem(one.instrument, every, one.prior, one.rows, aim)
+            for one, aim in zip(models, aims, strict=True)
+        ]
+        filled = fill(task, problems)
         task.say("foretelling", 0.95)
-        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), length)
-        return Plan.of(task, " ".join(names), filled, forecast=told)
+        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), tool_length_mm)
+        return Plan.of(task, " ".join(task.wanted), filled, forecast=told)
 
 
 def judge(
