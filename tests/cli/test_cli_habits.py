@@ -17,7 +17,7 @@ from twin import cli
 from twin._common.errors import InputError, is_it, nearest
 from twin.cli import doctor as doctor_command
 from twin.cli.commands import app
-from twin.cli.options import gathered
+from twin.cli.shared.words import gathered
 
 COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 EXAMPLES = [

@@ -15,7 +15,7 @@ import pytest
 
 import twin
 from tests.cli.commands import TWIN
-from twin.cli import installation
+from twin.cli.shared import installation
 
 ROOT = Path(__file__).parents[2]
 REASON = "libbroken.so.4: cannot open shared object file"

@@ -23,7 +23,7 @@ from twin import cli
 from twin._common.errors import InputError
 from twin._common.files import TEMPORARY, command_files, read_bytes, whole_file, write_whole
 from twin.cli.commands import app
-from twin.cli.outputs import path_parameters
+from twin.cli.shared.command import path_parameters
 from twin.machine.machine import bundled_folder
 
 PART = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X110 F500\nX100\n"

@@ -16,7 +16,7 @@ import typer
 
 from twin.cli.commands import app
 from twin.cli.doc import PAGES, page_text
-from twin.cli.options import gathered
+from twin.cli.shared.words import gathered
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 

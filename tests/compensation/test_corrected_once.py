@@ -16,7 +16,7 @@ from tests.truth import hidden
 from tests.truth.machine import TruthMachine, run_iso
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin.cli.options import tables_on
+from twin.cli.identify import tables_on
 from twin.diagnosis import diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.control import ControlSection, TableEntry

@@ -20,7 +20,7 @@ from tests.nc.nc_support import plain_positions
 from tests.truth.machine import TruthMachine, run_iso
 from twin._common.errors import InputError
 from twin.cli.commands import app
-from twin.cli.options import gathered
+from twin.cli.shared.words import gathered
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import Contribution, PathReport, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter

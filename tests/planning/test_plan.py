@@ -31,11 +31,12 @@ from twin.measurement.simulate import Setting, Station, simulate
 from twin.measurement.table import Measurements
 from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
-from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
-from twin.planning.design import Aim, AtTool, Everything, Weakest, choose, covariance_of, gains
-from twin.planning.forecast import of_rows
-from twin.planning.information import Model
-from twin.planning.plan import _aim
+from twin.planning.aims import Aim, AtTool, Everything, Weakest, aim_of
+from twin.planning.candidates import candidates
+from twin.planning.design import Exchange, covariance_of, gains
+from twin.planning.forecast import forecast
+from twin.planning.model import PlanModel
+from twin.planning.task import levels_for
 from twin.samples import thesis_plan
 from twin.uncertainty.at_tool import ToolUncertainty
 
@@ -202,7 +203,7 @@ def read(truth: TruthMachine, plan: Measurements, row: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def scattered(dmu50: Machine) -> tuple[Measurements, Model]:
+def scattered(dmu50: Machine) -> tuple[Measurements, PlanModel]:
     """90 readings all over, with the model of the planning."""
     rng = np.random.default_rng(11)
     high = np.array([500.0, 450.0, 0.0, 180.0, 359.0])
@@ -217,7 +218,7 @@ def scattered(dmu50: Machine) -> tuple[Measurements, Model]:
         place_mm=locked(np.array([setting.places_mm[name] for name in of.target])),
         station_pose=locked(np.array([setting.stations[name].pose for name in of.station])),
     )
-    return placed, Model.of(dmu50, placed, setting, LaserTracker(), Calibration.zero(dmu50))
+    return placed, PlanModel.of(dmu50, placed, setting, LaserTracker(), Calibration.zero(dmu50))
 
 
 def weights(plan: Measurements, tmp: Path) -> np.ndarray:
@@ -233,10 +234,10 @@ def weights(plan: Measurements, tmp: Path) -> np.ndarray:
     return found
 
 
-def test_what_a_reading_tells_of_an_error(scattered: tuple[Measurements, Model], tmp_path: Path) -> None:
+def test_what_a_reading_tells_of_an_error(scattered: tuple[Measurements, PlanModel], tmp_path: Path) -> None:
     """Whitened derivatives have no frame of their own: their products, reading by reading, are those of Jᵀ Σ⁻¹ J."""
     of, model = scattered
-    rows = model.rows(of, LaserTracker())
+    rows = model.rows
     along = np.array([coordinates(model, name, degree) for name, degree in ERRORS]).T
     ours = np.einsum("nif,fk->nik", rows, along)
     mine = np.einsum(
@@ -250,7 +251,7 @@ def test_what_a_reading_tells_of_an_error(scattered: tuple[Measurements, Model],
         assert np.sqrt(np.einsum("n->", products[:, k, k])) == pytest.approx(size[k], rel=1e-3), name
 
 
-def coordinates(model: Model, name: str, degree: int) -> np.ndarray:
+def coordinates(model: PlanModel, name: str, degree: int) -> np.ndarray:
     """(f,) of one µm or µrad of an error's orthonormal function."""
     columns = model.unknowns.of(name)
     index = 0 if "0" in name else 2 * degree - 1 if name[3] == "C" else degree
@@ -262,10 +263,10 @@ def coordinates(model: Model, name: str, degree: int) -> np.ndarray:
     return found
 
 
-def test_the_covariance_is_that_of_bayes(scattered: tuple[Measurements, Model]) -> None:
+def test_the_covariance_is_that_of_bayes(scattered: tuple[Measurements, PlanModel]) -> None:
     """Prior and readings as one set of equations, solved by numpy's pseudo-inverse; and as the scatter of estimates drawn."""
-    of, model = scattered
-    rows = model.rows(of, LaserTracker())
+    _, model = scattered
+    rows = model.rows
     prior = np.linalg.cholesky(model.prior).T
     equations = np.concatenate([rows.reshape(-1, rows.shape[-1]), prior])
     solution = np.linalg.pinv(equations, rcond=1e-15)
@@ -281,10 +282,10 @@ def test_the_covariance_is_that_of_bayes(scattered: tuple[Measurements, Model]) 
     assert np.abs(ratio - 1.0).max() < 0.1
 
 
-def test_a_length_tells_less_than_three_coordinates(scattered: tuple[Measurements, Model], dmu50: Machine) -> None:
+def test_a_length_tells_less_than_three_coordinates(scattered: tuple[Measurements, PlanModel], dmu50: Machine) -> None:
     of, model = scattered
-    lengths = Model.of(dmu50, of, model.setting, TrackingInterferometer(), Calibration.zero(dmu50))
-    rows = lengths.rows(of, TrackingInterferometer())
+    lengths = PlanModel.of(dmu50, of, model.setting, TrackingInterferometer(), Calibration.zero(dmu50))
+    rows = lengths.rows
     assert np.all(rows[:, 1:] == 0.0) and np.all(np.any(rows[:, 0] != 0.0, axis=1))
 
 
@@ -303,10 +304,10 @@ def test_observability_of_a_plan(tmp_path: Path) -> None:
     """Stations and targets taken out by a Schur complement; every unknown in its plausible millimetre or milliradian."""
     machine, own = kits.slides(tmp_path)
     rng = np.random.default_rng(2)
-    every = candidates(machine, own, safe_poses(machine, own, rng), rng)
-    model = Model.of(machine, every, setting_of(own), LaserTracker(), Calibration.zero(machine))
-    rows = model.rows(every, LaserTracker())
-    told = of_rows(model, rows)
+    every = candidates(machine, own, rng).plan
+    model = PlanModel.of(machine, every, own.setting, LaserTracker(), Calibration.zero(machine))
+    rows = model.rows
+    told = forecast(model)
     flat = rows.reshape(-1, rows.shape[-1])
     normal = flat.T @ flat + np.eye(flat.shape[1])
     # Two slides have no rotary axis: the datum takes nothing, coordinates are the unknowns.
@@ -411,7 +412,7 @@ def test_a_choice_against_all_there_are(seed: int) -> None:
     rows, prior = random_rows(rng, 8), np.diag(rng.uniform(0.01, 0.1, 6))
     aim = AtTool(rng.normal(size=(20, 3, 6)))
     order = rng.permutation(8)
-    found = choose(prior, rows, np.ones(8), aim, 4, order, least=1, most=1)
+    found = Exchange(prior, rows, np.ones(8), aim, most=1).of(4, order, least=1)
     assert len(found) == len({*found.tolist()}) == 4
     value = aim.value(covariance_of(prior, rows[found]))
     every = sorted(aim.value(covariance_of(prior, rows[list(some)])) for some in combinations(range(8), 4))
@@ -425,12 +426,12 @@ def test_a_choice_beats_an_even_spread(tmp_path: Path, wanted: str) -> None:
     machine, own = kits.slides(tmp_path)
     names = ["E_B0Z", "E_?X"] if " " in wanted else [wanted]
     rng = np.random.default_rng(5)
-    every = candidates(machine, own, safe_poses(machine, own, rng), rng)
-    model = Model.of(machine, every, setting_of(own), LaserTracker(), Calibration.default(machine))
-    rows = model.rows(every, LaserTracker())
-    aim = _aim(model, rows, names, 100.0)
+    every = candidates(machine, own, rng).plan
+    model = PlanModel.of(machine, every, own.setting, LaserTracker(), Calibration.default(machine))
+    rows = model.rows
+    aim = aim_of(model, names, 100.0)
     order = rng.permutation(len(every))
-    found = choose(model.prior, rows, np.ones(len(rows)), aim, 120, order, least=36)
+    found = Exchange(model.prior, rows, np.ones(len(rows)), aim).of(120, order, least=36)
     spread = [aim.value(covariance_of(model.prior, rows[rng.permutation(len(rows))[:120]])) for _ in range(5)]
     chosen = aim.value(covariance_of(model.prior, rows[found]))
     if wanted == "everything":
@@ -455,7 +456,7 @@ def test_readings_that_pay_little_time_are_preferred() -> None:
     rng = np.random.default_rng(8)
     one = random_rows(rng, 6)
     rows, cost = np.repeat(one, 2, axis=0), np.tile([30.0, 15.0], 6)
-    found = choose(np.eye(6), rows, cost, AtTool(rng.normal(size=(9, 3, 6))), 6, np.arange(12), least=1, most=1)
+    found = Exchange(np.eye(6), rows, cost, AtTool(rng.normal(size=(9, 3, 6))), most=1).of(6, np.arange(12), least=1)
     assert np.sum(cost[found] == 15.0) >= 4
 
 

@@ -20,7 +20,6 @@ from twin.measurement.evaluation.plots import save
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.planning import judge, plan
-from twin.planning.candidates import setting_of
 from twin.planning.plots import plot_places, plot_uncertainties
 from twin.samples import thesis_plan
 
@@ -66,13 +65,10 @@ def test_uncertainties(tmp_path: Path) -> None:
     assert made.forecast is not None
     half = judge(made.table.select(np.arange(0, len(made.table), 2)), machine)
     zero = Calibration.zero(machine)
-    data, _ = simulate(made.table, machine, zero, LaserTracker(), np.random.default_rng(1), setting=setting_of(own))
+    data, _ = simulate(made.table, machine, zero, LaserTracker(), np.random.default_rng(1), setting=own.setting)
     found = identify(data, machine)
     figure = plot_uncertainties({"half": half, "whole": made.forecast}, {"whole": found})
-    assert [plot.get_ylabel() for plot in figure.axes] == [
-        "standard uncertainty [µm]",
-        "standard uncertainty [µrad]",
-    ]
+    assert [plot.get_ylabel() for plot in figure.axes] == ["standard uncertainty [µm]", "standard uncertainty [µrad]"]
     for panel, letters in ((0, "XYZ"), (1, "ABC")):
         names = [text.get_text() for text in figure.axes[panel].get_xticklabels()]
         assert all(name[2] in letters for name in names) and len({*names}) == len(names)

@@ -24,7 +24,6 @@ from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements, joined, load
 from twin.planning import Plan, separate
-from twin.planning.candidates import setting_of
 from twin.planning.separate import Named, form_meant
 from twin.samples import thesis_plan
 
@@ -60,7 +59,7 @@ def diagnosed(real: Calibration, known: Calibration, made: Plan, seed: int, *, b
     tables = []
     if before:
         tables.append(simulate(thesis_plan.plan(known.machine), known.machine, real, TRACKER, rng)[0])
-    tables.append(simulate(made.table, known.machine, real, TRACKER, rng, setting=setting_of(made.kit))[0])
+    tables.append(simulate(made.table, known.machine, real, TRACKER, rng, setting=made.kit.setting)[0])
     return diagnose(joined(tables), known.machine, known, instrument=TRACKER)
 
 

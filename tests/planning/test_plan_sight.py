@@ -300,8 +300,8 @@ def test_the_clock(dmu50: Machine, made: Plan) -> None:
             total += own.seconds.target * (table.target[row] != table.target[row - 1])
         total += own.seconds.point
     route = made.route
-    assert route.stations_s == stations
-    assert total == pytest.approx(route.travel_s + route.targets_s + route.points_s)
+    assert route.spent["station"] == stations
+    assert total == pytest.approx(route.spent["travel"] + route.spent["target"] + route.spent["point"])
     # The reflectors' own turns: from the beam as it was last aimed, on the reflector's carrier.
     sight = Sight(dmu50, own)
     poses = sight.poses(table.positions)
@@ -316,7 +316,7 @@ def test_the_clock(dmu50: Machine, made: Plan) -> None:
         if name not in facing or np.degrees(np.arccos(np.clip(beam @ facing[name], -1, 1))) > 30.0:
             turns += 1
             facing[name] = beam
-    assert route.aims_s == own.seconds.aim * turns
+    assert route.spent["aim"] == own.seconds.aim * turns
 
 
 def test_the_same_seed_gives_the_same_plan(tmp_path: Path) -> None:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
+from tests.samples import cone_frustum
 from tests.truth.machine import run_iso
 from tests.truth.reference import sorby_forward
 from twin.identification.thesis.three_point import three_point
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import load
-from twin.samples import cone_frustum, thesis_plan
+from twin.samples import thesis_plan
 
-FOLDER = Path(cone_frustum.__file__).parent
+FOLDER = cone_frustum.FOLDER
 
 
 def test_the_files_are_what_the_script_makes() -> None:

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -50,7 +51,8 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[Any, ...]:
         """For a pickle, in which the value is its text: what a worker process raises is raised here (`twin.compute.parallel`)."""
         value = None if self.value is None else str(self.value)
-        return _again, (self.what, self.expected, self.file, self.line, value, self.nearest, self.setting)
+        keywords: dict[str, Any] = {"expected": self.expected, "file": self.file, "line": self.line, "value": value}
+        return partial(InputError, **keywords, nearest=self.nearest, setting=self.setting), (self.what,)
 
     def __str__(self) -> str:
         place = ""
@@ -108,18 +110,6 @@ def is_it(name: str, known: Iterable[str]) -> str:
 
 def _is_it(name: str | None) -> str:
     return "" if name is None else f" (is it {name}?)"
-
-
-def _again(
-    what: str,
-    expected: str,
-    file: str | None,
-    line: int | None,
-    value: str | None,
-    meant: str | None,
-    setting: str | None,
-) -> InputError:
-    return InputError(what, expected=expected, file=file, line=line, value=value, nearest=meant, setting=setting)
 
 
 def _one_line(value: object, limit: int = 80) -> str:

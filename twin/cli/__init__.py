@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from twin.cli import installation
+from twin.cli.shared import installation
 
 __all__ = ["main"]
 

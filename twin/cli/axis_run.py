@@ -10,14 +10,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin._common.errors import InputError, nearest
-from twin._common.files import write_json
+from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merged, to_json
-from twin.cli import complete
-from twin.cli.app import NOT_ALL_MET, CalibrationOption, MachineOption, calibration_of
-from twin.cli.options import three_numbers
-from twin.cli.outputs import CALIBRATION, TABLE, JsonOption, command
-from twin.cli.terminal import echo
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.words import three_numbers
 from twin.identification.axis_run import (
     AxisLayout,
     axis_curves,
@@ -28,7 +25,6 @@ from twin.identification.axis_run import (
     to_text,
 )
 from twin.machine.machine import DEFAULT, Machine
-from twin.nc import find_program
 
 MOST_ROWS = 30_000
 """Of a simulated run: what `twin axis-run` can work out."""
@@ -64,16 +60,14 @@ def axis_run(
         Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis."), CALIBRATION
     ],
     layout: LayoutOption,
-    machine: MachineOption = DEFAULT,
+    machine: options.MachineOption = DEFAULT,
     spread: Annotated[
-        RunScatter,
-        typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats."),
+        RunScatter, typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats.")
     ] = RunScatter.stated,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty."""
     loaded = Machine.load(machine)
-    written = [path for path in (output, json_file) if path is not None]
     standing = AxisLayout.load(_layout_file(layout), loaded)
     data = load_readings(readings, standing)
     motions = error_motions(standing, data, spread=spread.value)
@@ -81,12 +75,8 @@ def axis_run(
         motions, loaded, source=f"measured by {standing.name} and twin from {data.source}: {len(data)} rows"
     )
     curves.calibration.save(output)
-    if json_file is not None:
-        write_json(json_file, to_dict(standing, data, motions, curves))
-    echo(to_text(standing, data, motions, curves), end="")
-    echo(f"\nwritten: {', '.join(str(path) for path in written)}")
-    if data.set_aside:
-        raise typer.Exit(NOT_ALL_MET)
+    found = (standing, data, motions, curves)
+    return CommandResult(to_text(*found), lambda: to_dict(*found), met=not data.set_aside)
 
 
 @command(
@@ -98,16 +88,15 @@ def simulate_axis_run(
     output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings."), TABLE],
     layout: LayoutOption,
     positions: Annotated[str, typer.Option("--positions", help="from,to,count of the axis (mm).")],
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
     rounds: Annotated[int, typer.Option("--rounds", help="Forth and back so often.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer."""
     loaded = Machine.load(machine)
-    outputs = [path for path in (output, json_file) if path is not None]
     standing = AxisLayout.load(_layout_file(layout), loaded)
     for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
         if value < 0:
@@ -118,7 +107,7 @@ def simulate_axis_run(
         raise InputError(
             f"{n} positions forth and back in {rounds} rounds are too many", expected=f"at most {MOST_ROWS} rows"
         )
-    truth = calibration_of(calibration, loaded)
+    truth = options.calibration_of(calibration, loaded)
     table, stands = simulate_run(
         standing,
         loaded,
@@ -137,35 +126,25 @@ def simulate_axis_run(
         f"seed {seed}, {'with' if noise else 'without'} noise\nthe layout really stands off by (m, rad, 1): {known}"
     )
     table.save(output, standing, comment=comment)
-    if json_file is not None:
-        told = {
-            "schema": "twin.simulated_run/1",
-            "readings": str(output),
-            "machine": loaded.name,
-            "calibration": None if truth.path is None else str(truth.path),
-            "illustrative": truth.illustrative,
-            "warnings": to_json(merged([SIMULATED], truth.warnings)),
-            "layout": standing.name,
-            "axis": standing.axis.name,
-            "seed": seed,
-            "noise": noise,
-            "rows": len(table),
-            "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
-        }
-        write_json(json_file, told)
-    echo(f"written: {', '.join(str(path) for path in outputs)}, {len(table)} rows")
+    told = {
+        "schema": "twin.simulated_run/1",
+        "readings": str(output),
+        "machine": loaded.name,
+        "calibration": None if truth.path is None else str(truth.path),
+        "illustrative": truth.illustrative,
+        "warnings": to_json(merged([SIMULATED], truth.warnings)),
+        "layout": standing.name,
+        "axis": standing.axis.name,
+        "seed": seed,
+        "noise": noise,
+        "rows": len(table),
+        "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
+    }
+    return CommandResult("", lambda: told, written=f"written: {{}}, {len(table)} rows")
 
 
 def _layout_file(path: Path) -> Path:
-    try:
-        return find_program(path)  # looks for a file of any kind
-    except InputError:
-        raise InputError(
-            "no such layout",
-            expected="a layout file, or one that comes with twin: nine_beams_x.yaml",
-            file=path,
-            nearest=nearest(path.name, ["nine_beams_x.yaml"]),
-        ) from None
+    return options.bundled_sample(path, "layout", "layout file", ["nine_beams_x.yaml"])
 
 
 def _positions(text: str, layout: AxisLayout) -> np.ndarray:

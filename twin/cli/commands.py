@@ -8,12 +8,21 @@ import sys
 from twin.cli import info, compare, volume, compensate, path, scene, simulate  # isort: skip
 from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
 from twin._common.errors import InputError, OutputError
-from twin.cli.app import BAD_INPUT, INTERRUPTED, NOT_ALL_MET, app
-from twin.cli.complete import told_word_by_word
-from twin.cli.options import gathered
-from twin.cli.signals import as_interrupt
-from twin.cli.terminal import BROKEN_PIPE, accept_any_text, discard_output, echo, flush, line_of_failure, tell_error
-from twin.cli.usage import UsageError, help_of, line_of_usage
+from twin.cli.shared.command import app
+from twin.cli.shared.complete import told_word_by_word
+from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
+from twin.cli.shared.signals import as_interrupt
+from twin.cli.shared.terminal import (
+    BROKEN_PIPE,
+    accept_any_text,
+    discard_output,
+    echo,
+    flush,
+    line_of_failure,
+    tell_error,
+)
+from twin.cli.shared.usage import UsageError, help_of, line_of_usage
+from twin.cli.shared.words import gathered
 
 __all__ = [
     "app",

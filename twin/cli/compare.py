@@ -7,19 +7,8 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_json
-from twin.cli import complete
-from twin.cli.app import (
-    NOT_ALL_MET,
-    MachineOption,
-    TemperatureOption,
-    TimeOption,
-    ToolOption,
-    progress,
-)
-from twin.cli.options import conditions, positive
-from twin.cli.outputs import JsonOption, command
-from twin.cli.terminal import echo
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress
 from twin.comparison import compare as compared
 from twin.comparison import text_of
 from twin.machine.calibration import Calibration
@@ -32,8 +21,7 @@ from twin.machine.machine import DEFAULT, Machine
 )
 def compare(
     first: Annotated[
-        Path,
-        typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations),
+        Path, typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations)
     ],
     second: Annotated[
         Path,
@@ -41,41 +29,33 @@ def compare(
             metavar="NEWER", help="The newer calibration of the same machine.", autocompletion=complete.calibrations
         ),
     ],
-    machine: MachineOption = DEFAULT,
-    tool_length: ToolOption = None,
+    machine: options.MachineOption = DEFAULT,
+    tool_length: options.ToolOption = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
             "--tolerance", help="mm the older calibration may leave on the machine as the newer describes it."
         ),
+        POSITIVE,
     ] = None,
-    temperature: TemperatureOption = None,
-    time: TimeOption = None,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """What changed between two calibrations of one machine, what of it is significant, and what it means at the tool.
 
     The exit status is 0 whether anything changed or not, and 3 if an error could not be compared or judged: only one of the two gives
     it, or one does not say how uncertain it is.
     """
     loaded = Machine.load(machine)
-    outputs = [] if json_file is None else [json_file]
-    if tolerance is not None:
-        positive("--tolerance", tolerance)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
     with progress() as say:
         found = compared(
             older,
             newer,
             tool_length_mm=tool_length,
-            conditions=conditions(temperature, time),
+            conditions=options.conditions(temperature, time),
             tolerance_mm=tolerance,
             progress=say,
         )
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
-    echo(text_of(found), end="")
-    if outputs:
-        echo(f"\nwritten: {json_file}")
-    if found.unjudged:
-        raise typer.Exit(NOT_ALL_MET)
+    return CommandResult(text_of(found), found.to_dict, met=not found.unjudged)

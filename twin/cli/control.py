@@ -10,8 +10,9 @@ import typer
 
 from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
-from twin.cli.app import (
-    NOT_ALL_MET,
+from twin.cli.shared.command import JsonOption, Output, command, progress
+from twin.cli.shared.installation import NOT_ALL_MET
+from twin.cli.shared.options import (
     CalibrationOption,
     MachineOption,
     ScopeOption,
@@ -19,12 +20,11 @@ from twin.cli.app import (
     TimeOption,
     ToolOption,
     calibration_of,
-    progress,
+    conditions,
     tell_unused,
 )
-from twin.cli.options import conditions, number, positive
-from twin.cli.outputs import JsonOption, Output, command
-from twin.cli.terminal import echo
+from twin.cli.shared.terminal import echo
+from twin.cli.shared.words import number, positive
 from twin.control import Account, Existing, Request, compared, deliver, make, outputs_of, written_by
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 
 from twin._common.errors import InputError, nearest
-from twin._common.files import write_json
-from twin.cli.outputs import JsonOption, command
+from twin.cli.shared.command import CommandResult, JsonOption, command
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -43,7 +42,7 @@ def doc(
         ),
     ] = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """A page of the manual: how one part works, what it is good for and what not.
 
     The pages are the docstrings of the package: the same in a notebook by `help(twin.diagnosis)`.
@@ -52,15 +51,17 @@ def doc(
         raise InputError(
             "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=nearest(page, PAGES)
         )
-    if json_file is not None:
-        shown = {name: page_text(room) for name, room in PAGES.items() if page in (None, name)}
-        write_json(json_file, {"schema": "twin.doc/1", "pages": shown})
-    console = Console()
-    if page is None:
-        for name, room in PAGES.items():
-            console.print(f"twin doc {name:<15} {page_text(room).splitlines()[0]}", markup=False, highlight=False)
-        return
-    console.print(Markdown(page_text(PAGES[page])))
+    pages = {name: page_text(room) for name, room in PAGES.items() if page in (None, name)}
+
+    def show() -> None:
+        console = Console()
+        if page is not None:
+            console.print(Markdown(pages[page]))
+            return
+        for name, text in pages.items():
+            console.print(f"twin doc {name:<15} {text.splitlines()[0]}", markup=False, highlight=False)
+
+    return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
 
 
 def page_text(room: str) -> str:

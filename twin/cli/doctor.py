@@ -10,14 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-import typer
 
 from twin._common.errors import InputError, OutputError
-from twin._common.files import write_json
-from twin.cli.app import NOT_ALL_MET, progress
-from twin.cli.installation import Finding, browser, extras, packages, python, show, size
-from twin.cli.outputs import JsonOption, command
-from twin.cli.terminal import echo
+from twin._common.json_form import json_form
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress
+from twin.cli.shared.installation import Finding, browser, extras, packages, python, shown, size
 from twin.compensation import Compensator, Options
 from twin.compute.native import compiler, in_use, store
 from twin.compute.native.loading import SWITCH, enabled
@@ -41,13 +38,12 @@ PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35
 
 
 @command("twin doctor", "twin doctor --json doctor.json")
-def doctor(json_file: JsonOption = None) -> None:
+def doctor(json_file: JsonOption = None) -> CommandResult:
     """What is installed, what is missing, and a short check that this machine computes what it should.
 
     The exit status is 0 if all that is needed is there and right, and 3 if a check failed. What is optional may be missing.
     """
     began = process_time()
-    outputs = [] if json_file is None else [json_file]
     looked: tuple[tuple[str, Callable[[], list[Finding]]], ...] = (
         ("Python", lambda: [python(), *packages(), *extras(), browser(), _cache(), *size(), _start(began)]),
         ("compiler", lambda: [_compiler()]),
@@ -61,20 +57,8 @@ def doctor(json_file: JsonOption = None) -> None:
             found += look()
     taken = perf_counter() - clock
     failed = [one.name for one in found if one.status == "FAILED"]
-    if json_file is not None:
-        told = {
-            "schema": SCHEMA,
-            "ok": not failed,
-            "failed": failed,
-            "seconds": taken,
-            "findings": [one.to_dict() for one in found],
-        }
-        write_json(json_file, told)
-    show(found, taken)
-    if outputs:
-        echo(f"written: {json_file}")
-    if failed:
-        raise typer.Exit(NOT_ALL_MET)
+    told = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(found)}
+    return CommandResult(shown(found, taken), lambda: told, met=not failed, written="written: {}")
 
 
 def _cache() -> Finding:

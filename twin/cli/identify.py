@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -11,31 +12,55 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError, nearest
-from twin._common.files import scratch_folder, write_json
-from twin.cli import complete
-from twin.cli.app import (
-    NOT_ALL_MET,
-    MachineOption,
-    progress,
-)
-from twin.cli.options import instrument_named, tables_on
-from twin.cli.outputs import CALIBRATION, JsonOption, command
-from twin.cli.terminal import echo
+from twin._common.files import scratch_folder
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
 from twin.identification import identify as run_identification
 from twin.machine.calibration import Calibration
+from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import INSTRUMENTS
 from twin.measurement.table import joined
 from twin.measurement.table import load as load_measurements
 
 
-class Scatter(StrEnum):
+class ScatterChoice(StrEnum):
     """Whose scatter an uncertainty carries."""
 
     stated = "stated"
     repeats = "repeats"
     between_poses = "between poses"
     between_rounds = "between rounds"
+
+
+InstrumentOption = Annotated[
+    str | None,
+    typer.Option(
+        "--instrument",
+        help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
+        autocompletion=complete.instruments,
+    ),
+]
+UncertaintyOption = Annotated[
+    ScatterChoice,
+    typer.Option(
+        "--uncertainty",
+        help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
+    ),
+]
+OnlyOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.", autocompletion=complete.errors
+    ),
+]
+ControlOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--control",
+        help="FORMAT=FILE, once a file: the control's own tables that were on while it was measured (twin doc control).",
+    ),
+]
 
 
 @command(
@@ -45,44 +70,15 @@ class Scatter(StrEnum):
     "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
 )
 def identify(
-    measured: Annotated[
-        list[Path],
-        typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables),
-    ],
+    measured: options.MeasuredArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The calibration."), CALIBRATION],
-    machine: MachineOption = DEFAULT,
-    instrument: Annotated[
-        str | None,
-        typer.Option(
-            "--instrument",
-            help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
-            autocompletion=complete.instruments,
-        ),
-    ] = None,
-    spread: Annotated[
-        Scatter,
-        typer.Option(
-            "--uncertainty",
-            help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
-        ),
-    ] = Scatter.stated,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--only",
-            help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.",
-            autocompletion=complete.errors,
-        ),
-    ] = None,
-    control: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--control",
-            help="FORMAT=FILE, once a file: the control's own tables that were on while it was measured (twin doc control).",
-        ),
-    ] = None,
+    machine: options.MachineOption = DEFAULT,
+    instrument: InstrumentOption = None,
+    spread: UncertaintyOption = ScatterChoice.stated,
+    only: OnlyOption = None,
+    control: ControlOption = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Identify error motions, squareness and axis locations from measured points, with their uncertainty."""
     loaded = Machine.load(machine)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
@@ -101,7 +97,7 @@ def identify(
         found = run_identification(
             data,
             loaded,
-            instrument=None if instrument is None else instrument_named(instrument),
+            instrument=None if instrument is None else options.instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=spread.value,
             say=say,
@@ -112,14 +108,34 @@ def identify(
         calibration.save(folder / output.name)
         found = found.as_written(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
-    echo(found.to_text(), end="")
+    text = found.to_text()
     if tables is not None:
-        echo(
-            "\nThese errors are what the control's tables left: leave them on; add to them, never replace them (twin control --add)."
-            + (f"\n{tables.caution}" if tables.caution else "")
-        )
-    echo(f"\nwritten: {', '.join(str(path) for path in (output, json_file) if path is not None)}")
-    if not found.complete:
-        raise typer.Exit(NOT_ALL_MET)
+        text += "\nThese errors are what the control's tables left: leave them on; add to them, never replace them "
+        text += "(twin control --add).\n"
+        text += f"{tables.caution}\n" if tables.caution else ""
+    return CommandResult(text, found.to_dict, met=found.complete)
+
+
+def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
+    """The control's tables that were on while a machine was measured, from ``FORMAT=FILE`` each.
+
+    Raises:
+        InputError: no such format; a file that cannot be read, or is no such table for this machine.
+    """
+    found: dict[str, list[Path]] = {}
+    known = [form.name for form in FORMATS]
+    for entry in entries:
+        kind, equals, file = entry.partition("=")
+        if not equals or kind not in known:
+            raise InputError(
+                "--control does not fit",
+                expected=f"FORMAT=FILE, each file of the control once, FORMAT one of {', '.join(known)}",
+                value=entry,
+                nearest=nearest(kind, known),
+            )
+        found.setdefault(kind, []).append(Path(file))
+    for kind, files in found.items():
+        read_tables(kind, files, machine)
+    return ControlSection(
+        "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in found.items() for file in files)
+    )

@@ -7,28 +7,9 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_json, write_whole
-from twin.cli import complete
-from twin.cli.app import (
-    NOT_ALL_MET,
-    CalibrationOption,
-    MachineOption,
-    Mode,
-    ModeOption,
-    OffsetOption,
-    OriginOption,
-    RotaryLimitOption,
-    ScopeOption,
-    StrictOption,
-    TemperatureOption,
-    TimeOption,
-    ToolOption,
-    calibration_of,
-    progress,
-)
-from twin.cli.options import conditions, positive, setup
-from twin.cli.outputs import ANY, JsonOption, command
-from twin.cli.terminal import echo
+from twin._common.files import write_whole
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import refit
 from twin.compensation.fewer_blocks.points import is_points
@@ -54,57 +35,51 @@ def path(
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks."), ANY],
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", help="mm the executed path may be from the input's, everything included.")
+        float,
+        typer.Option("--tolerance", help="mm the executed path may be from the input's, everything included."),
+        POSITIVE,
     ] = DEFAULT_TOLERANCE_MM,
     compensated: Annotated[
-        bool,
-        typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too."),
+        bool, typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too.")
     ] = True,
-    mode: ModeOption = Mode.axis,
-    tool_length: ToolOption = None,
-    work_offset: OffsetOption = None,
-    work_origin: OriginOption = None,
-    feed: Annotated[float | None, typer.Option("--feed", help="mm/min, for points: a program has its own.")] = None,
-    scope: ScopeOption = None,
-    rotary_limit: RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
-    temperature: TemperatureOption = None,
-    time: TimeOption = None,
-    strict: StrictOption = False,
+    mode: options.ModeOption = options.Mode.axis,
+    tool_length: options.ToolOption = None,
+    work_offset: options.OffsetOption = None,
+    work_origin: options.OriginOption = None,
+    feed: Annotated[
+        float | None, typer.Option("--feed", help="mm/min, for points: a program has its own."), POSITIVE
+    ] = None,
+    scope: options.ScopeOption = None,
+    rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
+    strict: options.StrictOption = False,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
 
     The tolerance holds for the path the machine with its errors executes; corners stay corners, everything that is no run passes
     through as it is.
     """
     loaded = Machine.load(machine)
-    positive("--tolerance", tolerance)
-    positive("--rotary-limit", rotary_limit)
-    if feed is not None:
-        positive("--feed", feed)
     found = source if is_points(source) else find_program(source)
-    outputs = [one for one in (output, json_file) if one is not None]
-    options = Options(
-        setup=setup(loaded, work_offset, work_origin),
+    settings = Options(
+        setup=options.setup(loaded, work_offset, work_origin),
         tool_length_mm=tool_length,
-        tcp=mode is Mode.tcp,
+        tcp=mode is options.Mode.tcp,
         scope=None if scope is None else Scope.parse(scope),
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
-        conditions=conditions(temperature, time),
+        conditions=options.conditions(temperature, time),
     )
-    errors = calibration_of(calibration, loaded)
+    errors = options.calibration_of(calibration, loaded)
     with progress() as say:
         result = refit(
-            found, loaded, errors, options=options, compensated=compensated, output=output, feed=feed, progress=say
+            found, loaded, errors, options=settings, compensated=compensated, output=output, feed=feed, progress=say
         )
     write_whole(output, result.text.encode("latin-1"))
-    if json_file is not None:
-        write_json(json_file, result.report.to_dict())
-    echo(result.report.to_text(), end="")
-    echo(f"\nwritten: {', '.join(str(one) for one in outputs)}")
-    if not (result.report.strictly_complete if strict else result.report.complete):
-        raise typer.Exit(NOT_ALL_MET)
+    report = result.report
+    return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)

@@ -8,23 +8,10 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_json, write_whole
+from twin._common.files import write_whole
 from twin._common.provenance import texts
-from twin.cli.app import (
-    NOT_ALL_MET,
-    CalibrationOption,
-    MachineOption,
-    TemperatureOption,
-    TimeOption,
-    ToolOption,
-    calibration_of,
-    need_pictures,
-    progress,
-    tell_unused,
-)
-from twin.cli.options import conditions
-from twin.cli.outputs import HTML, JsonOption, command
-from twin.cli.terminal import echo
+from twin.cli.shared import options
+from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import load as load_measurements
 from twin.report import MachineReport, machine_report
@@ -39,9 +26,9 @@ def report(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The report: one HTML file, for screen and paper."), HTML
     ],
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
-    tool_length: ToolOption = None,
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
+    tool_length: options.ToolOption = None,
     identified: Annotated[
         Path | None, typer.Option("--identified", help="What `twin identify --json` wrote beside the calibration.")
     ] = None,
@@ -49,18 +36,16 @@ def report(
         list[Path] | None,
         typer.Option("--measured", help="A measurement table to show against it; may be given again."),
     ] = None,
-    temperature: TemperatureOption = None,
-    time: TimeOption = None,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the draws of what is not known.")] = 0,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """One page about a machine: what is wrong most, what it makes at the tool, what to do and what not, and what it rests on."""
-    need_pictures("the report")
+    options.need_pictures("the report")
     loaded = Machine.load(machine)
-    outputs = [path for path in (output, json_file) if path is not None]
-    tables = measured or []
-    errors = calibration_of(calibration, loaded)
-    at = conditions(temperature, time)
+    errors = options.calibration_of(calibration, loaded)
+    at = options.conditions(temperature, time)
     with progress() as say:
         say("reading", 0.0)
         found = machine_report(
@@ -70,7 +55,7 @@ def report(
             tool_length_mm=tool_length,
             conditions=at,
             identified=identified,
-            measured=[(path, load_measurements(path, loaded)) for path in tables],
+            measured=[(path, load_measurements(path, loaded)) for path in measured or []],
             seed=seed,
             say=lambda stage, part: say(stage, 0.5 * part),
         )
@@ -80,25 +65,18 @@ def report(
 
         say("drawing", 0.5)
         page = machine_html(found)
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
     write_whole(output, page)
-    _tell(found)
-    tell_unused(at, errors)
-    echo(f"\nwritten: {', '.join(str(path) for path in outputs)}")
-    if found.unmet:
-        echo("\n".join(f"not met: {text}" for text in found.unmet))
-        raise typer.Exit(NOT_ALL_MET)
+    text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])
+    return CommandResult(text, found.to_dict, met=not found.unmet, after=[f"not met: {text}" for text in found.unmet])
 
 
-def _tell(found: MachineReport) -> None:
-    """The first screen, in a terminal."""
-    if found.warnings:
-        echo("\n".join(texts(found.warnings)) + "\n")
-    echo(found.advice.headline)
-    for line in found.advice.wrong:
-        echo(f"  {line}")
+def _first_screen(found: MachineReport) -> list[str]:
+    """What is shown of it in a terminal, line by line."""
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
-    for step in found.advice.steps:
-        echo(f"{names[step.kind]}: {step.title}. {step.text}")
-    echo(found.datum)
+    return [
+        *([*texts(found.warnings), ""] if found.warnings else []),
+        found.advice.headline,
+        *(f"  {line}" for line in found.advice.wrong),
+        *(f"{names[step.kind]}: {step.title}. {step.text}" for step in found.advice.steps),
+        found.datum,
+    ]

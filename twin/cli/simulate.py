@@ -10,24 +10,36 @@ import numpy as np
 import typer
 
 from twin._common.errors import InputError
-from twin._common.files import write_json
 from twin._common.provenance import SIMULATED, merged, to_json
-from twin.cli import complete
-from twin.cli.app import (
-    NOT_ALL_MET,
-    CalibrationOption,
-    MachineOption,
-    calibration_of,
-    progress,
-)
-from twin.cli.options import instrument_named, plan_file, surroundings
-from twin.cli.outputs import TABLE, JsonOption, command
-from twin.cli.terminal import echo
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.words import three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.instruments import INSTRUMENTS, Air
+from twin.measurement.simulate import Surroundings
 from twin.measurement.simulate import simulate as run_simulation
 from twin.measurement.table import load as load_measurements
+
+PlanArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at.",
+        autocompletion=complete.plans,
+    ),
+]
+InstrumentOption = Annotated[
+    str,
+    typer.Option("--instrument", help=", ".join(one.name for one in INSTRUMENTS), autocompletion=complete.instruments),
+]
+AirOption = Annotated[
+    str | None,
+    typer.Option("--air", help="T,p,RH along the beam (°C, hPa, %), where the instrument assumes 20,1013.25,50."),
+]
+DriftOption = Annotated[
+    list[str] | None,
+    typer.Option("--drift", help="STATION=x,y,z: how its frame creeps in the base frame (µm/h); needs time_s."),
+]
 
 
 @command(
@@ -36,45 +48,25 @@ from twin.measurement.table import load as load_measurements
     "twin simulate plan.csv -o measured.csv --calibration mine.yaml --air 22,1000,40",
 )
 def simulate(
-    plan: Annotated[
-        Path,
-        typer.Argument(
-            help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at.",
-            autocompletion=complete.plans,
-        ),
-    ],
+    plan: PlanArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The measured data."), TABLE],
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
-    instrument: Annotated[
-        str,
-        typer.Option(
-            "--instrument",
-            help=", ".join(one.name for one in INSTRUMENTS),
-            autocompletion=complete.instruments,
-        ),
-    ] = "tracker",
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
+    instrument: InstrumentOption = "tracker",
     seed: Annotated[int, typer.Option("--seed", help="Of the noise, and of stations and targets nobody placed.")] = 0,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
-    air: Annotated[
-        str | None,
-        typer.Option("--air", help="T,p,RH along the beam (°C, hPa, %), where the instrument assumes 20,1013.25,50."),
-    ] = None,
-    drift: Annotated[
-        list[str] | None,
-        typer.Option("--drift", help="STATION=x,y,z: how its frame creeps in the base frame (µm/h); needs time_s."),
-    ] = None,
+    air: AirOption = None,
+    drift: DriftOption = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Measure a plan on the machine with the errors of a calibration, as an instrument would."""
     loaded = Machine.load(machine)
-    reader = instrument_named(instrument)
+    reader = options.instrument_named(instrument)
     if seed < 0:
         raise InputError("--seed is negative", expected="0 or more", value=seed)
-    around = surroundings(air, drift)
-    source = plan_file(plan)
-    outputs = [path for path in (output, json_file) if path is not None]
-    truth = calibration_of(calibration, loaded)
+    around = _surroundings(air, drift)
+    source = options.plan_file(plan)
+    truth = options.calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
         planned = load_measurements(source, loaded, plan=True)
@@ -88,29 +80,46 @@ def simulate(
         setting.describe(),
     ]
     measured.save(output, loaded, comment="\n".join(part for part in comment if part))
-    if json_file is not None:
-        told = {
-            "schema": "twin.simulation/1",
-            "measured": str(output),
-            "plan": str(source),
-            "machine": loaded.name,
-            "calibration": None if truth.path is None else str(truth.path),
-            "illustrative": truth.illustrative,
-            "warnings": to_json(merged([SIMULATED], truth.warnings)),
-            "instrument": reader.name,
-            "seed": seed,
-            "noise": noise,
-            "surroundings": around.describe(),
-            "setting": setting.describe(),
-            "points": len(measured),
-            "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
-            "notices": list(planned.notices),
-        }
-        write_json(json_file, told)
-    echo(f"written: {', '.join(str(path) for path in outputs)}, {len(measured)} points")
-    for text in grouped_notes(planned.set_aside):
-        echo(f"  set aside, {text}")
-    for notice in planned.notices:
-        echo(f"  {notice}")
-    if planned.set_aside:
-        raise typer.Exit(NOT_ALL_MET)
+    told = {
+        "schema": "twin.simulation/1",
+        "measured": str(output),
+        "plan": str(source),
+        "machine": loaded.name,
+        "calibration": None if truth.path is None else str(truth.path),
+        "illustrative": truth.illustrative,
+        "warnings": to_json(merged([SIMULATED], truth.warnings)),
+        "instrument": reader.name,
+        "seed": seed,
+        "noise": noise,
+        "surroundings": around.describe(),
+        "setting": setting.describe(),
+        "points": len(measured),
+        "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
+        "notices": list(planned.notices),
+    }
+    notes = [*(f"set aside, {text}" for text in grouped_notes(planned.set_aside)), *planned.notices]
+    return CommandResult(
+        "",
+        lambda: told,
+        met=not planned.set_aside,
+        written=f"written: {{}}, {len(measured)} points",
+        after=[f"  {note}" for note in notes],
+    )
+
+
+def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
+    """Air and drift of a simulation.
+
+    Raises:
+        InputError: it is not; with what was expected.
+    """
+    rates: dict[str, tuple[float, float, float]] = {}
+    for entry in drift or []:
+        name, equals, text = entry.rpartition("=")
+        if not equals or not name or name in rates:
+            raise InputError("--drift does not fit", expected="STATION=x,y,z in µm/h, each station once", value=entry)
+        rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")
+    if air is None:
+        return Surroundings(None, rates)
+    temperature, pressure, humidity = three_numbers("--air", air, air, "T,p,RH in °C, hPa and %")
+    return Surroundings(Air(temperature, pressure, humidity / 100.0), rates)

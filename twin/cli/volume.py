@@ -7,27 +7,9 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_json
 from twin._common.provenance import texts
-from twin.cli.app import (
-    CalibrationOption,
-    MachineOption,
-    SchedulerOption,
-    TemperatureOption,
-    TimeOption,
-    TlsCaOption,
-    TlsCertOption,
-    TlsKeyOption,
-    ToolOption,
-    WorkersOption,
-    calibration_of,
-    progress,
-    tell_unused,
-)
-from twin.cli.options import conditions
-from twin.cli.options import workers as workers_of
-from twin.cli.outputs import JsonOption, command
-from twin.cli.terminal import echo
+from twin.cli.shared import options
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_machines
@@ -38,8 +20,8 @@ from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_
     "twin volume -c mine.yaml --workers 2 --json volume.json",
 )
 def volume(
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
     trials: Annotated[int, typer.Option("--trials", help="Machines to draw.")] = TRIALS,
     poses: Annotated[int, typer.Option("--poses", help="Spread over the volume, the same for all machines.")] = POSES,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 0,
@@ -49,26 +31,25 @@ def volume(
             "--digits", min=1, max=2, help="Of u that first order must get right; 2 needs a million machines."
         ),
     ] = 1,
-    tool_length: ToolOption = None,
-    temperature: TemperatureOption = None,
-    time: TimeOption = None,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    tls_ca: TlsCaOption = None,
-    tls_cert: TlsCertOption = None,
-    tls_key: TlsKeyOption = None,
+    tool_length: options.ToolOption = None,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
+    workers: options.WorkersOption = None,
+    scheduler: options.SchedulerOption = None,
+    tls_ca: options.TlsCaOption = None,
+    tls_cert: options.TlsCertOption = None,
+    tls_key: options.TlsKeyOption = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
 
     The same seed gives the same numbers to the last bit on any number of workers, here or on a Dask cluster (--scheduler).
     """
     loaded = Machine.load(machine)
-    errors = calibration_of(calibration, loaded)
-    at = conditions(temperature, time)
-    outputs = [] if json_file is None else [json_file]
+    errors = options.calibration_of(calibration, loaded)
+    at = options.conditions(temperature, time)
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
-    own = workers_of(workers, scheduler, tls_ca, tls_cert, tls_key)
+    own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()
     with progress() as say:
 
@@ -80,20 +61,16 @@ def volume(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=tell
         )
     taken = monotonic() - began
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
-    echo(f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}")
-    for text in texts(found.warnings):
-        echo(text)
     total = found.machines * len(found.positions)
-    echo(
+    lines = [
+        f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}",
+        *texts(found.warnings),
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
-        f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n"
-    )
-    echo("\n".join(_lines(found, programs=loaded.runs_programs)))
-    tell_unused(at, errors)
-    if outputs:
-        echo(f"\nwritten: {json_file}")
+        f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n",
+        *_lines(found, programs=loaded.runs_programs),
+        *options.unused(at, errors),
+    ]
+    return CommandResult("\n".join([*lines, ""]), found.to_dict)
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:

@@ -170,7 +170,7 @@ def gravity_load(machine: Machine) -> ca.Function:
     """What gravity does along each axis of the machine as drawn: q (axes,) → (axes, 9) N or N·m, minus the slope of its potential.
 
     Of the masses of the URDF, zero where it gives none; of 1 kg at the tool frame, of 1 kg·m along its x, y and z; likewise at the
-    work frame (`twin.machine.effects.load.Payload`).
+    work frame (`twin.machine.effects.payload.Payload`).
     """
     model = machine.model
     q = ca.SX.sym("q", len(machine.axes))

@@ -25,6 +25,15 @@ tells them apart, the plan has sessions (cold, one sensor warm, hours later). Me
 first.csv second.csv`. The same notebook does it.
 """
 
+# How a plan is made; each stage takes what the one before returned (`plan`; `separate` differs in the model and the last stage).
+#
+#     task         Task             what is to be known, with what, in which time
+#     candidates   Candidates       every reading that could be taken: safe poses, reflectors seen from each place
+#     model        PlanModel        what each of them would tell of every unknown (aims: what is to become small)
+#     fill         Filled           where to stand and what to read: design chooses, route puts in order and says what it takes
+#     forecast     Forecast         what the readings chosen will tell
+#     result       Plan             all of it, as it is shown and written
+
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.plan import judge, plan

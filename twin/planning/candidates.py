@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Final, final
 
 import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.information import MOST
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
 from twin.uncertainty.budget import latin_hypercube
@@ -23,93 +22,65 @@ POSES: Final = 240
 TRIES: Final = 8
 """Times as many are drawn at most before it is said that there is no room."""
 FEWEST: Final = 20
-PAID: Final = 3.0
-"""Numbers read for every function of a curve: two thirds of them for stations, reflectors, and to object."""
-BEYOND: Final = 2
-"""Positions more than functions, to object."""
-LEVELS: Final = 3 + BEYOND
-"""At least: three functions."""
 ROUND: Final = 1.0
 """mm and degrees: commands a person can read."""
 AT_AN_END: Final = 0.4
 """Share of the poses that have an axis at an end of its range: curves are worst known there."""
 
 
-def safe_poses(
-    machine: Machine, kit: Kit, rng: np.random.Generator, count: int = POSES, levels: int | None = None
-) -> np.ndarray:
-    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+@final
+@dataclass(frozen=True)
+class Session:
+    """A state of the machine in which readings are taken.
+
+    Attributes:
+        words: how to bring it about.
+        start_s: on the clock of ``time_s``, at the earliest.
+        temperatures: °C of axes and sensors.
+    """
+
+    words: str
+    start_s: float = 0.0
+    temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+ALWAYS: Final = (Session("as it is"),)
+"""Where the state does not matter."""
+
+
+@final
+@dataclass(frozen=True)
+class Candidates:
+    """Readings that could be taken, in any state of the machine.
+
+    Attributes:
+        plan: a row each.
+        session: (n,) index of the session each belongs to.
+        sessions: the states of the machine that readings are taken in, in order.
+    """
+
+    plan: Measurements
+    session: np.ndarray
+    sessions: tuple[Session, ...] = ALWAYS
+
+    def select(self, rows: np.ndarray) -> Candidates:
+        """Some of them, by index; again and again if it repeats."""
+        return replace(self, plan=self.plan.select(rows), session=self.session[rows])
+
+
+def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Candidates:
+    """Every reading that could be taken: a row each; each axis comes from a side drawn for the pose.
 
     Args:
         machine: the machine.
-        kit: ranges and reflectors.
-        rng: of the draws.
-        count: how many.
-        levels: positions of each axis at most, evenly over its range; any whole number if None.
+        kit: what there is to measure with.
+        rng: of poses and sides.
+        levels: positions of each axis at most, evenly over its range (`Task.levels`); any whole number if None.
 
     Raises:
-        InputError: hardly any does.
+        InputError: hardly any pose is clear; a reflector that no station ever sees.
     """
-    clearance = Clearance(machine, kit)
-    found: list[np.ndarray] = []
-    low, high = kit.ranges.T
-    unlimited = np.array([axis.lower is None for axis in machine.axes])
-    for _ in range(TRIES):
-        drawn = latin_hypercube(kit.ranges, count, rng)
-        ended = np.flatnonzero(rng.random(count) < AT_AN_END)
-        axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
-        for row, i in zip(ended, axis, strict=False):
-            drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
-        if levels is not None:
-            # A turn has no end: its last level is the first again.
-            step = (high - low) / np.where(unlimited, levels, levels - 1)
-            drawn = low + np.round((drawn - low) / step) * step
-            drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
-        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
-        found += [pose for pose in whole if clearance.free(pose)]
-        if len(found) >= count:
-            break
-    if len(found) < FEWEST:
-        raise InputError(
-            "hardly any pose keeps the tool side clear of the work side",
-            expected=f"at least {FEWEST} of {TRIES * count} poses: shorter holders, or narrower `ranges` in the kit",
-            value=len(found),
-        )
-    return np.unique(np.array(found[:count]), axis=0)
-
-
-def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
-    """Positions of each axis that a plan can afford: a curve gets as many functions as it has positions, and all have to be paid for.
-
-    Not fewer than the curves that are expected need: with fewer an evaluation could not write the machine down, and what it then
-    left out would be in no uncertainty.
-
-    Args:
-        machine: the machine.
-        readings: how many there will be.
-        numbers: read at each.
-        expected: the machine's errors, about.
-
-    Returns:
-        Levels, or None where there is no need to keep to any.
-    """
-    functions = int(readings * numbers / (PAID * len(machine.motion_names)))
-    needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
-    levels = max(LEVELS, functions + BEYOND, needed + BEYOND)
-    return None if levels >= MOST + BEYOND else levels
-
-
-def setting_of(kit: Kit) -> Setting:
-    """Stations and places as the kit has them."""
-    return Setting(kit.stations, {name: target.place_mm for name, target in kit.targets.items()})
-
-
-def candidates(machine: Machine, kit: Kit, positions: np.ndarray, rng: np.random.Generator) -> Measurements:
-    """Every reading that could be taken at some poses: a row each, as a plan; each axis comes from a side drawn for the pose.
-
-    Raises:
-        InputError: a reflector that no station ever sees.
-    """
+    positions = _safe_poses(machine, kit, rng, levels)
     seen = Sight(machine, kit).sees(positions)
     sides = rng.choice([-1.0, 1.0], positions.shape)
     rows: list[tuple[int, str, str]] = []
@@ -123,7 +94,42 @@ def candidates(machine: Machine, kit: Kit, positions: np.ndarray, rng: np.random
             )
         rows += mine
     pose = np.array([row[0] for row in rows])
-    return plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+    table = plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
+    return Candidates(table, np.zeros(len(table), dtype=int))
+
+
+def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
+    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+
+    Raises:
+        InputError: hardly any does.
+    """
+    clearance = Clearance(machine, kit)
+    found: list[np.ndarray] = []
+    low, high = kit.ranges.T
+    unlimited = np.array([axis.lower is None for axis in machine.axes])
+    for _ in range(TRIES):
+        drawn = latin_hypercube(kit.ranges, POSES, rng)
+        ended = np.flatnonzero(rng.random(POSES) < AT_AN_END)
+        axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
+        for row, i in zip(ended, axis, strict=False):
+            drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
+        if levels is not None:
+            # A turn has no end: its last level is the first again.
+            step = (high - low) / np.where(unlimited, levels, levels - 1)
+            drawn = low + np.round((drawn - low) / step) * step
+            drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
+        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
+        found += [pose for pose in whole if clearance.free(pose)]
+        if len(found) >= POSES:
+            break
+    if len(found) < FEWEST:
+        raise InputError(
+            "hardly any pose keeps the tool side clear of the work side",
+            expected=f"at least {FEWEST} of {TRIES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
+            value=len(found),
+        )
+    return np.unique(np.array(found[:POSES]), axis=0)
 
 
 def plan_table(

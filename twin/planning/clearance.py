@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from twin._common.units import MM
 from twin.machine.machine import Machine
-from twin.planning.kit import Kit, whole_ranges
+from twin.planning.kit import Kit
 from twin.planning.sight import machine_shapes
 
 MARGIN_MM: Final = 25.0
@@ -88,7 +88,9 @@ class Clearance:
             }
             reflectors.add(index)
         data = self.machine.model.createData()
-        middle = self.machine.configuration(whole_ranges(self.machine).mean(axis=1) * self.machine.scale)
+        middle = self.machine.configuration(
+            np.mean([axis.domain for axis in self.machine.axes], axis=1) * self.machine.scale
+        )
         pin.forwardKinematics(self.machine.model, data, middle)
         ordered = sorted(pairs)
         for a, b in ordered:

@@ -10,19 +10,13 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-from twin.planning.design import Aim, Say, choose, covariance_of
-from twin.planning.kit import Kit
-from twin.planning.route import Route, Session, route
+from twin.planning.design import DesignProblem, Exchange
+from twin.planning.route import Route, route
+from twin.planning.task import FEWEST, Task
 
-MOST_READINGS: Final = 10_000
-"""A plan's work grows with their square; a day has some 5,000."""
 STATIONS: Final = 4
 """Stations of one plan at most: each more is set up, placed by the data, and paid for."""
-FEWEST: Final = 12
-"""Readings below which nothing is planned: a station and two reflectors alone take four."""
 CLOSE: Final = 0.95
 """Share of the time allowed that a plan fills, or it is chosen again."""
 ALMOST: Final = 1.1
@@ -38,30 +32,6 @@ GLIMPSE: Final = (0.9,)
 
 @final
 @dataclass(frozen=True)
-class Readings:
-    """Everything that could be read with one instrument, and what is aimed at.
-
-    Attributes:
-        instrument: what reads.
-        plan: a row each.
-        session: (n,) index of the session each belongs to.
-        sessions: the states of the machine that readings are taken in, in order.
-        prior: (f, f) precision of the unknowns' coordinates before any reading.
-        rows: (n, 3, f) derivatives of the whitened readings.
-        aim: what is to become small.
-    """
-
-    instrument: Instrument
-    plan: Measurements
-    session: np.ndarray
-    sessions: tuple[Session, ...]
-    prior: np.ndarray
-    rows: np.ndarray
-    aim: Aim
-
-
-@final
-@dataclass(frozen=True)
 class Stand:
     """One instrument and the places it stands, and what an even spread of readings from there would give.
 
@@ -72,52 +42,54 @@ class Stand:
         value: of the aim.
     """
 
-    readings: Readings
+    readings: DesignProblem
     stations: tuple[str, ...]
     points: int
     value: float
 
+    @property
+    def least(self) -> int:
+        """Readings that a choice begins with: enough to place every station and target."""
+        return PLACING * len(self.stations) * len(set(self.readings.plan.target))
+
 
 @final
-class Filler:
-    """One plan being made.
+@dataclass(frozen=True)
+class Filled:
+    """The readings of a plan in their order, and the ways to stand that were tried for them.
 
-    Args:
-        machine: the machine.
-        kit: what there is to measure with.
-        minutes: that it may take.
-        seed: of every draw.
-        say: told how far it is.
-        first_round: number of the first round.
-
-    Raises:
-        InputError: time for more readings than can be planned.
+    Attributes:
+        stands: the best first, which is the plan's.
+        route: its readings.
     """
 
-    def __init__(
-        self, machine: Machine, kit: Kit, minutes: float, seed: int, say: Say, *, first_round: int = 1
-    ) -> None:
-        longest = MOST_READINGS * kit.seconds.point / 60.0
-        if not minutes <= longest:
-            raise InputError(
-                f"time for more than {MOST_READINGS} readings",
-                expected=f"at most {longest:.4g} minutes, or a kit that takes longer over a reading",
-                value=minutes,
-            )
-        self.first_round = first_round
-        self.machine = machine
-        self.kit = kit
-        self.seconds = 60.0 * minutes
-        self.seed = seed
-        self.say = say
-        self.rng = np.random.default_rng(seed)
+    stands: tuple[Stand, ...]
+    route: Route
 
-    @property
-    def expected_points(self) -> int:
-        """How many readings there will be, about: the way takes as long as the readings."""
-        return max(FEWEST, int((self.seconds - self.kit.seconds.station) / (2.0 * self.kit.seconds.point)))
 
-    def stands(self, readings: Readings) -> list[Stand]:
+def fill(task: Task, problems: Sequence[DesignProblem]) -> Filled:
+    """Choose where to stand and what to read from there, in the time there is.
+
+    Args:
+        task: what the plan is made for.
+        problems: of each instrument.
+
+    Raises:
+        InputError: no time to measure anything.
+    """
+    filler = _Filler(task)
+    stands = filler.best([one for problem in problems for one in filler.stands(problem)])
+    return Filled(tuple(stands), filler.filled(stands[0]))
+
+
+@final
+@dataclass(frozen=True)
+class _Filler:
+    """One plan being made."""
+
+    task: Task
+
+    def stands(self, readings: DesignProblem) -> list[Stand]:
         """What an even spread of readings from every set of places would give in the time there is.
 
         Raises:
@@ -126,7 +98,7 @@ class Filler:
         found = []
         plan = readings.plan
         names = tuple(dict.fromkeys(plan.station))
-        order = self.rng.permutation(len(plan))
+        order = self.task.rng.permutation(len(plan))
         for count in range(1, min(STATIONS, len(names)) + 1):
             each: float | None = None
             for stations in combinations(names, count):
@@ -138,18 +110,17 @@ class Filler:
                 points = self._points(stations, readings, each)
                 if points < FEWEST:
                     break
-                covariance = covariance_of(readings.prior, readings.rows[np.resize(inside, points)])
-                found.append(Stand(readings, stations, points, readings.aim.value(covariance)))
+                found.append(Stand(readings, stations, points, readings.value(np.resize(inside, points))))
         if not found:
-            least = (self._set_up(names[:1], readings) + FEWEST * self.kit.seconds.point) / 60.0
+            least = (self._set_up(names[:1], readings) + FEWEST * self.task.kit.seconds.point) / 60.0
             raise InputError(
                 "no time to measure anything",
                 expected=f"{least:.0f} minutes or more",
-                value=f"{self.seconds / 60.0:g} minutes",
+                value=f"{self.task.minutes:g} minutes",
             )
         return found
 
-    def best(self, stands: list[Stand]) -> list[Stand]:
+    def best(self, stands: Sequence[Stand]) -> list[Stand]:
         """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first."""
         kinds: dict[tuple[str, int], list[Stand]] = {}
         for one in sorted(stands, key=lambda stand: stand.value):
@@ -157,22 +128,12 @@ class Filler:
         tried = [one for kind in kinds.values() for one in kind[:OF_A_KIND]]
         found = []
         for number, one in enumerate(tried):
-            self.say("choosing", 0.1 + 0.3 * number / len(tried))
-            inside = np.flatnonzero(np.isin(one.readings.plan.station, one.stations))
-            rows, cost = one.readings.rows[inside], np.full(len(inside), self.kit.seconds.point)
-            first = np.random.default_rng(self.seed).permutation(len(inside))
-            chosen = choose(
-                one.readings.prior,
-                rows,
-                cost,
-                one.readings.aim,
-                one.points,
-                first,
-                least=self._least(one),
-                exchanged=GLIMPSE,
-                among=GLIMPSED,
-            )
-            found.append(replace(one, value=one.readings.aim.value(covariance_of(one.readings.prior, rows[chosen]))))
+            self.task.say("choosing", 0.1 + 0.3 * number / len(tried))
+            own = one.readings.at(one.stations)
+            cost = np.full(len(own.plan), self.task.kit.seconds.point)
+            first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
+            choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=GLIMPSE, among=GLIMPSED)
+            found.append(replace(one, value=own.value(choice.of(one.points, first, one.least))))
         return sorted(found, key=lambda stand: stand.value)
 
     def filled(self, best: Stand) -> Route:
@@ -181,16 +142,13 @@ class Filler:
         Raises:
             InputError: no time to measure anything.
         """
-        readings = best.readings
-        inside = np.flatnonzero(np.isin(readings.plan.station, best.stations))
-        first = self.rng.permutation(len(inside))
-        own = readings.plan.select(inside)
-        session = readings.session[inside]
+        own = best.readings.at(best.stations)
+        first = self.task.rng.permutation(len(own.plan))
         taken = np.resize(first, best.points)
-        spread = self._routed(own, session, taken, best, clear=False)
+        spread = route(self.task, own.every.select(taken), best.stations, clear=False)
         for turn in range(ROUNDS):
-            each = (spread.seconds - self._set_up(best.stations, readings)) / len(spread.plan)
-            points = self._points(best.stations, readings, each)
+            each = (spread.seconds - self._set_up(best.stations, own)) / len(spread.plan)
+            points = self._points(best.stations, own, each)
             if points < FEWEST:
                 raise InputError(
                     "no time to measure anything",
@@ -200,69 +158,41 @@ class Filler:
             part = 0.4 + 0.55 * turn / ROUNDS
 
             def say(stage: str, done: float, part: float = part) -> None:
-                self.say(stage, part + 0.55 * done / ROUNDS)
+                self.task.say(stage, part + 0.55 * done / ROUNDS)
 
-            cost = self._cost(spread.plan, own, each)
-            taken = choose(
-                readings.prior,
-                readings.rows[inside],
-                cost,
-                readings.aim,
-                points,
-                first,
-                least=self._least(best),
-                say=say,
-            )
-            spread = self._routed(own, session, taken, best)
-            if CLOSE * self.seconds <= spread.seconds <= self.seconds:
+            choice = Exchange(own.prior, own.rows, self._cost(spread.plan, own.plan, each), own.aim, say=say)
+            taken = choice.of(points, first, best.least)
+            spread = route(self.task, own.every.select(taken), best.stations)
+            if CLOSE * self.task.seconds <= spread.seconds <= self.task.seconds:
                 return spread
-            if spread.seconds <= self.seconds * ALMOST:
+            if spread.seconds <= self.task.seconds * ALMOST:
                 break
-        while spread.seconds > self.seconds:
+        while spread.seconds > self.task.seconds:
             # Every station and target loses the same share.
-            kept = int(len(taken) * min(0.99, self.seconds / spread.seconds))
-            taken = taken[np.sort(np.random.default_rng(self.seed).permutation(len(taken))[:kept])]
-            spread = self._routed(own, session, taken, best)
+            kept = int(len(taken) * min(0.99, self.task.seconds / spread.seconds))
+            taken = taken[np.sort(np.random.default_rng(self.task.seed).permutation(len(taken))[:kept])]
+            spread = route(self.task, own.every.select(taken), best.stations)
         return spread
 
-    def _each(self, readings: Readings, stations: tuple[str, ...], inside: np.ndarray) -> float:
+    def _each(self, readings: DesignProblem, stations: tuple[str, ...], inside: np.ndarray) -> float:
         """Seconds that a reading takes with the way to it, from so many stations: as dense as they will be, the way is as short."""
-        each = self.kit.seconds.point
+        each = self.task.kit.seconds.point
         for _ in range(2):
             points = self._points(stations, readings, each)
             if points < FEWEST:
                 break
-            stand = Stand(readings, stations, points, 0.0)
-            way = self._routed(readings.plan, readings.session, np.resize(inside, points), stand, clear=False)
+            way = route(self.task, readings.every.select(np.resize(inside, points)), stations, clear=False)
             each = (way.seconds - self._set_up(stations, readings)) / len(way.plan)
         return each
 
-    def _least(self, stand: Stand) -> int:
-        return PLACING * len(stand.stations) * len(set(stand.readings.plan.target))
-
-    def _set_up(self, stations: Sequence[str], readings: Readings) -> float:
+    def _set_up(self, stations: Sequence[str], readings: DesignProblem) -> float:
         """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
-        times = 1 if len(stations) == 1 else len(stations) * len(readings.sessions)
-        return times * self.kit.seconds.station
+        times = 1 if len(stations) == 1 else len(stations) * len(readings.every.sessions)
+        return times * self.task.kit.seconds.station
 
-    def _points(self, stations: Sequence[str], readings: Readings, each: float) -> int:
+    def _points(self, stations: Sequence[str], readings: DesignProblem, each: float) -> int:
         """How many readings there is time for, at so many seconds each."""
-        return int((self.seconds - self._set_up(stations, readings)) / each)
-
-    def _routed(
-        self, table: Measurements, session: np.ndarray, rows: np.ndarray, best: Stand, *, clear: bool = True
-    ) -> Route:
-        return route(
-            self.machine,
-            self.kit,
-            table.select(rows),
-            best.stations,
-            np.random.default_rng(self.seed),
-            session=session[rows],
-            sessions=best.readings.sessions,
-            first_round=self.first_round,
-            clear=clear,
-        )
+        return int((self.task.seconds - self._set_up(stations, readings)) / each)
 
     def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:
         """(n,) seconds that a reading of each candidate's target from its station took on the way, the way included."""
@@ -274,5 +204,5 @@ class Filler:
                 if np.count_nonzero(of) >= 5:
                     mine = (every.station == station) & (every.target == target)
                     # A station's set-up stands before its first reading and is not that reading's.
-                    cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.kit.seconds.point)
+                    cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.task.kit.seconds.point)
         return cost

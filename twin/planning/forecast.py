@@ -5,45 +5,21 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 
+from twin._common.json_form import json_form
 from twin.display import UNKNOWN, Html, card, chips, note, pairs, readable, table
-from twin.identification.solve import named
-from twin.identification.unknowns import offset_unseen
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name, unit_of
-from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument
-from twin.measurement.simulate import Setting
-from twin.measurement.table import Measurements
-from twin.numerics.observability import UNSEEN, Determinability, Observability, determinability, observability
+from twin.numerics.observability import Determinability, Observability, observability
+from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
-from twin.planning.information import Model
+from twin.planning.model import Hidden, PlanModel
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.uncertainty.budget import volume
-
-NAMED: Final = 5
-"""Unknowns that a reason names."""
-VAGUE: Final = "the readings say less of it than is plausible anyway"
-POSES: Final = 300
-SEED: Final = 10
-
-
-@final
-@dataclass(frozen=True)
-class Hidden:
-    """An error a plan cannot show.
-
-    Attributes:
-        name: ISO 230-1 name.
-        reason: what moves with it and leaves every reading as it is.
-    """
-
-    name: str
-    reason: str
 
 
 @final
@@ -54,22 +30,28 @@ class Forecast:
     Attributes:
         model: the unknowns and what is known of them beforehand.
         covariance: (f, f) of the model's coordinates afterwards.
-        readings: how many numbers are read.
         determined: names of the errors that the readings determine.
-        hidden: those they do not, and why.
         observability: indices O1 to O5 of the machine's unknowns, stations and targets taken out, in plausible units.
         tool_length_mm: of the tool whose point is asked for.
         positions: (n, axes) the volume it is asked for over, mm and degrees.
     """
 
-    model: Model
+    model: PlanModel
     covariance: np.ndarray
-    readings: int
     determined: tuple[str, ...]
-    hidden: tuple[Hidden, ...]
     observability: Observability
     tool_length_mm: float
     positions: np.ndarray
+
+    @property
+    def readings(self) -> int:
+        """How many numbers are read."""
+        return self.model.told.measurements
+
+    @property
+    def hidden(self) -> tuple[Hidden, ...]:
+        """The errors that the readings do not determine, and why."""
+        return self.model.hidden
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -122,10 +104,7 @@ class Forecast:
         """What a display says of it."""
         over, o = self.at_tool, self.observability
         place = ", ".join(f"{name} {value:.0f}" for name, value in over.where.items()).replace("-", "−")
-        by_axis: dict[str, list[str]] = {}
-        for name, u in self.errors.items():
-            by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2g} {readable(unit_of(name))}")
-        rows = [(axis, chips(found)) for axis, found in by_axis.items()]
+        rows = [(axis, chips(found)) for axis, found in self._by_axis(".2g").items()]
         why: dict[str, list[str]] = {}
         for one in self.hidden:
             why.setdefault(one.reason, []).append(one.name)
@@ -156,11 +135,7 @@ class Forecast:
             "",
             f"errors, standard uncertainty (k = 1; of a curve the largest over its range) from {self.readings} numbers read:",
         ]
-        by_axis: dict[str, list[str]] = {}
-        for name, u in self.errors.items():
-            unit = "µm" if unit_of(name) == "um" else "µrad"
-            by_axis.setdefault(split_name(name)[2], []).append(f"{name} {u:.2f} {unit}")
-        lines += [f"  {', '.join(found)}" for found in by_axis.values()] or ["  none is determined"]
+        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or ["  none is determined"]
         lines += [
             "",
             "observability of the machine's unknowns, each in its plausible size (Sun and Hollerbach 2008; larger is better):",
@@ -185,90 +160,37 @@ class Forecast:
                 "where": self.at_tool.where,
             },
             "observability": {"O1": o.o1, "O2": o.o2, "O3": o.o3, "O4": o.o4, "O5": o.o5},
-            "not_identifiable": [{"name": one.name, "reason": one.reason} for one in self.hidden],
+            "not_identifiable": json_form(self.hidden),
         }
+
+    def _by_axis(self, digits: str) -> dict[str, list[str]]:
+        """Every error with its standard uncertainty, by the axis it belongs to."""
+        found: dict[str, list[str]] = {}
+        for name, u in self.errors.items():
+            found.setdefault(split_name(name)[2], []).append(f"{name} {u:{digits}} {readable(unit_of(name))}")
+        return found
 
     def _of(self, columns: list[int]) -> np.ndarray:
         rows = self.model.plausible[columns, None] * self.model.free[columns]
         return np.asarray(rows @ self.covariance @ rows.T)
 
 
-def forecast(
-    machine: Machine,
-    plan: Measurements,
-    setting: Setting,
-    instrument: Instrument,
-    expected: Calibration,
-    *,
-    known: Collection[str] = (),
-    tool_length_mm: float | None = None,
-) -> Forecast:
-    """What a plan will tell when it is carried out.
+def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
+    """What readings will tell when they are taken.
 
     Args:
-        machine: the machine.
-        plan: what is to be read.
-        setting: where stations and targets are.
-        instrument: what reads.
-        expected: how large the errors are (`Model.of`).
-        known: stations and targets that an evaluation is told exactly.
+        model: of the readings.
         tool_length_mm: of the tool whose point is asked for; the machine file's, or 100 mm where it says none.
     """
-    return of_rows(*informed(machine, plan, setting, instrument, expected, known), tool_length_mm)
-
-
-def informed(
-    machine: Machine,
-    plan: Measurements,
-    setting: Setting,
-    instrument: Instrument,
-    expected: Calibration,
-    known: Collection[str] = (),
-) -> tuple[Model, np.ndarray]:
-    """The unknowns of a plan as `identify` has them, and (n, 3, f) the derivatives of its readings.
-
-    A constant that the readings do not show is a station's or a location's: its curve has none.
-    """
-    model = Model.of(machine, plan, setting, instrument, expected, known)
-    rows = model.rows(plan, instrument)
-    while model.unknowns.offsets:
-        unseen = offset_unseen(model.unknowns, told_by(model, rows).unseen)
-        if unseen is None:
-            break
-        left = [name for name in model.unknowns.offsets if name != unseen]
-        model = Model.of(machine, plan, setting, instrument, expected, known, left)
-        rows = model.rows(plan, instrument)
-    return model, rows
-
-
-def of_rows(model: Model, rows: np.ndarray, tool_length_mm: float | None = None) -> Forecast:
-    """The same from the derivatives (n, 3, f) of a plan's readings."""
-    told = told_by(model, rows)
-    lost = hidden_by(model, told)
-    gone = {one.name for one in lost}
+    gone = {one.name for one in model.hidden}
     determined = tuple(name for name in model.unknowns.entities if name not in gone)
     return Forecast(
         model=model,
-        covariance=covariance_of(model.prior, rows),
-        readings=told.measurements,
+        covariance=covariance_of(model.prior, model.rows),
         determined=determined,
-        hidden=lost,
-        observability=_observability(told, {*determined}),
-        tool_length_mm=length_of(model.machine, tool_length_mm),
+        observability=_observability(model.told, {*determined}),
+        tool_length_mm=model.tool_length(tool_length_mm),
         positions=volume(model.machine, POSES, SEED),
-    )
-
-
-def told_by(model: Model, rows: np.ndarray) -> Determinability:
-    """What readings with derivatives (n, 3, f) determine, unknown by unknown, with nothing known beforehand but what is plausible."""
-    flat = rows.reshape(-1, rows.shape[-1])
-    triangle = np.linalg.qr(flat, mode="r") if len(flat) > flat.shape[1] else flat
-    # The coordinates' own derivatives, carried back to the unknowns: outside the datum's directions there is nothing to carry.
-    return determinability(
-        triangle @ model.free.T / model.plausible,
-        named(model.unknowns, model.setup),
-        free=model.free,
-        measurements=int(np.count_nonzero(np.any(flat != 0.0, axis=1))),
     )
 
 
@@ -281,24 +203,3 @@ def _observability(told: Determinability, names: Collection[str]) -> Observabili
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
     # What the datum fixes has no variance and is no unknown.
     return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), told.measurements)
-
-
-def hidden_by(model: Model, told: Determinability) -> tuple[Hidden, ...]:
-    """The errors of which not even the lowest order is determined, as `identify` would leave them out."""
-    unseen = dict(zip(told.names, told.unseen, strict=True))
-    names = dict(zip(model.unknowns.columns, (one.name for one in named(model.unknowns, model.setup)), strict=False))
-    found = []
-    for name in model.unknowns.entities:
-        space = model.curves.get(name)
-        columns = [column for column in model.unknowns.columns if column.entity == name]
-        lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
-        worst = max(lowest, key=lambda one: unseen[one])
-        if unseen[worst] > UNSEEN:
-            direction = told.moving(worst)
-            found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
-    return tuple(found)
-
-
-def length_of(machine: Machine, tool_length_mm: float | None) -> float:
-    """As given, else the machine file's, else 100 mm: at the nose itself a turn about it would look harmless."""
-    return tool_length_mm if tool_length_mm is not None else machine.tool_length_mm or 100.0

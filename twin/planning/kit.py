@@ -18,7 +18,7 @@ from twin._common.units import DEG
 from twin._common.yaml_files import Place, load_yaml
 from twin.machine.machine import Machine, find_bundled
 from twin.measurement.instruments import INSTRUMENTS, Instrument
-from twin.measurement.simulate import Station
+from twin.measurement.simulate import Setting, Station
 from twin.uncertainty.budget import volume
 
 SCHEMA: Final = "twin.kit/1"
@@ -30,23 +30,40 @@ TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
 
 
-class _Seconds(BaseModel):
+class _Entries(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+@final
+class Seconds(_Entries):
+    """How long things take.
+
+    Attributes:
+        point: to settle and read.
+        aim: to turn a reflector towards the instrument by hand, wherever it would look past it.
+        target: to go from one reflector to another.
+        station: to set the instrument up in another place.
+    """
+
     point: Annotated[float, Field(gt=0)] = 15.0
     aim: Annotated[float, Field(ge=0)] = 20.0
     target: Annotated[float, Field(ge=0)] = 30.0
     station: Annotated[float, Field(ge=0)] = 900.0
 
 
-class _StationEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class _StationEntry(_Entries):
     origin_mm: tuple[float, float, float]
     turn_deg: tuple[float, float, float] | None = None
     known: bool = False
 
+    def station(self, middle: np.ndarray) -> Station:
+        """As it says; looking at the middle of the work if it does not say where to."""
+        if self.turn_deg is None:
+            return looking_at(self.origin_mm, middle)
+        return Station(self.origin_mm, _three(np.array(self.turn_deg) * DEG))
 
-class _TargetEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+class _TargetEntry(_Entries):
     carrier: Literal["tool", "work"]
     place_mm: tuple[float, float, float]
     known: bool = False
@@ -61,15 +78,22 @@ class _TargetEntry(BaseModel):
             raise PydanticCustomError("facing", "Input should be {expected}", {"expected": expected})
         return value
 
+    def target(self) -> Target:
+        """With a unit vector."""
+        facing = None
+        if self.facing != "aimed":
+            way = np.array(self.facing, dtype=float)
+            facing = _three(way / np.linalg.norm(way))
+        return Target(self.carrier, self.place_mm, self.known, facing, self.acceptance_deg * DEG)
 
-class _KitFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+class _KitFile(_Entries):
     schema_: Literal["twin.kit/1"] = Field(alias="schema")
     source: str = ""
     instruments: Annotated[tuple[str, ...], Field(min_length=1)] = ("tracker",)
     stations: Annotated[dict[str, _StationEntry], Field(min_length=1)]
     targets: Annotated[dict[str, _TargetEntry], Field(min_length=1)]
-    seconds: _Seconds = _Seconds()
+    seconds: Seconds = Seconds()
     speeds: dict[str, Annotated[float, Field(gt=0)]] = {}
     ranges: dict[str, tuple[float, float]] = {}
     stops_the_beam: Literal["machine", "nothing"] = "machine"
@@ -93,24 +117,6 @@ class Target:
     known: bool
     facing: tuple[float, float, float] | None
     acceptance_rad: float
-
-
-@final
-@dataclass(frozen=True)
-class Seconds:
-    """How long things take.
-
-    Attributes:
-        point: to settle and read.
-        aim: to turn a reflector towards the instrument by hand, wherever it would look past it.
-        target: to go from one reflector to another.
-        station: to set the instrument up in another place.
-    """
-
-    point: float
-    aim: float
-    target: float
-    station: float
 
 
 @final
@@ -145,6 +151,16 @@ class Kit:
         """Names of the stations and targets that an evaluation is told exactly."""
         return self.stations_known | {name for name, target in self.targets.items() if target.known}
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers a reading has, of the instrument that reads fewest."""
+        return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
+
+    @property
+    def setting(self) -> Setting:
+        """Stations and places as a simulation has them."""
+        return Setting(self.stations, {name: target.place_mm for name, target in self.targets.items()})
+
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Kit:
         """From a file (``schema: twin.kit/1``).
@@ -152,12 +168,12 @@ class Kit:
         Raises:
             InputError: with file, line and value, on whatever does not fit the schema or the machine.
         """
-        path = Path(path)
-        entries, lines = load_yaml(path, _KitFile, SCHEMA)
+        file = Path(path)
+        entries, lines = load_yaml(file, _KitFile, SCHEMA)
 
         def fail(place: Place, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:
             meant = nearest(str(value), known)
-            return InputError(what, expected=expected, file=path, line=lines.get(place), value=value, nearest=meant)
+            return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
 
         # What the schema cannot know.
         by_name = {one.name: one for one in INSTRUMENTS}
@@ -176,36 +192,18 @@ class Kit:
                 expected = f"lower, upper within {ranges[i, 0]:g} … {ranges[i, 1]:g}"
                 raise fail(("ranges", name), "a range the machine does not have", expected, [lower, upper])
             ranges[i] = lower, upper
-        middle = _middle(machine)
-        stations = {}
-        for name, station in entries.stations.items():
-            stations[name] = (
-                looking_at(station.origin_mm, middle)
-                if station.turn_deg is None
-                else Station(station.origin_mm, _three(np.array(station.turn_deg) * DEG))
-            )
-        targets = {}
         for name, entry in entries.targets.items():
-            facing = None if entry.facing == "aimed" else np.array(entry.facing, dtype=float)
-            if facing is not None and np.linalg.norm(facing) == 0.0:
-                raise fail(
-                    ("targets", name, "facing"), "no direction", "aimed, or x, y, z on its carrier", entry.facing
-                )
-            targets[name] = Target(
-                entry.carrier,
-                entry.place_mm,
-                entry.known,
-                None if facing is None else _three(facing / np.linalg.norm(facing)),
-                entry.acceptance_deg * DEG,
-            )
-        times = entries.seconds
+            if entry.facing != "aimed" and np.linalg.norm(entry.facing) == 0.0:
+                place = ("targets", name, "facing")
+                raise fail(place, "no direction", "aimed, or x, y, z on its carrier", entry.facing)
+        middle = _middle(machine)
         return cls(
-            source=entries.source or str(path),
+            source=entries.source or str(file),
             instruments=tuple(by_name[name] for name in entries.instruments),
-            stations=MappingProxyType(stations),
-            stations_known=frozenset(name for name, entry in entries.stations.items() if entry.known),
-            targets=MappingProxyType(targets),
-            seconds=Seconds(times.point, times.aim, times.target, times.station),
+            stations=MappingProxyType({name: one.station(middle) for name, one in entries.stations.items()}),
+            stations_known=frozenset(name for name, one in entries.stations.items() if one.known),
+            targets=MappingProxyType({name: one.target() for name, one in entries.targets.items()}),
+            seconds=entries.seconds,
             speeds=np.array([entries.speeds.get(axis.name, _speed(axis.linear)) for axis in machine.axes]),
             ranges=ranges,
             opaque=entries.stops_the_beam == "machine",
@@ -228,25 +226,21 @@ class Kit:
         for name, way in corners.items():
             direction = np.array(way) / np.linalg.norm(way)
             stations[name] = looking_at(_three(np.round(middle + DISTANCE_MM * direction, -1)), middle)
-        targets = {}
+        reflectors = {}
         for k in range(3):
             angle = np.radians(30.0 + 120.0 * k)
             across = np.array([np.cos(angle), np.sin(angle)])
-            for side, letter, radius, height in (
-                ("tool", "T", 110.0, -40.0 - 35.0 * k),
-                ("work", "W", 170.0, 30.0 + 30.0 * k),
-            ):
-                carrier: Literal["tool", "work"] = "tool" if side == "tool" else "work"
+            for letter, radius, height in (("T", 110.0, -40.0 - 35.0 * k), ("W", 170.0, 30.0 + 30.0 * k)):
                 place = _three(np.round([*(radius * across), height]) + 0.0)
-                targets[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
-        times = _Seconds()
+                carrier: Literal["tool", "work"] = "tool" if letter == "T" else "work"
+                reflectors[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         return cls(
             source="twin's own guess: name what you have in a kit file",
             instruments=(INSTRUMENTS[0],),
             stations=MappingProxyType(stations),
             stations_known=frozenset(),
-            targets=MappingProxyType(dict(sorted(targets.items()))),
-            seconds=Seconds(times.point, times.aim, times.target, times.station),
+            targets=MappingProxyType(dict(sorted(reflectors.items()))),
+            seconds=Seconds(),
             speeds=np.array([_speed(axis.linear) for axis in machine.axes]),
             ranges=whole_ranges(machine),
             opaque=True,

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import locked
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, LaserTracker
 from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
-from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
-from twin.planning.design import Aim, AtTool, Everything, Say, Weakest
-from twin.planning.fill import Filler, Readings
-from twin.planning.forecast import POSES, SEED, Forecast, forecast, hidden_by, informed, length_of, told_by
-from twin.planning.information import Model
+from twin.planning.aims import aim_of
+from twin.planning.candidates import candidates
+from twin.planning.design import DesignProblem
+from twin.planning.fill import fill
+from twin.planning.forecast import Forecast, forecast
 from twin.planning.kit import Kit
-from twin.planning.result import Plan, alternatives
-from twin.planning.route import ALWAYS
-from twin.uncertainty.budget import volume
-
-AIMS: Final = ("tool", "everything", "weakest")
-OPEN: Final = 0.1
-"""Share of the plausible variance from which nothing holds an unknown beforehand: the datum takes part of some."""
+from twin.planning.model import PlanModel
+from twin.planning.result import Plan
+from twin.planning.task import Say, Task
 
 
 def plan(
@@ -60,50 +54,19 @@ def plan(
         InputError: no time to measure anything; no room for any pose; a reflector nobody sees; a name of no error of the machine.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        names = [reduce] if isinstance(reduce, str) else list(reduce)
-        _check(machine, names)
-        own = Kit.default(machine) if kit is None else kit
-        tell: Say = say or (lambda stage, part: None)
-        sizes = Calibration.default(machine) if expected is None else expected
-        length = length_of(machine, tool_length_mm)
-        filler = Filler(machine, own, minutes, seed, tell)
-        tell("looking", 0.0)
-        # A curve gets as many functions as its axis has positions: a short plan keeps to few.
-        numbers = min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in own.instruments)
-        levels = levels_for(machine, filler.expected_points, numbers, sizes)
-        every = candidates(machine, own, safe_poses(machine, own, filler.rng, levels=levels), filler.rng)
-        stands = []
-        for instrument in own.instruments:
-            model, rows = informed(machine, every, setting_of(own), instrument, sizes, own.known)
-            aim = _aim(model, rows, names, length)
-            stands += filler.stands(
-                Readings(instrument, every, np.zeros(len(every), dtype=int), ALWAYS, model.prior, rows, aim)
-            )
-        stands = filler.best(stands)
-        best = stands[0]
-        found = filler.filled(best)
-        tell("foretelling", 0.95)
-        told = forecast(
-            machine,
-            found.plan,
-            setting_of(own),
-            best.readings.instrument,
-            sizes,
-            known=own.known,
-            tool_length_mm=length,
-        )
-        return Plan(
-            machine,
-            own,
-            " ".join(names),
-            best.readings.instrument,
-            best.stations,
-            found,
-            told,
-            alternatives(stands),
-            seed,
-            warnings=sizes.warnings,
-        )
+        task = Task.of(machine, kit, minutes, expected, seed, say, reduce)
+        task.say("looking", 0.0)
+        every = candidates(machine, task.kit, task.rng, task.levels)
+        models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
+        aims = [aim_of(one, task.wanted, tool_length_mm) for one in models]
+        problems = [
+            DesignProblem(one.instrument, every, one.prior, one.rows, aim)
+            for one, aim in zip(models, aims, strict=True)
+        ]
+        filled = fill(task, problems)
+        task.say("foretelling", 0.95)
+        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), tool_length_mm)
+        return Plan.of(task, " ".join(task.wanted), filled, forecast=told)
 
 
 def judge(
@@ -136,56 +99,6 @@ def judge(
         station_pose=locked(np.array([setting.stations[name].pose for name in table.station])),
         place_mm=locked(np.array([setting.places_mm[name] for name in table.target])),
     )
-    return forecast(
-        machine,
-        placed,
-        setting,
-        LaserTracker() if instrument is None else instrument,
-        Calibration.default(machine) if expected is None else expected,
-        known=known,
-        tool_length_mm=tool_length_mm,
-    )
-
-
-def _check(machine: Machine, wanted: Sequence[str]) -> None:
-    names = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
-    if len(wanted) == 1 and wanted[0] in AIMS:
-        return
-    for pattern in wanted or [""]:
-        if not fnmatch.filter(names, pattern):
-            expected = f"{', '.join(AIMS)}, or errors among {', '.join(names)}"
-            meant = nearest(pattern, (*AIMS, *names))
-            raise InputError("nothing of that name to reduce", expected=expected, value=pattern, nearest=meant)
-
-
-def _aim(model: Model, rows: np.ndarray, names: list[str], tool_length_mm: float) -> Aim:
-    """What is to become small, of what the candidates together can determine at all."""
-    told = told_by(model, rows)
-    lost = {one.name for one in hidden_by(model, told)}
-    # What no candidate shows stays as uncertain as it is, in whatever it moves: it must not drown what can be made small.
-    silent = model.free.T @ told.spectrum.silent
-    seen = np.eye(model.free.shape[1]) - silent @ silent.T
-    columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
-    own = model.plausible[columns, None] * model.free[columns]
-    if names == ["tool"]:
-        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), tool_length_mm, lost) @ seen)
-    if names in (["everything"], ["weakest"]):
-        if names == ["weakest"]:
-            # What is held to be small anyway stays as it is held, however much is read.
-            reach = np.einsum("ki,ij,kj->k", own, np.linalg.inv(model.prior), own)
-            own = own[reach > OPEN * model.plausible[columns] ** 2] @ seen
-        basis = np.linalg.svd(own, full_matrices=False)
-        machine = basis.Vh[basis.S > 1e-9 * basis.S[0]]
-        return Everything(machine) if names == ["everything"] else Weakest(machine, model.prior)
-    wanted = [
-        k
-        for k, i in enumerate(columns)
-        if any(fnmatch.fnmatchcase(model.unknowns.columns[i].entity, pattern) for pattern in names)
-    ]
-    if not wanted:
-        raise InputError(
-            "nothing measured with this kit shows it",
-            expected="an error that some reading depends on: known places of the targets, more of them, other stations",
-            value=" ".join(names),
-        )
-    return AtTool((own[wanted] @ seen)[None], "errors", "µm and µrad")
+    reader = LaserTracker() if instrument is None else instrument
+    sizes = Calibration.default(machine) if expected is None else expected
+    return forecast(PlanModel.of(machine, placed, setting, reader, sizes, known), tool_length_mm)

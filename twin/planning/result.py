@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
-from twin._common.provenance import SourceWarning, texts, to_json
+from twin._common.json_form import json_form
+from twin._common.provenance import SourceWarning, texts
 from twin.display import bar, card, note, pairs, several, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.fill import Stand
+from twin.planning.fill import Filled
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
+from twin.planning.task import Task
 from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA: Final = "twin.plan/1"
 ODDS: Final = 100
 """As `twin diagnose` counts: below them two causes are equivalent."""
+SPENT: Final = MappingProxyType(
+    {
+        "station": "setting up",
+        "target": "changing targets",
+        "aim": "turning reflectors",
+        "travel": "travel",
+        "point": "readings",
+    }
+)
+"""What time goes into (`Route.spent`), in words."""
 SHOWN: Final = 5
 """Alternatives that are printed."""
 
@@ -45,14 +57,6 @@ class Alternative:
     points: int
     value: float
     unit: str
-
-
-def alternatives(stands: Sequence[Stand]) -> tuple[Alternative, ...]:
-    """As they are shown, in the order given."""
-    return tuple(
-        Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
-        for one in stands
-    )
 
 
 @final
@@ -125,6 +129,36 @@ class Plan:
     separation: Separation | None = None
     warnings: tuple[SourceWarning, ...] = ()
 
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        aim: str,
+        filled: Filled,
+        *,
+        forecast: Forecast | None = None,
+        separation: Separation | None = None,
+    ) -> Plan:
+        """From the ways to stand that were tried and the route from the best of them."""
+        best = filled.stands[0]
+        alternatives = tuple(
+            Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
+            for one in filled.stands
+        )
+        return cls(
+            task.machine,
+            task.kit,
+            aim,
+            best.readings.instrument,
+            best.stations,
+            filled.route,
+            forecast,
+            alternatives,
+            task.seed,
+            separation,
+            task.expected.warnings,
+        )
+
     @property
     def table(self) -> Measurements:
         """The readings in the order they are to be taken: a measurement table without coordinates."""
@@ -173,27 +207,19 @@ class Plan:
 
     def comment(self) -> str:
         """The lines the file carries."""
-        spent = self.route
         lines = [
             f"plan by twin: {self.machine.name}, {len(self.table)} readings with {self.instrument.name}, {self.minutes:.0f} minutes, "
             f"aim: {self.aim}, seed {self.seed}",
             f"kit: {self.kit.source}",
-            f"setting up {spent.stations_s / 60:.0f} min, changing targets {spent.targets_s / 60:.0f} min, turning reflectors "
-            f"{spent.aims_s / 60:.0f} min, travel {spent.travel_s / 60:.0f} min, readings {spent.points_s / 60:.0f} min",
+            ", ".join(f"{words} {self.route.spent[key] / 60:.0f} min" for key, words in SPENT.items()),
             *self.notices(),
         ]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        spent = self.route
-        parts = (
-            ("setting up", spent.stations_s),
-            ("changing targets", spent.targets_s),
-            ("turning reflectors", spent.aims_s),
-            ("travel", spent.travel_s),
-            ("readings", spent.points_s),
-        )
-        rows = [(words, f"{seconds / 60:.0f}", bar(seconds / max(spent.seconds, 1.0))) for words, seconds in parts]
+        parts = ((words, self.route.spent[key]) for key, words in SPENT.items())
+        whole = max(self.route.seconds, 1.0)
+        rows = [(words, f"{seconds / 60:.0f}", bar(seconds / whole)) for words, seconds in parts]
         told = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
         told.append(("kit", self.kit.source))
         tried = [
@@ -237,38 +263,24 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON (``schema: twin.plan/1``)."""
-        spent = self.route
-        return {
-            "schema": SCHEMA,
-            "machine": self.machine.name,
-            "kit": self.kit.source,
-            "aim": self.aim,
-            "instrument": self.instrument.name,
-            "stations": list(self.stations),
-            "points": len(self.table),
-            "minutes": self.minutes,
-            "seconds": {
-                "stations": spent.stations_s,
-                "targets": spent.targets_s,
-                "aims": spent.aims_s,
-                "travel": spent.travel_s,
-                "points": spent.points_s,
-            },
-            "separation": None if self.separation is None else self.separation.to_dict(),
-            "forecast": None if self.forecast is None else self.forecast.to_dict(),
-            "definition": DEFINITION,
-            "alternatives": [
-                {
-                    "instrument": one.instrument,
-                    "stations": list(one.stations),
-                    "points": one.points,
-                    "value": one.value,
-                    "unit": one.unit,
-                }
-                for one in self.alternatives
-            ],
-            "retract_before": [row + 1 for row in spent.blocked],
-            "notices": self.notices(),
-            "warnings": to_json(self.warnings),
-            "seed": self.seed,
-        }
+        return json_form(
+            {
+                "schema": SCHEMA,
+                "machine": self.machine.name,
+                "kit": self.kit.source,
+                "aim": self.aim,
+                "instrument": self.instrument.name,
+                "stations": self.stations,
+                "points": len(self.table),
+                "minutes": self.minutes,
+                "seconds": {key if key == "travel" else f"{key}s": self.route.spent[key] for key in SPENT},
+                "separation": self.separation,
+                "forecast": self.forecast,
+                "definition": DEFINITION,
+                "alternatives": self.alternatives,
+                "retract_before": [row + 1 for row in self.route.blocked],
+                "notices": self.notices(),
+                "warnings": self.warnings,
+                "seed": self.seed,
+            }
+        )

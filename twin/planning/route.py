@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, final
 
@@ -12,9 +12,11 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.planning.candidates import Candidates
 from twin.planning.clearance import Clearance
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
+from twin.planning.task import Task
 
 PASSES: Final = 2
 """Times a station goes through its points: what comes back between the passes can be told from what does not."""
@@ -24,46 +26,26 @@ TRIED: Final = 12
 
 @final
 @dataclass(frozen=True)
-class Session:
-    """A state of the machine in which readings are taken.
-
-    Attributes:
-        words: how to bring it about.
-        start_s: on the clock of ``time_s``, at the earliest.
-        temperatures: °C of axes and sensors.
-    """
-
-    words: str
-    start_s: float = 0.0
-    temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-
-
-ALWAYS: Final = (Session("as it is"),)
-"""Where the state does not matter."""
-
-
-@final
-@dataclass(frozen=True)
 class Route:
     """A plan in the order it is carried out.
 
     Attributes:
         plan: with rounds and ``time_s`` at which each reading is taken.
-        seconds: of the work, stations set up and moved included; not of waiting for a session.
-        stations_s, targets_s, aims_s, travel_s, points_s: what of it goes where.
+        spent: seconds of the work by what they go into: ``station``, ``target``, ``aim``, ``travel``, ``point``; without waiting for a
+            session.
         blocked: rows whose straight move from the row before comes too near to something: retract first.
         sessions: the row each begins with, and how to bring it about.
     """
 
     plan: Measurements
-    seconds: float
-    stations_s: float
-    targets_s: float
-    aims_s: float
-    travel_s: float
-    points_s: float
+    spent: Mapping[str, float]
     blocked: tuple[int, ...]
     sessions: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Of the work, stations set up and moved included."""
+        return sum(self.spent.values())
 
 
 def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
@@ -71,7 +53,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
 
     Its targets and stations are the kit's where they have its names; others cost no aiming.
     """
-    clock = _Clock(machine, kit, plan, _towards(machine, kit, plan), None)
+    clock = _Clock(machine, kit, plan, None)
     here: str | None = None
     for row in range(len(plan)):
         if plan.station[row] != here:
@@ -81,44 +63,29 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
     return sum(clock.spent.values())
 
 
-def route(
-    machine: Machine,
-    kit: Kit,
-    plan: Measurements,
-    stations: Sequence[str],
-    rng: np.random.Generator,
-    *,
-    session: np.ndarray | None = None,
-    sessions: Sequence[Session] = ALWAYS,
-    first_round: int = 1,
-    clear: bool = True,
-) -> Route:
+def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: bool = True) -> Route:
     """Put a plan in order: session by session, station by station, in two passes, always on to the point that is reached soonest.
 
     Args:
-        machine: the machine.
-        kit: times and reflectors.
-        plan: its rows in any order.
-        stations: the order of the stations.
-        rng: of which point goes into which pass.
-        session: (n,) index of the session of each row; all in the first if None.
-        sessions: in order.
-        first_round: number of the first round.
+        task: what the plan is made for.
+        chosen: the readings, in any order.
+        stations: in their order.
         clear: whether the way has to keep clear; to know about how long it takes, it need not.
     """
-    clock = _Clock(machine, kit, plan, _towards(machine, kit, plan), Clearance(machine, kit) if clear else None)
-    number = first_round - 1
+    plan, session, sessions = chosen.plan, chosen.session, chosen.sessions
+    clock = _Clock(task.machine, task.kit, plan, Clearance(task.machine, task.kit) if clear else None)
+    rng = np.random.default_rng(task.seed)
+    number = task.first_round - 1
     begun: list[tuple[int, str]] = []
-    state = np.zeros(len(plan), dtype=int) if session is None else session
     standing: str | None = None
     for k, one in enumerate(sessions):
-        if not np.any(state == k):
+        if not np.any(session == k):
             continue
         clock.wait(one.start_s)
         if len(sessions) > 1:
             begun.append((len(clock.order), one.words))
         for station in stations:
-            rows = np.flatnonzero((plan.station == station) & (state == k))
+            rows = np.flatnonzero((plan.station == station) & (session == k))
             if not len(rows):
                 continue
             if station != standing:
@@ -135,42 +102,16 @@ def route(
         round=locked(np.array(clock.rounds, dtype=object)),
         time_s=locked(np.round(clock.times, 1)),
     )
-    return Route(
-        ordered,
-        sum(clock.spent.values()),
-        clock.spent["station"],
-        clock.spent["target"],
-        clock.spent["aim"],
-        clock.spent["travel"],
-        clock.spent["point"],
-        tuple(clock.blocked),
-        tuple(begun),
-    )
-
-
-def _towards(machine: Machine, kit: Kit, plan: Measurements) -> np.ndarray:
-    """(n, 3) unit vectors from reflectors to stations, on the reflectors' carriers; zero where the kit lacks either."""
-    sight = Sight(machine, kit)
-    poses = sight.poses(plan.positions)
-    found = np.zeros((len(plan), 3))
-    for station in kit.stations:
-        for target in kit.targets:
-            rows = np.flatnonzero((plan.station == station) & (plan.target == target))
-            if len(rows):
-                of = {side: pose[rows] for side, pose in poses.items()}
-                found[rows] = sight.towards(of, kit.targets[target], kit.stations[station].origin_mm)
-    return found
+    return Route(ordered, MappingProxyType(clock.spent), tuple(clock.blocked), tuple(begun))
 
 
 class _Clock:
     """A machine on its way through a plan."""
 
-    def __init__(
-        self, machine: Machine, kit: Kit, plan: Measurements, towards: np.ndarray, clearance: Clearance | None
-    ) -> None:
+    def __init__(self, machine: Machine, kit: Kit, plan: Measurements, clearance: Clearance | None) -> None:
         self.kit = kit
         self.plan = plan
-        self.towards = towards
+        self.towards = Sight(machine, kit).directions(plan)
         self.clearance = clearance
         self.now = 0.0
         self.spent = dict.fromkeys(("station", "target", "aim", "travel", "point"), 0.0)

@@ -25,19 +25,21 @@ from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.problem.problem import TOLD_APART, Problem
 from twin.identification.fitting import fitting
 from twin.identification.network import Network
+from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
-from twin.planning.candidates import candidates, safe_poses, setting_of
-from twin.planning.design import AtTool, Say, covariance_of
-from twin.planning.fill import Filler, Readings
-from twin.planning.information import as_told, setup_of
+from twin.planning.aims import AtTool
+from twin.planning.candidates import ALWAYS, Candidates, Session, candidates
+from twin.planning.design import DesignProblem, covariance_of
+from twin.planning.fill import fill
 from twin.planning.kit import Kit
-from twin.planning.result import ODDS, Plan, Separation, alternatives
-from twin.planning.route import ALWAYS, Session
+from twin.planning.model import as_told, setup_of
+from twin.planning.result import ODDS, Plan, Separation
+from twin.planning.task import Say, Task
 
 POWER: Final = 1.645
 """Quantile of 95 %: the chance that the odds come out that good."""
@@ -122,51 +124,97 @@ def separate(
         causes = (Named.parse(first), Named.parse(second))
         if causes[0].text == causes[1].text:
             raise InputError("two causes that are one", expected="two effects, or two places of one", value=second)
-        own = Kit.default(machine) if kit is None else kit
-        tell: Say = say or (lambda stage, part: None)
-        known = Calibration.default(machine) if calibration is None else calibration
-        first_round = 1
+        task = Task.of(machine, kit, minutes, calibration, seed, say)
         if after is not None:
-            own = _beside(own, after)
-            first_round += max((int(name) for name in after.round if str(name).isdecimal()), default=0)
-        filler = Filler(machine, own, minutes, seed, tell, first_round=first_round)
-        tell("looking", 0.0)
-        sessions = _sessions(causes)
-        plain = candidates(machine, own, safe_poses(machine, own, filler.rng), filler.rng)
-        every, session = _in_sessions(plain, sessions)
-        cells = tuple(form_meant(one, machine, every, known) for one in causes)
-        found: list[Readings] = []
-        for instrument in own.instruments:
-            found.append(_readings(machine, own, instrument, every, session, sessions, known, causes, cells, after))
-        stands = filler.best([one for readings in found for one in filler.stands(readings)])
-        best = stands[0]
-        way = filler.filled(best)
-        again = tuple(form_meant(one, machine, way.plan, known) for one in causes)
-        last = _readings(
-            machine,
-            own,
-            best.readings.instrument,
-            way.plan,
-            np.zeros(len(way.plan), dtype=int),
-            ALWAYS,
-            known,
-            causes,
-            again,
-            after,
+            rounds = max((int(name) for name in after.round if str(name).isdecimal()), default=0)
+            task = replace(task, kit=_beside(task.kit, after), first_round=1 + rounds)
+        task.say("looking", 0.0)
+        every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
+        question = _Question(task, causes, after)
+        cells = question.cells(every.plan)
+        filled = fill(task, [question.problem(one, every, cells) for one in task.kit.instruments])
+        chosen = filled.route.plan
+        last = question.cells(chosen)
+        in_order = Candidates(chosen, np.zeros(len(chosen), dtype=int))
+        told = question.problem(filled.stands[0].readings.instrument, in_order, last)
+        aim = f"separate {causes[0].text} from {causes[1].text}"
+        separation = _separation(causes, last, covariance_of(told.prior, told.rows))
+        return Plan.of(task, aim, filled, separation=separation)
+
+
+Meant = tuple[Candidate, Cell]
+"""A cause and the form of it that is meant."""
+
+
+@final
+@dataclass(frozen=True)
+class _Question:
+    """Which of two causes it is.
+
+    Attributes:
+        task: whose calibration's own doubt counts.
+        causes: both.
+        after: what has been measured already.
+    """
+
+    task: Task
+    causes: tuple[Named, Named]
+    after: Measurements | None
+
+    def cells(self, plan: Measurements) -> tuple[Meant, Meant]:
+        """The forms that are meant, at the readings of a plan."""
+        first, second = (form_meant(one, self.task.machine, plan, self.task.expected) for one in self.causes)
+        return first, second
+
+    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[Meant, Meant]) -> DesignProblem:
+        """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
+        problem = self._planned(instrument, every.plan)
+        columns = [problem.signature(cell.columns) for _, cell in cells]
+        setup, doubt = len(problem.setup), len(problem.prior)
+        whole = np.concatenate([problem.nuisance, *columns], axis=1)
+        total = whole.shape[1]
+        # `twin diagnose` holds a set-up by nothing: where on its carrier a target sits, angles of the machine alone may have to tell.
+        prior = np.diag(np.where(np.arange(total) < setup, HOLD, 1.0))
+        if self.after is not None:
+            prior[setup:, setup:] += self._told_already(instrument, self.after)
+        ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
+        sizes = tuple(
+            _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
+            for one, cell in zip(self.causes, cells, strict=True)
         )
-        return Plan(
-            machine,
-            own,
-            f"separate {causes[0].text} from {causes[1].text}",
-            best.readings.instrument,
-            best.stations,
-            way,
-            None,
-            alternatives(stands),
-            seed,
-            _separation(causes, again, covariance_of(last.prior, last.rows)),
-            known.warnings,
-        )
+        # Where nothing is said of a size, both count alike: in the size that is plausible.
+        safe = (sizes[0], sizes[1]) if all(size == size and size > 0.0 for size in sizes) else (1.0, 1.0)
+        both = np.zeros((total, total))
+        for (begin, end), size in zip(pairwise(ends), safe, strict=True):
+            both[range(begin, end), range(begin, end)] = 1.0 / size
+        aim = AtTool(both[None], "separate", "of the sizes meant")
+        return DesignProblem(instrument, every, prior, whole.reshape(-1, 3, total), aim)
+
+    def _planned(self, instrument: Instrument, every: Measurements) -> Problem:
+        machine, kit = self.task.machine, self.task.kit
+        zero, rng = Calibration.zero(machine), np.random.default_rng(0)
+        measured, _ = simulate(every, machine, zero, instrument, rng, setting=kit.setting, noise=False)
+        told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
+        return self._problem(told, instrument, setup_of(told, kit.setting, instrument))
+
+    def _problem(self, data: Measurements, instrument: Instrument, setup: SetUp) -> Problem:
+        machine, known = self.task.machine, self.task.expected
+        return Problem(Network(machine, data, instrument, Unknowns(machine, [], []), known), setup, known)
+
+    def _told_already(self, instrument: Instrument, after: Measurements) -> np.ndarray:
+        """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
+        lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
+        kept, setup = fitting(self.task.machine, after, lengths_only=lengths_only)
+        reader = instrument if lengths_only or not instrument.lengths_only else LaserTracker()
+        problem = self._problem(kept, reader, setup)
+        columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
+        own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
+        rest = np.concatenate([doubts, *columns], axis=1)
+        # Not all of a set-up need show: a frame and everything that was read in it may move together.
+        basis, strength, _ = np.linalg.svd(own, full_matrices=False)
+        basis = basis[:, strength > TOLD_APART * strength[0]]
+        left = rest - basis @ (basis.T @ rest)
+        return np.asarray(left.T @ left)
 
 
 def _beside(kit: Kit, after: Measurements) -> Kit:
@@ -215,18 +263,19 @@ def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
     return tuple(found)
 
 
-def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> tuple[Measurements, np.ndarray]:
-    """Every reading in every session, and (n,) which session."""
+def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidates:
+    """Every reading in every session."""
     n = len(plain)
     session = np.repeat(np.arange(len(sessions)), n)
     every = plain.select(np.tile(np.arange(n), len(sessions)))
     names = dict.fromkeys(name for one in sessions for name in one.temperatures)
     temperatures = {name: locked(np.array([one.temperatures[name] for one in sessions])[session]) for name in names}
     starts = np.array([one.start_s for one in sessions])
-    return replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures)), session
+    timed = replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures))
+    return Candidates(timed, session, sessions)
 
 
-def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> tuple[Candidate, Cell]:
+def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> Meant:
     """The form of a cause that is meant: with the non-linear parameters given, else the plainest.
 
     A drift is an exponential if its ``amplitude`` or ``time_constant`` is given, else a straight line with a ``rate``.
@@ -272,100 +321,20 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
     return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
 
 
-def _readings(
-    machine: Machine,
-    kit: Kit,
-    instrument: Instrument,
-    every: Measurements,
-    session: np.ndarray,
-    sessions: tuple[Session, ...],
-    calibration: Calibration,
-    causes: tuple[Named, ...],
-    cells: tuple[tuple[Candidate, Cell], ...],
-    after: Measurements | None,
-) -> Readings:
-    """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
-    problem = _problem(machine, kit, instrument, every, calibration)
-    columns = [problem.signature(cell.columns) for _, cell in cells]
-    setup, doubt = len(problem.setup), len(problem.prior)
-    whole = np.concatenate([problem.nuisance, *columns], axis=1)
-    total = whole.shape[1]
-    # `twin diagnose` holds a set-up by nothing: where on its carrier a target sits, angles of the machine alone may have to tell.
-    prior = np.diag(np.where(np.arange(total) < setup, HOLD, 1.0))
-    if after is not None:
-        prior[setup:, setup:] += _told_already(machine, instrument, after, calibration, causes, doubt)
-    ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
-    sizes = tuple(
-        _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
-        for one, cell in zip(causes, cells, strict=True)
-    )
-    # Where nothing is said of a size, both count alike: in the size that is plausible.
-    safe = (sizes[0], sizes[1]) if all(size == size and size > 0.0 for size in sizes) else (1.0, 1.0)
-    both = np.zeros((total, total))
-    for (begin, end), size in zip(pairwise(ends), safe, strict=True):
-        both[range(begin, end), range(begin, end)] = 1.0 / size
-    aim = AtTool(both[None], "separate", "of the sizes meant")
-    return Readings(instrument, every, session, sessions, prior, whole.reshape(len(every), 3, total), aim)
-
-
-def _problem(
-    machine: Machine, kit: Kit, instrument: Instrument, every: Measurements, calibration: Calibration
-) -> Problem:
-    setting = setting_of(kit)
-    measured, _ = simulate(
-        every, machine, Calibration.zero(machine), instrument, np.random.default_rng(0), setting=setting, noise=False
-    )
-    told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
-    setup = setup_of(told, setting, instrument)
-    return Problem(Network(machine, told, instrument, Unknowns(machine, [], []), calibration), setup, calibration)
-
-
-def _told_already(
-    machine: Machine,
-    instrument: Instrument,
-    after: Measurements,
-    calibration: Calibration,
-    causes: tuple[Named, ...],
-    doubt: int,
-) -> np.ndarray:
-    """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
-    reader = instrument if isinstance(instrument, LaserTracker) else LaserTracker()
-    lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
-    kept, setup = fitting(machine, after, lengths_only=lengths_only)
-    problem = Problem(
-        Network(machine, kept, instrument if lengths_only else reader, Unknowns(machine, [], []), calibration),
-        setup,
-        calibration,
-    )
-    columns = [problem.signature(form_meant(one, machine, kept, calibration)[1].columns) for one in causes]
-    own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
-    rest = np.concatenate([doubts, *columns], axis=1)
-    # Not all of a set-up need show: a frame and everything that was read in it may move together.
-    basis, strength, _ = np.linalg.svd(own, full_matrices=False)
-    basis = basis[:, strength > TOLD_APART * strength[0]]
-    left = rest - basis @ (basis.T @ rest)
-    return np.asarray(left.T @ left)
-
-
-def _meant(one: Named, cell: tuple[Candidate, Cell]) -> float:
+def _meant(one: Named, cell: Meant) -> float:
     """How large a cause was said to be; NaN if nothing was said."""
     linear = [value for name, value in one.numbers.items() if name not in cell[1].fixed and name != "phase"]
     return float(np.sqrt(np.sum(np.square(linear)))) if linear else float("nan")
 
 
-def _separation(
-    causes: tuple[Named, ...], cells: tuple[tuple[Candidate, Cell], ...], covariance: np.ndarray
-) -> Separation:
+def _separation(causes: tuple[Named, Named], cells: tuple[Meant, Meant], covariance: np.ndarray) -> Separation:
     sizes: list[tuple[float, str]] = []
-    end = len(covariance)
-    starts: list[int] = []
-    for _, cell in reversed(cells):
-        starts.insert(0, end - len(cell.columns))
-        end -= len(cell.columns)
-    for start, (candidate, cell) in zip(starts, cells, strict=True):
-        count = len(cell.columns)
+    start = len(covariance) - sum(len(cell.columns) for _, cell in cells)
+    for candidate, cell in cells:
+        end = start + len(cell.columns)
         scale = np.array([column.scale for column in cell.columns])
-        own = covariance[start : start + count, start : start + count] * np.outer(scale, scale)
+        own = covariance[start:end, start:end] * np.outer(scale, scale)
+        start = end
         # Of several numbers the one known worst.
         worst = float(np.sqrt(LAMBDA * np.linalg.eigvalsh(own)[-1]))
         straight = candidate.drift is not None and not cell.fixed

@@ -17,6 +17,7 @@ import pinocchio as pin
 from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 from twin.planning.kit import Kit, Target
 
 NEST: Final = 0.03
@@ -51,10 +52,7 @@ def machine_shapes(machine: Machine) -> list[Shape]:
             geometry = pin.buildGeomFromUrdf(machine.model, str(machine.urdf), kind)
         except (ValueError, RuntimeError) as error:
             raise InputError(
-                "shapes that cannot be loaded",
-                expected="shapes whose files are there",
-                file=machine.urdf,
-                value=error,
+                "shapes that cannot be loaded", expected="shapes whose files are there", file=machine.urdf, value=error
             ) from error
         found = [Shape(int(o.parentJoint), o.geometry, o.placement) for o in geometry.geometryObjects]
         if found:
@@ -112,6 +110,18 @@ class Sight:
         beam = np.array(origin_mm) * MM - self.reflectors(poses, target)
         beam /= np.linalg.norm(beam, axis=1, keepdims=True)
         return np.asarray(np.einsum("nji,nj->ni", poses[target.carrier][:, :3, :3], beam))
+
+    def directions(self, plan: Measurements) -> np.ndarray:
+        """(n, 3) unit vectors from reflectors to stations, on the reflectors' carriers; zero where the kit lacks either."""
+        poses = self.poses(plan.positions)
+        found = np.zeros((len(plan), 3))
+        for station in self.kit.stations:
+            for target in self.kit.targets:
+                rows = np.flatnonzero((plan.station == station) & (plan.target == target))
+                if len(rows):
+                    of = {side: pose[rows] for side, pose in poses.items()}
+                    found[rows] = self.towards(of, self.kit.targets[target], self.kit.stations[station].origin_mm)
+        return found
 
     def sees(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
         """(n,) whether a station sees a target, by both names, at (n, axes) commands in mm and degrees."""

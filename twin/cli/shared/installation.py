@@ -16,10 +16,11 @@ from time import perf_counter
 from types import MappingProxyType
 from typing import Final, Literal, NoReturn, final
 
-from twin.cli.terminal import accept_any_text, echo, tell_error
+from twin.cli.shared.terminal import accept_any_text, echo, tell_error
 
 BAD_INPUT: Final = 2
 NOT_ALL_MET: Final = 3
+INTERRUPTED: Final = 130
 
 NEEDED: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -79,10 +80,6 @@ class Finding:
     detail: str
     remedy: str = ""
 
-    def to_dict(self) -> dict[str, str]:
-        """For JSON."""
-        return {"name": self.name, "status": self.status, "detail": self.detail, "remedy": self.remedy}
-
 
 @cache
 def imports_all() -> bool:
@@ -140,22 +137,23 @@ def end_with_findings() -> NoReturn:
     accept_any_text()
     clock = perf_counter()
     found = [python(), *packages(), *extras(), browser(), *size()]
-    show(found, perf_counter() - clock)
+    echo(shown(found, perf_counter() - clock), end="")
     echo("machine, compiler and JSON: left out, because they need the packages that failed")
     sys.exit(NOT_ALL_MET)
 
 
-def show(findings: Sequence[Finding], seconds: float) -> None:
-    """Print findings, one a line, and a summary."""
+def shown(findings: Sequence[Finding], seconds: float) -> str:
+    """Return findings, one a line, and a summary."""
+    lines = []
     for one in findings:
-        echo(f"{one.status:<8}{one.name:<26}{one.detail}")
+        lines.append(f"{one.status:<8}{one.name:<26}{one.detail}")
         if one.remedy:
-            echo(f"{'':<10}{one.remedy}")
+            lines.append(f"{'':<10}{one.remedy}")
     failed = [one.name for one in findings if one.status == "FAILED"]
     missing = [one.name for one in findings if one.status == "missing"]
-    echo(f"\n{len(findings)} things looked at in {seconds:.1f} s: ", end="")
-    echo(f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right", end="")
-    echo(f"; optional and missing: {', '.join(missing)}" if missing else "")
+    summary = f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right"
+    summary += f"; optional and missing: {', '.join(missing)}" if missing else ""
+    return "\n".join([*lines, "", f"{len(findings)} things looked at in {seconds:.1f} s: {summary}", ""])
 
 
 def python() -> Finding:

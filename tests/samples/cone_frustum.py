@@ -1,4 +1,4 @@
-"""Makes the cone frustum programs beside this file: run ``python -m twin.samples.cone_frustum``.
+"""Makes the cone frustum programs in `twin.samples`: run ``python -m tests.samples.cone_frustum``.
 
 The five-axis acceptance test of NAS 979 and ISO 10791-7: a conical frustum whose axis leans, finished in one turn with the flank
 of an end mill, so that all five axes move at once. Half apex angle 15°, inclined by 10°, base diameter 80 mm; height, offset from the
@@ -8,7 +8,6 @@ table centre and tool are ours. The same path in three languages: cutter locatio
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -19,7 +18,9 @@ from twin.compensation.toolpath import Setup, WordSpace
 from twin.kinematics.forward import Poses
 from twin.kinematics.inverse import Inverse
 from twin.machine.machine import Machine
+from twin.samples import PLANS
 
+FOLDER: Final = PLANS[0].parent
 HALF_APEX_DEG: Final = 15.0
 INCLINED_DEG: Final = 10.0
 BASE_DIAMETER_MM: Final = 80.0
@@ -142,10 +143,9 @@ def _rotary(space: WordSpace, axes: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Write the three programs beside this file."""
-    folder = Path(__file__).parent
+    """Write the three programs."""
     for suffix, text in (("cls", apt()), ("h", heidenhain()), ("nc", iso())):
-        write_whole(folder / f"cone_frustum.{suffix}", text)
+        write_whole(FOLDER / f"cone_frustum.{suffix}", text)
 
 
 if __name__ == "__main__":

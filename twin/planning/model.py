@@ -8,7 +8,7 @@ those expected.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, final
@@ -19,8 +19,8 @@ from twin._common.arrays import locked
 from twin._common.units import MM
 from twin.identification.network import PIECE, Network
 from twin.identification.setup import SetUp
-from twin.identification.solve import free_directions
-from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, spaces_for
+from twin.identification.solve import free_directions, named
+from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, offset_unseen, spaces_for
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
@@ -29,7 +29,8 @@ from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import Instrument
 from twin.measurement.simulate import Setting, simulate
 from twin.measurement.table import Measurements
-from twin.numerics.curves import bases_for
+from twin.numerics.curves import Basis, bases_for
+from twin.numerics.observability import UNSEEN, Determinability, determinability
 from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
@@ -45,13 +46,34 @@ LEAST_UM: Final = 0.5
 """A calibration that takes a curve as smaller than that is not believed: what it left out is not zero."""
 
 
+NAMED: Final = 5
+"""Unknowns that a reason names."""
+VAGUE: Final = "the readings say less of it than is plausible anyway"
+
+
 @final
 @dataclass(frozen=True)
-class Model:
+class Hidden:
+    """An error a plan cannot show.
+
+    Attributes:
+        name: ISO 230-1 name.
+        reason: what moves with it and leaves every reading as it is.
+    """
+
+    name: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True)
+class PlanModel:
     """The unknowns of a planned measurement, and what is known of them before it.
 
     Attributes:
         machine: the machine.
+        plan: the readings.
+        instrument: what reads them.
         unknowns: of the machine.
         setting, setup: stations and targets as planned.
         plausible: (p,) size of every unknown that stands for one in the coordinates used here.
@@ -62,6 +84,8 @@ class Model:
     """
 
     machine: Machine
+    plan: Measurements
+    instrument: Instrument
     unknowns: Unknowns
     setting: Setting
     setup: SetUp
@@ -79,21 +103,41 @@ class Model:
         instrument: Instrument,
         expected: Calibration,
         known: Collection[str] = (),
-        offsets: Collection[str] | None = None,
-    ) -> Model:
-        """The unknowns of a plan's axes, stations and targets.
+    ) -> PlanModel:
+        """The unknowns of a plan's axes, stations and targets, as `identify` has them.
+
+        A constant that the readings do not show is a station's or a location's: its curve has none.
 
         Args:
             machine: the machine.
             plan: every reading in question; axes it does not move have no unknowns.
             setting: where stations and targets are.
-            known: names of the stations and targets that an evaluation is told exactly.
-            instrument: whether it reads lengths only.
+            instrument: what reads.
             expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
-            offsets: names of the curves that may have a constant, of those that can (`Unknowns`); all of them if None.
+            known: names of the stations and targets that an evaluation is told exactly.
         """
+        offsets: list[str] | None = None
+        while True:
+            model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
+            unseen = offset_unseen(model.unknowns, model.told.unseen) if model.unknowns.offsets else None
+            if unseen is None:
+                return model
+            offsets = [name for name in model.unknowns.offsets if name != unseen]
+
+    @classmethod
+    def _with_constants(
+        cls,
+        machine: Machine,
+        plan: Measurements,
+        setting: Setting,
+        instrument: Instrument,
+        expected: Calibration,
+        known: Collection[str],
+        offsets: list[str] | None,
+    ) -> PlanModel:
+        """The same with a constant in some of the curves that can have one (`Unknowns`); in all of them if None."""
         turning = {split_name(c.name)[2] for c in expected.curves.values() if c.family.periodic}
-        bases = {
+        bases: dict[str, Basis] = {
             axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None or axis.name in turning)[0]
             for axis in machine.axes
         }
@@ -114,28 +158,26 @@ class Model:
                 about[columns] = _parts(space, expected.curves[space.name])
         for name, value in (*expected.squareness.items(), *expected.location.items()):
             about[unknowns.of(name)] = value
-        return cls(machine, unknowns, setting, setup, plausible, free, free.T @ (precision[:, None] * free), about)
+        prior = free.T @ (precision[:, None] * free)
+        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, about)
 
-    def rows(self, plan: Measurements, instrument: Instrument) -> np.ndarray:
-        """(n, 3, f) derivatives of the whitened readings of a plan by the coordinates; zero where nothing is read."""
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """(n, 3, f) derivatives of the whitened readings by the coordinates; zero where nothing is read."""
         readings, _ = simulate(
-            plan,
+            self.plan,
             self.machine,
             Calibration.zero(self.machine),
-            instrument,
+            self.instrument,
             np.random.default_rng(0),
             setting=self.setting,
             noise=False,
         )
-        network = Network(self.machine, readings, instrument, self.unknowns)
-        stations, targets = list(dict.fromkeys(plan.station)), list(dict.fromkeys(plan.target))
-        own = self._of(stations, targets)
-        kept = self._columns(stations, targets)
-        found = np.empty((len(plan), 3, self.free.shape[1]))
-        for start in range(0, len(plan), PIECE):
-            piece = network.piece(self.about, own, np.arange(start, min(start + PIECE, len(plan))))
-            scaled = piece.jacobian * self.plausible[kept]
-            found[piece.rows] = scaled @ self.free[kept]
+        network = Network(self.machine, readings, self.instrument, self.unknowns)
+        found = np.empty((len(readings), 3, self.free.shape[1]))
+        for start in range(0, len(readings), PIECE):
+            piece = network.piece(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+            found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
     def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
@@ -155,32 +197,44 @@ class Model:
                 own[:, :, k] += by_error[:, :, at] * values[:, None] * 1e6
         return np.asarray((own * self.plausible[: len(self.unknowns)]) @ self.free[: len(self.unknowns)])
 
+    def tool_length(self, given_mm: float | None) -> float:
+        """As given, else the machine file's, else 100 mm: at the nose itself a turn about it would look harmless."""
+        return given_mm if given_mm is not None else self.machine.tool_length_mm or 100.0
+
+    @cached_property
+    def told(self) -> Determinability:
+        """What the readings determine, unknown by unknown, with nothing known beforehand but what is plausible."""
+        flat = self.rows.reshape(-1, self.rows.shape[-1])
+        triangle = np.linalg.qr(flat, mode="r") if len(flat) > flat.shape[1] else flat
+        # The coordinates' own derivatives, carried back to the unknowns: outside the datum's directions there is nothing to carry.
+        return determinability(
+            triangle @ self.free.T / self.plausible,
+            named(self.unknowns, self.setup),
+            free=self.free,
+            measurements=int(np.count_nonzero(np.any(flat != 0.0, axis=1))),
+        )
+
+    @cached_property
+    def hidden(self) -> tuple[Hidden, ...]:
+        """The errors of which not even the lowest order is determined, as `identify` would leave them out."""
+        unseen = dict(zip(self.told.names, self.told.unseen, strict=True))
+        # The machine's own unknowns come first.
+        names = dict(zip(self.unknowns.columns, self.told.names, strict=False))
+        found = []
+        for name in self.unknowns.entities:
+            space = self.curves.get(name)
+            columns = [column for column in self.unknowns.columns if column.entity == name]
+            lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
+            worst = max(lowest, key=lambda one: unseen[one])
+            if unseen[worst] > UNSEEN:
+                direction = self.told.moving(worst)
+                found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
+        return tuple(found)
+
     @cached_property
     def curves(self) -> dict[str, CurveSpace]:
         """The spaces of the error motions by name."""
         return {space.name: space for space in self.unknowns.curves}
-
-    def _of(self, stations: Sequence[str], targets: Sequence[str]) -> SetUp:
-        """The set-up of some stations and targets, in that order."""
-        whole = self.setup
-        s, t = [whole.stations.index(n) for n in stations], [whole.targets.index(n) for n in targets]
-        return SetUp(
-            tuple(stations),
-            whole.rotation[s],
-            whole.origin[s],
-            whole.dead[s],
-            tuple(targets),
-            whole.place[t],
-            whole.station_known[s],
-            whole.target_known[t],
-            whole.lengths_only,
-        )
-
-    def _columns(self, stations: Sequence[str], targets: Sequence[str]) -> np.ndarray:
-        """Where the unknowns of `_of` stand among all."""
-        names = self.setup.names
-        own = self._of(stations, targets).names
-        return np.array([*range(len(self.unknowns)), *(len(self.unknowns) + names.index(name) for name in own)])
 
 
 def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:

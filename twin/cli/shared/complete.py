@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from twin.cli.options import MANY_WORDS, gathered
+from twin.cli.shared.words import MANY_WORDS, gathered
 from twin.machine.effects import MACHINE_EFFECTS
 from twin.machine.iso16907 import NAMES
 from twin.machine.machine import DEFAULT, Machine, bundled_folder
@@ -24,44 +25,7 @@ WORD: Final = "COMP_CWORD"
 YAML: Final = (".yaml", ".yml")
 
 
-def machines(incomplete: str) -> list[str]:
-    """Machines that come with twin, and YAML files."""
-    return _begun(incomplete, _bundled(".yaml")) + _files(incomplete, YAML)
-
-
-def calibrations(incomplete: str) -> list[str]:
-    """YAML files."""
-    return _files(incomplete, YAML)
-
-
-def kits(incomplete: str) -> list[str]:
-    """Kits that come with twin, and YAML files."""
-    return _begun(incomplete, _bundled(".kit.yaml")) + _files(incomplete, YAML)
-
-
-def layouts(incomplete: str) -> list[str]:
-    """Interferometer layouts that come with twin, and YAML files."""
-    samples = find_program(PLANS[0].name).parent
-    own = [file.name for file in sorted(samples.glob("*.yaml"))]
-    return _begun(incomplete, own) + _files(incomplete, YAML)
-
-
-def programs(incomplete: str) -> list[str]:
-    """Programs that come with twin, and files with a program's suffix."""
-    suffixes = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
-    samples = find_program(PLANS[0].name).parent
-    own = [file.name for file in sorted(samples.iterdir()) if file.suffix in suffixes]
-    return _begun(incomplete, own) + _files(incomplete, suffixes)
-
-
-def plans(incomplete: str) -> list[str]:
-    """Plans that come with twin, and tables."""
-    return _begun(incomplete, [plan.name for plan in PLANS]) + _files(incomplete, (".csv",))
-
-
-def tables(incomplete: str) -> list[str]:
-    """Tables."""
-    return _files(incomplete, (".csv",))
+Completer = Callable[[str], list[str]]
 
 
 def classes(incomplete: str) -> list[str]:
@@ -136,6 +100,16 @@ def _bundled(suffix: str) -> list[str]:
     return [name.removesuffix(suffix) for name in files]
 
 
+def _samples(suffixes: tuple[str, ...]) -> list[str]:
+    folder = find_program(PLANS[0].name).parent
+    return [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
+
+
+def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
+    """Names of what comes with twin, and files with one of the suffixes."""
+    return lambda incomplete: _begun(incomplete, names()) + _files(incomplete, suffixes)
+
+
 def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
     """Files with one of the suffixes, and folders, whose path begins so."""
     folder, _, begun = incomplete.rpartition("/")
@@ -152,3 +126,13 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
             elif entry.suffix.lower() in suffixes:
                 found.append(f"{lead}{entry.name}")
     return found
+
+
+PROGRAM: Final = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
+machines = _named_or_file(lambda: _bundled(".yaml"), YAML)
+calibrations = _named_or_file(list, YAML)
+kits = _named_or_file(lambda: _bundled(".kit.yaml"), YAML)
+layouts = _named_or_file(lambda: _samples((".yaml",)), YAML)
+programs = _named_or_file(lambda: _samples(PROGRAM), PROGRAM)
+plans = _named_or_file(lambda: [plan.name for plan in PLANS], (".csv",))
+tables = _named_or_file(list, (".csv",))
