@@ -26,6 +26,7 @@ NEEDED: Final[Mapping[str, str]] = MappingProxyType(
         "casadi": "casadi",
         "cloudpickle": "cloudpickle",
         "coal": "coal",
+        "jinja2": "jinja2",
         "joblib": "joblib",
         "meshcat": "meshcat.geometry",
         "numpy": "numpy",

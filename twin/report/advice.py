@@ -8,13 +8,14 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
+from twin._common.json_form import json_form
 from twin.diagnosis.words import listed, lower
+from twin.display import UNKNOWN, expanded, figure, with_half
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import options_of
 from twin.report.after import After
 from twin.report.contributions import Budget, Contribution
 from twin.report.identified import Identified
-from twin.report.numbers import UNKNOWN, expanded, figure, with_half
 from twin.report.readings import Checked
 from twin.report.tables import TablesLeft
 
@@ -72,11 +73,7 @@ class Advice:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "headline": self.headline,
-            "wrong_most": list(self.wrong),
-            "steps": [{"kind": step.kind, "title": step.title, "text": step.text} for step in self.steps],
-        }
+        return json_form(self, rename={"wrong": "wrong_most"}, leave_out=("mood",))
 
 
 def advise(
@@ -119,7 +116,7 @@ def advise(
     steps = [
         *_illustrative(calibration),
         *_incomplete(left_out, identified),
-        *_settled(calibration.settled and (identified is None or identified.converged)),
+        *_settled(calibration.settled and (identified is None or identified.file.converged)),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
         *_one_of(
@@ -154,9 +151,8 @@ _IDENTIFY: Final = (
 
 
 def _line(one: Contribution) -> str:
-    unit = "µrad" if one.unit == "urad" else "µm"
     return (
-        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, unit)}, which makes "
+        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, one.unit)}, which makes "
         f"{figure(one.rms_um, 'µm')} RMS at the tool, up to {figure(one.max_um, 'µm')} "
         f"(U {expanded(one.u_rms_um, complete=one.u_complete)})"
     )
@@ -196,22 +192,23 @@ def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified 
                 "this one was changed since. What it says of the fit does not hold for these numbers.",
             )
         )
-    lack = identified.lack_p_value
+    fit = identified.file.misfit
+    lack = fit.lack_of_fit_p_value
     if lack is not None and lack < REPEATS:
         steps.append(
             Step(
                 "measure",
                 "Find out what the model leaves out",
-                f"The readings differ from the model by something that repeats (reduced chi² {identified.reduced_chi2:.3g}): the "
+                f"The readings differ from the model by something that repeats (reduced chi² {fit.reduced_chi2:.3g}): the "
                 "uncertainties here do not cover it. `twin diagnose` names it.",
             )
         )
-    elif identified.p_value < REPEATS:
+    elif fit.p_value is not None and fit.p_value < REPEATS:
         steps.append(
             Step(
                 "measure",
                 "See why the readings scatter",
-                f"They scatter more than was stated (reduced chi² {identified.reduced_chi2:.3g}): the uncertainties here are too "
+                f"They scatter more than was stated (reduced chi² {fit.reduced_chi2:.3g}): the uncertainties here are too "
                 "small. Identify again with `--uncertainty repeats`, or `twin diagnose`.",
             )
         )
@@ -317,9 +314,8 @@ def _adjust(found: Budget) -> list[Step]:
     for one in found.errors:
         if one.iso_class not in MECHANICAL or one.illustrative:
             continue
-        unit = "µrad" if one.unit == "urad" else "µm"
-        saved = found.total.rms_um - found.rms_without_um(lambda other, name=one.name: other.name != name)  # type: ignore[misc]
-        size = with_half(one.peak, one.peak_half, unit)
+        saved = found.total.rms_um - found.rms_without_um(one.name)
+        size = with_half(one.peak, one.peak_half, one.unit)
         if not isfinite(one.peak_half):
             if saved >= WORTH * found.total.rms_um:
                 doubted.append(f"{lower(one.words)} ({one.name})")
@@ -410,7 +406,7 @@ def _measure(found: Budget, outcome: After) -> list[Step]:
 def _never(calibration: Calibration, found: Budget) -> list[Step]:
     steps = []
     unproven = [
-        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, 'µrad' if one.unit == 'urad' else 'µm')})"
+        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, one.unit)})"
         for one in found.errors
         if one.iso_class in MECHANICAL and isfinite(one.peak_half) and 0.0 < one.peak <= one.peak_half
     ]

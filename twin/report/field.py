@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.display import finite
+from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
 from twin.report.contributions import as_drawn
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -46,15 +46,7 @@ class Slice:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "horizontal": self.horizontal,
-            "vertical": self.vertical,
-            "fixed": self.fixed,
-            "across": self.across.tolist(),
-            "up": self.up.tolist(),
-            "error_um": self.error_um.tolist(),
-            "U_um": [[finite(u) for u in row] for row in self.u_um],
-        }
+        return json_form(self, rename={"u_um": "U_um"})
 
 
 @final
@@ -100,6 +92,23 @@ class Field:
         return np.asarray(self.error_um.mean(axis=0))
 
     @property
+    def rms_um(self) -> float:
+        """Root mean square of the error."""
+        return float(np.sqrt(np.mean(self.size_um**2)))
+
+    @property
+    def rms_about_mean_um(self) -> float:
+        """What stays of that when the mean error is taken out."""
+        return float(np.sqrt(np.mean(np.sum((self.error_um - self.mean_um) ** 2, axis=1))))
+
+    @property
+    def steps_mm(self) -> dict[str, float]:
+        """Distance of neighbours of the grid, by axis."""
+        columns = [self.positions[:, self.axes.index(name)] for name in self.spread]
+        ways = zip(self.spread, self.counts, columns, strict=True)
+        return {name: float(np.ptp(column)) / max(count - 1, 1) for name, count, column in ways}
+
+    @property
     def known(self) -> bool:
         """Whether U is."""
         return bool(np.all(np.isfinite(self.u_um)))
@@ -131,21 +140,23 @@ class Field:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "axes": list(self.axes),
-            "spread": list(self.spread),
-            "standing": self.standing,
-            "rms_um": float(np.sqrt(np.mean(self.size_um**2))),
-            "max_um": float(self.size_um.max()),
-            "mean_um": self.mean_um.tolist(),
-            "U_known": self.known,
-            "U_complete": self.known and self.complete,
-            "positions": self.positions.tolist(),
-            "point_mm": self.point_mm.tolist(),
-            "error_um": self.error_um.tolist(),
-            "U_um": [finite(u) for u in self.u_um],
-            "slices": [one.to_dict() for one in self.slices],
-        }
+        return json_form(
+            {
+                "axes": self.axes,
+                "spread": self.spread,
+                "standing": self.standing,
+                "rms_um": self.rms_um,
+                "max_um": self.size_um.max(),
+                "mean_um": self.mean_um,
+                "U_known": self.known,
+                "U_complete": self.known and self.complete,
+                "positions": self.positions,
+                "point_mm": self.point_mm,
+                "error_um": self.error_um,
+                "U_um": self.u_um,
+                "slices": self.slices,
+            }
+        )
 
 
 def field(kinematics: Kinematics) -> Field:

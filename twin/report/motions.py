@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.display import finite
+from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
 from twin.machine.conditions import APPROACH
 from twin.machine.effects import Effect, PitchError, unit_of
@@ -76,33 +76,36 @@ class Motion:
         return float(self.half.max())
 
     @property
-    def lost_um(self) -> float:
-        """Largest difference between the directions, by amount; zero where it makes no difference."""
-        return 0.0 if self.ways is None else float(np.abs(self.ways[0] - self.ways[1]).max())
+    def axis_unit(self) -> str:
+        """The unit of the axis's position, as people write it."""
+        return "mm" if self.linear else "°"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         peak, at = self.peak
-        return {
-            "name": self.name,
-            "words": self.words,
-            "axis": self.axis,
-            "unit": self.unit,
-            "peak": peak,
-            "peak_at": at,
-            "half_95_max": finite(self.widest),
-            "order": self.order,
-            "basis": self.basis,
-            "source": self.source,
-            "added": list(self.added),
-            "illustrative": self.illustrative,
-            "position": self.position.tolist(),
-            "value": self.value.tolist(),
-            "half_95": [finite(half) for half in self.half],
-            "from_below": None if self.ways is None else self.ways[0].tolist(),
-            "from_above": None if self.ways is None else self.ways[1].tolist(),
-            "with_control": None if self.corrected is None else self.corrected.tolist(),
-        }
+        below, above = (None, None) if self.ways is None else self.ways
+        return json_form(
+            {
+                "name": self.name,
+                "words": self.words,
+                "axis": self.axis,
+                "unit": self.unit,
+                "peak": peak,
+                "peak_at": at,
+                "half_95_max": self.widest,
+                "order": self.order,
+                "basis": self.basis,
+                "source": self.source,
+                "added": self.added,
+                "illustrative": self.illustrative,
+                "position": self.position,
+                "value": self.value,
+                "half_95": self.half,
+                "from_below": below,
+                "from_above": above,
+                "with_control": self.corrected,
+            }
+        )
 
 
 def motions(kinematics: Kinematics) -> tuple[Motion, ...]:

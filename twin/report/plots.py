@@ -19,12 +19,12 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.units import DEG, TURN
+from twin.display import figure, readable, with_half
 from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
 from twin.report.after import After
 from twin.report.contributions import Contribution
 from twin.report.field import Field, Slice
 from twin.report.motions import Motion
-from twin.report.numbers import SIGNS, figure, with_half
 from twin.report.readings import Checked, Stops
 from twin.report.result import Constant
 from twin.report.scene.field import chosen_factor
@@ -124,7 +124,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
         plot.set_yticks(at, [one.name + ("" if np.isfinite(one.half) else " ?") for one in group])
         plot.set_ylim(-0.6, len(group) - 0.4)
-        plot.set_xlabel(f"value and 95 % interval [{SIGNS[group[0].unit]}]")
+        plot.set_xlabel(f"value and 95 % interval [{readable(group[0].unit)}]")
     return drawing
 
 
@@ -155,7 +155,7 @@ def plot_squareness(one: Constant) -> Figure:
     plot.text(1.0, -0.13, f"{one.to}+", ha="center", va="center", fontsize=LETTERS)
     plot.text(float(np.sin(lean)), 1.08, f"{one.axis}+", ha="center", va="center", fontsize=LETTERS, color=BACKWARD)
     plot.text(
-        0.42, 0.52, with_half(one.value, one.half, "µrad").replace(" ±", "\n±").replace(" (±", "\n(±"), fontsize=LETTERS
+        0.42, 0.52, with_half(one.value, one.half, "urad").replace(" ±", "\n±").replace(" (±", "\n(±"), fontsize=LETTERS
     )
     plot.set_xlim(-0.35, 1.3)
     plot.set_ylim(-0.25, 1.2)
@@ -285,7 +285,7 @@ def _along(motion: Motion, stops: Sequence[Stops]) -> Figure:
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
     plot.set_xlabel(f"{motion.axis} [{'mm' if motion.linear else '°'}]")
-    plot.set_ylabel(f"{motion.name} [{SIGNS[motion.unit]}]")
+    plot.set_ylabel(f"{motion.name} [{readable(motion.unit)}]")
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
@@ -324,7 +324,7 @@ def _polar(motion: Motion, stops: Sequence[Stops]) -> Figure:
     plot.grid(color="#cccccc", linewidth=0.5)
     handles, names = plot.get_legend_handles_labels()
     drawing.legend(handles, names, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
-    plot.set_title(f"{motion.name} [{SIGNS[motion.unit]}]", loc="left", fontsize=LETTERS)
+    plot.set_title(f"{motion.name} [{readable(motion.unit)}]", loc="left", fontsize=LETTERS)
     return drawing
 
 

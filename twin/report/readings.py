@@ -16,6 +16,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import locked
+from twin._common.json_form import json_form
 from twin._common.units import UM
 from twin.diagnosis.panels import groups_of, means
 from twin.diagnosis.readings import readings
@@ -58,14 +59,7 @@ class Stops:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "name": self.name,
-            "unit": unit_of(self.name),
-            "side": self.side,
-            "position": self.position.tolist(),
-            "value": self.value.tolist(),
-            "half_95": self.half.tolist(),
-        }
+        return {"name": self.name, "unit": unit_of(self.name)} | json_form(self, rename={"half": "half_95"})
 
 
 @final
@@ -102,19 +96,10 @@ class Checked:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "file": self.source,
-            "points": self.points,
-            "too_far_off": self.far,
-            "rms_before_um": self.rms_before_um,
-            "rms_after_um": self.rms_after_um,
-            "scatter": self.scatter,
-            "before_um": self.before_um.tolist(),
-            "after_um": self.after_um.tolist(),
+        told = json_form(self, rename={"source": "file", "far": "too_far_off", "rows": "set_aside"})
+        return told | {
             "stops": [stop.to_dict() for stops in self.stops.values() for stop in stops],
             "set_aside": [{"line": line, "reason": reason} for line, reason in self.rows],
-            "notices": list(self.notices),
-            "left_out": list(self.left_out),
         }
 
 

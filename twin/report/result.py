@@ -11,8 +11,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.json_form import json_form
 from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
-from twin.display import finite
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -70,21 +70,28 @@ class Constant:
     rms_um: float
 
     @property
+    def known(self) -> bool:
+        """Whether its uncertainty is."""
+        return bool(np.isfinite(self.half))
+
+    @property
     def over_travel_um(self) -> float | None:
         """By how much a squareness displaces the end of the travel, µm; None of a location."""
         return None if self.travel_mm is None else self.value * self.travel_mm * 1e-3
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "name": self.name,
-            "words": self.words,
-            "unit": self.unit,
-            "value": self.value,
-            "half_95": finite(self.half),
-            "over_travel_um": self.over_travel_um,
-            "rms_um": self.rms_um,
-        }
+        return json_form(
+            {
+                "name": self.name,
+                "words": self.words,
+                "unit": self.unit,
+                "value": self.value,
+                "half_95": self.half,
+                "over_travel_um": self.over_travel_um,
+                "rms_um": self.rms_um,
+            }
+        )
 
 
 @final
@@ -106,12 +113,7 @@ class Gaps:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "absent_counted_as_zero": list(self.absent),
-            "without_uncertainty": list(self.without_uncertainty),
-            "left_out": {channel: list(names) for channel, names in self.left_out.items()},
-            "unused": list(self.unused),
-        }
+        return json_form(self, rename={"absent": "absent_counted_as_zero"})
 
 
 @final
@@ -162,7 +164,7 @@ class MachineReport:
     @property
     def simulated(self) -> bool:
         """Whether a file it was made of, or is shown against, says that its readings were simulated."""
-        told = () if self.identified is None else self.identified.notices
+        told = () if self.identified is None else self.identified.file.notices
         said = (*told, *(text for one in self.checked for text in one.notices))
         return self.calibration.simulated or any("simulated" in notice for notice in said)
 
@@ -186,46 +188,47 @@ class MachineReport:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON (``schema: twin.report/1``); null for what is not known."""
-        control = self.control
-        return {
-            "schema": SCHEMA,
-            "machine": self.machine.name,
-            "calibration": {
-                "path": None if self.calibration.path is None else str(self.calibration.path),
-                "source": self.calibration.source,
-                "datum": self.calibration.datum,
-                "illustrative": list(self.illustrative),
-                "simulated_readings": self.simulated,
-                "warnings": to_json(self.warnings),
-            },
-            "tool_length_mm": self.kinematics.tool_length_mm,
-            "conditions": dict(self.kinematics.conditions.channels),
-            "control": None
-            if control is None
-            else {
-                "errors_are": control.errors_are,
-                "tables": [{"file": str(one.file), "classes": list(one.classes)} for one in control.tables],
-            },
-            "definition_of_U": DEFINITION,
-            "summary": self.advice.to_dict(),
-            "budget": {
-                "poses": len(self.budget.positions),
-                "total": self.budget.total.to_dict(),
-                "worst_at": self.budget.worst,
-                "errors": [one.to_dict() for one in self.budget.errors],
-                "classes": [one.to_dict() for one in self.budget.classes],
-            },
-            "motions": [one.to_dict() for one in self.motions],
-            "constants": [one.to_dict() for one in self.constants],
-            "field": self.field.to_dict(),
-            "compensation": self.after.to_dict(),
-            "control_tables": [one.to_dict() for one in self.tables],
-            "identification": None if self.identified is None else self.identified.to_dict(),
-            "measured": [one.to_dict() for one in self.checked],
-            "gaps": self.gaps.to_dict(),
-            "unmet": list(self.unmet),
-            "sources": self.sources.to_dict(),
-        }
+        control, calibration = self.control, self.calibration
+        return json_form(
+            {
+                "schema": SCHEMA,
+                "machine": self.machine.name,
+                "calibration": {
+                    "path": None if calibration.path is None else str(calibration.path),
+                    "source": calibration.source,
+                    "datum": calibration.datum,
+                    "illustrative": self.illustrative,
+                    "simulated_readings": self.simulated,
+                    "warnings": to_json(self.warnings),
+                },
+                "tool_length_mm": self.kinematics.tool_length_mm,
+                "conditions": self.kinematics.conditions.channels,
+                "control": control
+                and {
+                    "errors_are": control.errors_are,
+                    "tables": [{"file": str(one.file), "classes": one.classes} for one in control.tables],
+                },
+                "definition_of_U": DEFINITION,
+                "summary": self.advice,
+                "budget": {
+                    "poses": len(self.budget.positions),
+                    "total": self.budget.total,
+                    "worst_at": self.budget.worst,
+                    "errors": self.budget.errors,
+                    "classes": self.budget.classes,
+                },
+                "motions": self.motions,
+                "constants": self.constants,
+                "field": self.field,
+                "compensation": self.after,
+                "control_tables": self.tables,
+                "identification": self.identified,
+                "measured": self.checked,
+                "gaps": self.gaps,
+                "unmet": self.unmet,
+                "sources": self.sources,
+            }
+        )
 
 
 def machine_report(
