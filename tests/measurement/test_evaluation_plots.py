@@ -11,15 +11,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from twin.display.figures import BACKWARD, FORWARD, save
 from twin.measurement.evaluation import error_motion, linear_axis, rotary_axis, straightness
-from twin.measurement.evaluation.plots import (
-    BACKWARD,
-    FORWARD,
-    plot_error_motion,
-    plot_positioning,
-    plot_straightness,
-    save,
-)
+from twin.measurement.evaluation.plots import plot_error_motion, plot_positioning, plot_straightness
 
 ROOT = Path(__file__).resolve().parents[2]
 

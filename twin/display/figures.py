@@ -66,7 +66,7 @@ def paper(alpha: float, pad: float) -> dict[str, Any]:
     return {"facecolor": "white", "edgecolor": "none", "alpha": alpha, "pad": pad}
 
 
-def heading(figure: Figure, text: str, size: float | None = 12.0) -> None:
+def heading(figure: Figure, text: str, size: float = 12.0) -> None:
     """A heading over all of a figure's plots."""
     figure.suptitle(text, x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
 
