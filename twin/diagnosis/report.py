@@ -10,34 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 from twin._common.provenance import texts
-from twin.diagnosis.panels import Panel, cause_panels, residual_panels
+from twin.diagnosis import panels, verdict, words
 from twin.diagnosis.plots import alone, plot_left
 from twin.diagnosis.result import Cause, Diagnosis, Quantity, readable_unit
-from twin.diagnosis.verdict import SHOWN, advised, either_side, facts, headline, moves, sentence
-from twin.diagnosis.words import (
-    NOTHING,
-    capital,
-    chance,
-    coefficient,
-    column,
-    contests,
-    grouped,
-    held_out_words,
-    kind,
-    listed,
-    lower,
-    measured,
-    missing,
-    odds,
-    percent,
-    plain,
-    probability,
-    side,
-    symbol,
-)
+from twin.diagnosis.words import column, listed
 from twin.display import Html, render
 from twin.display.figures import embedded
 from twin.measurement.checks import assumptions, grouped_notes
@@ -66,7 +45,7 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
     Args:
         diagnosis: what `twin.diagnosis.diagnose` found.
     """
-    title, mood = headline(diagnosis)
+    title, mood = verdict.headline(diagnosis)
     machine = diagnosis.calibration.machine.name
     left = diagnosis.unexplained
     columns = [] if left is None else [column(name) for name in left.depends_on]
@@ -79,14 +58,22 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
         machine=machine,
         source=Path(diagnosis.data.source).name,
         badges=(*texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)),
-        first_facts=facts(diagnosis),
+        first_facts=verdict.facts(diagnosis),
         ranked=_ranked(diagnosis),
         several=len({(cause.effect, cause.where) for cause in diagnosis.causes}) > 1,
         mapped=plot_left(diagnosis),
         mapped_over=listed(columns[:2]),
         left_over=listed(columns) if columns else "",
-        compared=contests(diagnosis.next_measurement, diagnosis.expected_rms_um),
-        **_WORDS,
+        compared=words.contests(diagnosis.next_measurement, diagnosis.expected_rms_um),
+        panels=panels,
+        verdict=verdict,
+        words=words,
+        embedded=embedded,
+        grouped_notes=grouped_notes,
+        listed_causes=_listed_causes,
+        picture=_picture,
+        readable_unit=readable_unit,
+        told_of=_told,
     )
 
 
@@ -103,53 +90,16 @@ def _ranked(diagnosis: Diagnosis) -> list[_Ranked]:
     return found
 
 
-def _picture(panel: Panel, caption: str) -> Html:
+def _picture(panel: panels.Panel, caption: str) -> Html:
     return embedded(alone(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
 def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
     """Causes in words with their symbols."""
-    named = [(escape(lower(plain(*key))), escape(symbol(*key))) for key in keys]
-    return Html(listed([f"{words} <span class=symbol>{sign}</span>" for words, sign in named]))
+    named = [(escape(words.lower(words.plain(*key))), escape(words.symbol(*key))) for key in keys]
+    return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
 
 
 def _told(cause: Cause) -> list[Quantity]:
     """A cause's numbers; a curve's coefficients mean nothing to a reader and are counted."""
-    return [one for one in cause.parameters if not coefficient(one.name)]
-
-
-_CALLED: Final = (
-    advised,
-    capital,
-    cause_panels,
-    chance,
-    either_side,
-    embedded,
-    grouped,
-    grouped_notes,
-    held_out_words,
-    kind,
-    listed,
-    lower,
-    measured,
-    missing,
-    moves,
-    odds,
-    percent,
-    plain,
-    probability,
-    readable_unit,
-    residual_panels,
-    sentence,
-    side,
-    symbol,
-)
-_WORDS: Final[dict[str, Any]] = {
-    "NOTHING": NOTHING,
-    "SHOWN": SHOWN,
-    "listed_causes": _listed_causes,
-    "picture": _picture,
-    "told_of": _told,
-    **{one.__name__: one for one in _CALLED},
-}
-"""What the templates call."""
+    return [one for one in cause.parameters if not words.coefficient(one.name)]

@@ -9,27 +9,16 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-
-from twin.diagnosis.words import capital, listed, probability
+from twin.diagnosis import words
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
 from twin.machine.control import ControlSection
+from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
+from twin.report import plots
 from twin.report.motions import Motion
-from twin.report.plots import (
-    BARS,
-    plot_after,
-    plot_budget,
-    plot_checked,
-    plot_constants,
-    plot_field,
-    plot_motion,
-    plot_slice,
-    plot_squareness,
-)
 from twin.report.readings import Stops
 from twin.report.result import MachineReport
 from twin.report.scene.field import field_html
@@ -76,7 +65,20 @@ def machine_html(report: MachineReport) -> str:
         colours=COLOURS,
         marks=MARKS,
         stops_of=stops_of,
-        **_WORDS,
+        plots=plots,
+        words=words,
+        AT_TOOL=AT_TOOL,
+        CLASSES=CLASSES,
+        DEFINITION=DEFINITION,
+        ROWS=ROWS,
+        VIEWER=VIEWER,
+        coded=_coded,
+        degree=_degree,
+        embedded=embedded,
+        numbers=_numbers,
+        rows_of=_rows_of,
+        scale_top_um=scale_top_um,
+        tables_of=_tables_of,
     )
     # Numbers keep to their units in the text; what the viewer is made of stays as it is.
     return page.replace(VIEWER, _viewer(report)) if VIEWER in page else page
@@ -85,7 +87,7 @@ def machine_html(report: MachineReport) -> str:
 def _over(report: MachineReport) -> str:
     field = report.field
     stands = f", {place(field.standing)} standing still" if field.standing else ""
-    return f"over {listed(list(field.spread))}{stands}"
+    return f"over {words.listed(list(field.spread))}{stands}"
 
 
 def _viewer(report: MachineReport) -> str:
@@ -119,11 +121,8 @@ def _degree(report: MachineReport, motion: Motion) -> str:
 def _numbers(report: MachineReport, effect: Effect) -> str:
     """An effect's parameters with their 95 % intervals."""
     known = report.calibration.covariance
-    told = []
-    for one in effect.parameters:
-        half = NORMAL_95 * known.of([one.name]).matrix[0, 0] ** 0.5 if one.name in known.names else np.nan
-        told.append(f"{one.name.rpartition('.')[2]} {with_half(one.value, half, one.unit)}")
-    return "; ".join(told)
+    halves = [(one, NORMAL_95 * uncertainty_of(one.name, known)) for one in effect.parameters]
+    return "; ".join(f"{one.name.rpartition('.')[2]} {with_half(one.value, half, one.unit)}" for one, half in halves)
 
 
 def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
@@ -134,32 +133,3 @@ def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
 
 def _tables_of(control: ControlSection) -> list[str]:
     return [f"{one.file.name} ({' '.join(one.classes)})" for one in control.tables]
-
-
-_WORDS: Final[dict[str, Any]] = {
-    "AT_TOOL": AT_TOOL,
-    "BARS": BARS,
-    "CLASSES": CLASSES,
-    "DEFINITION": DEFINITION,
-    "ROWS": ROWS,
-    "VIEWER": VIEWER,
-    "capital": capital,
-    "coded": _coded,
-    "degree": _degree,
-    "embedded": embedded,
-    "listed": listed,
-    "numbers": _numbers,
-    "plot_after": plot_after,
-    "plot_budget": plot_budget,
-    "plot_checked": plot_checked,
-    "plot_constants": plot_constants,
-    "plot_field": plot_field,
-    "plot_motion": plot_motion,
-    "plot_slice": plot_slice,
-    "plot_squareness": plot_squareness,
-    "probability": probability,
-    "rows_of": _rows_of,
-    "scale_top_um": scale_top_um,
-    "tables_of": _tables_of,
-}
-"""What the templates call."""

@@ -18,6 +18,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection
 from twin.machine.datum import MEAN_LINES, MEANING
+from twin.machine.display import uncertainty_of
 from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
@@ -81,17 +82,8 @@ class Constant:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return json_form(
-            {
-                "name": self.name,
-                "words": self.words,
-                "unit": self.unit,
-                "value": self.value,
-                "half_95": self.half,
-                "over_travel_um": self.over_travel_um,
-                "rms_um": self.rms_um,
-            }
-        )
+        told = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
+        return told | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
 
 
 @final
@@ -321,11 +313,10 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
 
 def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
     calibration, machine = real.calibration, real.machine
-    covariance = calibration.covariance
     made = {one.name: one.rms_um for one in shares.errors}
     found = []
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
-        half = NORMAL_95 * float(np.sqrt(covariance.of([name]).matrix[0, 0])) if name in covariance.names else np.nan
+        half = NORMAL_95 * uncertainty_of(name, calibration.covariance)
         component, _, letter = split_name(name)
         axis = machine.by_name[letter]
         to, leans, travel = "", 0.0, None
