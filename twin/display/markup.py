@@ -8,7 +8,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, final
 
-from twin.display.numbers import UNKNOWN, expanded, figure, fixed, place, readable, tied, with_half
+from twin.display.numbers import UNKNOWN, compact, expanded, figure, fixed, place, readable, tied, with_half
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -51,7 +51,9 @@ def templates() -> Environment:
         keep_trailing_newline=True,
     )
     found.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
-    found.globals |= {one.__name__: one for one in (expanded, figure, fixed, isfinite, place, readable, with_half)}
+    found.globals |= {
+        one.__name__: one for one in (compact, expanded, figure, fixed, isfinite, place, readable, with_half)
+    }
     found.filters["tied"] = lambda text: tied(str(text), "&nbsp;")
     found.globals["page"] = found.get_template(PARTS).module
     return found

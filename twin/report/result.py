@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -259,19 +259,8 @@ def machine_report(
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = known_at(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    tell("budget", 0.05)
-    shares = budget(real)
-    tell("curves", 0.3)
-    curves = motions(real)
-    numbers = _constants(real, shares)
-    tell("field", 0.35)
-    over = field(real)
-    tell("after", 0.4)
-    outcome = after(shares, seed)
-    found = []
-    for i, (path, data) in enumerate(measured):
-        tell("measured", 0.5 + 0.35 * i / len(measured))
-        found.append(checked(data, machine, known, path))
+    shares, curves, over, outcome = _over_the_volume(real, seed, tell)
+    found = tuple(_checked(measured, known, tell))
     gaps = Gaps(_absent(known), shares.without_uncertainty, left_out, at.unused(calibration))
     tell("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
@@ -283,16 +272,33 @@ def machine_report(
         kinematics=real,
         budget=shares,
         motions=curves,
-        constants=numbers,
+        constants=_constants(real, shares),
         field=over,
         after=outcome,
         identified=told,
-        checked=tuple(found),
+        checked=found,
         gaps=gaps,
         tables=tables,
         advice=advise(calibration, shares, outcome, told, left_out, found, tables),
         sources=origin,
     )
+
+
+def _over_the_volume(real: Kinematics, seed: int, tell: Say) -> tuple[Budget, tuple[Motion, ...], Field, After]:
+    tell("budget", 0.05)
+    shares = budget(real)
+    tell("curves", 0.3)
+    curves = motions(real)
+    tell("field", 0.35)
+    over = field(real)
+    tell("after", 0.4)
+    return shares, curves, over, after(shares, seed)
+
+
+def _checked(measured: Sequence[tuple[Path, Measurements]], known: Calibration, tell: Say) -> Iterator[Checked]:
+    for i, (path, data) in enumerate(measured):
+        tell("measured", 0.5 + 0.35 * i / len(measured))
+        yield checked(data, known.machine, known, path)
 
 
 def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:

@@ -122,19 +122,17 @@ def scene_html(
         "work": f"{FIRST_LINK}/{work}",
         "tool": f"{FIRST_LINK}/{tool}",
         "axes": [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes],
+        **_path_data(path, frames, factor),
     }
     return viewer_page(
         "scene",
         commands,
-        data | _path_data(path, frames, factor),
+        data,
         top_um,
         title=title,
         machine=machine.name,
-        factor=compact(factor),
-        max_um=compact(path.max_um),
-        rms_um=compact(path.rms_um),
-        max_line=int(path.lines[path.worst]),
-        what="cutting moves" if np.any(path.cutting) else "all moves",
+        factor=factor,
+        path=path,
         notices=texts(warnings),
         still="" if len(frames.share) > 1 else "still",
     )

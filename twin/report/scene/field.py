@@ -8,7 +8,6 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.display import compact
 from twin.report.scene.path import Mesh, arrow, joined, rounded_125, scale_top_um, viridis
 from twin.report.scene.viewer import bare_stage, lines_command, mesh_command, node_of, outermost, viewer_page
 
@@ -83,7 +82,7 @@ def field_html(
         "outline": outline[outermost(outline)].round(5).tolist(),
         "labels": [{"text": text, "at": ((a + b) / 2.0 * MM).round(5).tolist()} for text, a, b in edges if text],
     }
-    return viewer_page("field", commands, data, top, title=title, factor=compact(factor), illustrative=illustrative)
+    return viewer_page("field", commands, data, top, title=title, factor=factor, illustrative=illustrative)
 
 
 def _arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: np.ndarray) -> Mesh:
