@@ -22,6 +22,7 @@ from twin._common.errors import InputError
 from twin.cli import main
 from twin.compensation import compensate
 from twin.control import Made, Request, account_of, deliver, make
+from twin.display import figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, Terms, format_named, read_tables
@@ -29,7 +30,6 @@ from twin.machine.effects import CrossAxis, Reversal
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.numerics.covariance import Covariance
-from twin.report.numbers import figure
 
 LENGTH = 100.0
 

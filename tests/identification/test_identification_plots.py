@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from twin._common.errors import InputError
+from twin.display.figures import save
 from twin.identification import Identification, identify
 from twin.identification.plots import (
     correlation,
@@ -22,7 +23,6 @@ from twin.identification.thesis.identify import identify_as_thesis
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.evaluation.plots import save
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements

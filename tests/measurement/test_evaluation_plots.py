@@ -11,15 +11,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from twin.display.figures import BACKWARD, FORWARD, save
 from twin.measurement.evaluation import error_motion, linear_axis, rotary_axis, straightness
-from twin.measurement.evaluation.plots import (
-    BACKWARD,
-    FORWARD,
-    plot_error_motion,
-    plot_positioning,
-    plot_straightness,
-    save,
-)
+from twin.measurement.evaluation.plots import plot_error_motion, plot_positioning, plot_straightness
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -155,7 +149,11 @@ def test_only_the_plots_need_matplotlib() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    importing = [path.name for path in (ROOT / "twin" / "evaluation").glob("*.py") if "matplotlib" in imports(path)]
+    importing = [
+        path.name
+        for path in (ROOT / "twin" / "measurement" / "evaluation").glob("*.py")
+        if "matplotlib" in imports(path)
+    ]
     assert importing == ["plots.py"]
 
 

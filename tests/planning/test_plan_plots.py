@@ -13,10 +13,10 @@ from tests.planning import kits
 from tests.truth.reference import D, about, translation
 from twin._common.arrays import locked
 from twin._common.errors import InputError
+from twin.display.figures import save
 from twin.identification import identify
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.evaluation.plots import save
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.planning import judge, plan

@@ -22,13 +22,13 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin import cli
 from twin._common.errors import InputError
+from twin.display import UNKNOWN, figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.measurement.table import load
 from twin.report import MachineReport, machine_report
-from twin.report.numbers import UNKNOWN, figure
 from twin.report.page import machine_html
 from twin.report.readings import checked
 from twin.uncertainty.at_tool import NORMAL_95, ToolUncertainty

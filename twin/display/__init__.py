@@ -1,6 +1,7 @@
 """How results look in a notebook: tables, numbers with their uncertainty, small pictures. HTML and inline SVG, nothing fetched.
 
-One place for all `_repr_html_` methods, which only say what goes where. Colours are those of whatever surrounds the display
+One place for all `_repr_html_` methods, which only say what goes where, and for pages: `render` fills in their templates, and
+`twin.display.figures` (extra ``plots``) has what their pictures share. Colours of a display are those of whatever surrounds it
 (``currentColor``), light or dark, but for two accents that read on both. Text is escaped unless it is an `Html` already. Nothing here
 knows what it shows.
 """
@@ -17,10 +18,27 @@ from twin.display.markup import (
     joined,
     note,
     pairs,
+    render,
     spans,
     table,
 )
-from twin.display.numbers import COVERAGE, UNKNOWN, finite, fixed, measured, plain, readable, rounded, several, span
+from twin.display.numbers import (
+    COVERAGE,
+    UNKNOWN,
+    compact,
+    expanded,
+    figure,
+    finite,
+    fixed,
+    measured,
+    place,
+    plain,
+    readable,
+    rounded,
+    several,
+    span,
+    with_half,
+)
 from twin.display.pictures import graph, histogram, strip
 
 __all__ = [
@@ -32,6 +50,9 @@ __all__ = [
     "card",
     "chain",
     "chips",
+    "compact",
+    "expanded",
+    "figure",
     "finite",
     "first_rows",
     "fixed",
@@ -42,12 +63,15 @@ __all__ = [
     "measured",
     "note",
     "pairs",
+    "place",
     "plain",
     "readable",
+    "render",
     "rounded",
     "several",
     "span",
     "spans",
     "strip",
     "table",
+    "with_half",
 ]

@@ -1,19 +1,25 @@
-"""HTML of a display: a card with tables in it. No style sheet, since many displays share one page: every style stands where it acts."""
+"""HTML of a display: a card with tables in it; and the way to every template of the package."""
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from functools import cache
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final, final
+
+from twin.display.numbers import UNKNOWN, compact, expanded, figure, fixed, place, readable, tied, with_half
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 ACCENT: Final = "#3d85c6"
 """Blue and vermilion, over 3:1 against white and against near black, and apart for every kind of colour vision."""
 WARNING: Final = "#d55e00"
 ROWS: Final = 6
 """Rows of a long array that are shown."""
-_LINE: Final = "rgba(128,128,128,.4)"
-_PALE: Final = "opacity:.75"
+KIT: Final = "display/templates/kit.html.j2"
+PARTS: Final = "display/templates/parts.html.j2"
 
 
 @final
@@ -23,18 +29,59 @@ class Html:
 
     text: str
 
+    def __html__(self) -> str:
+        """Return the text as it is, for a template."""
+        return self.text
+
 
 Cell = str | Html
 
 
-def markup(cell: Cell) -> str:
-    """A cell as markup: plain text escaped."""
-    return cell.text if isinstance(cell, Html) else html.escape(cell)
+@cache
+def templates() -> Environment:
+    """Return the package's templates by their path in it; text is escaped unless it is `Html`."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # takes its time, and only HTML needs it
+
+    found = Environment(
+        loader=PackageLoader("twin", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
+    found.globals |= {
+        one.__name__: one for one in (compact, expanded, figure, fixed, isfinite, place, readable, with_half)
+    }
+    found.filters["tied"] = lambda text: tied(str(text), "&nbsp;")
+    found.globals["page"] = found.get_template(PARTS).module
+    return found
+
+
+def render(template: str, **context: Any) -> str:
+    """Return a template with its names filled in.
+
+    Args:
+        template: path of the file in the package.
+        context: what its names stand for.
+    """
+    return templates().get_template(template).render(context)
+
+
+def part(name: str, *arguments: Any) -> Html:
+    """Return a part of a display: a macro of `KIT`, filled in."""
+    return Html(str(getattr(_kit(), name)(*arguments)).strip())
+
+
+@cache
+def _kit() -> Any:
+    return templates().get_template(KIT).module
 
 
 def joined(*parts: Cell) -> Html:
     """Parts, one after the other."""
-    return Html("".join(markup(part) for part in parts))
+    return part("joined", parts)
 
 
 def card(title: str, *parts: Cell, small: str = "", illustrative: bool = False, wrong: bool = False) -> Html:
@@ -47,19 +94,7 @@ def card(title: str, *parts: Cell, small: str = "", illustrative: bool = False, 
         illustrative: whether its numbers are drawn, not measured; said right under the title.
         wrong: whether something was not met: another edge.
     """
-    edge = WARNING if wrong or illustrative else ACCENT
-    beside = f" <span style='{_PALE};font-weight:400'>{html.escape(small)}</span>" if small else ""
-    drawn = (
-        f"<div style='margin:.3em 0;padding:.15em .6em;border:1px solid {WARNING};border-radius:.25em;display:inline-block'>"
-        "<b>ILLUSTRATIVE</b>: some of its numbers are drawn, not measured. Do not cut with it.</div>"
-        if illustrative
-        else ""
-    )
-    return Html(
-        f"<div style='border-left:.3em solid {edge};padding:.2em 0 .3em .9em;margin:.2em 0;max-width:58em;overflow-x:auto;"
-        "line-height:1.4'>"
-        f"<div><b style='font-size:1.08em'>{html.escape(title)}</b>{beside}</div>{drawn}{''.join(map(markup, parts))}</div>"
-    )
+    return part("card", title, parts, small, illustrative, WARNING if wrong or illustrative else ACCENT)
 
 
 def table(
@@ -69,57 +104,28 @@ def table(
 
     Args:
         headers: of the columns, with their units.
-        rows: cells.
+        rows: cells, as many as columns.
         right: columns of numbers.
         title: said above.
     """
     body = list(rows)
-    if not body:
-        return Html("")
-    aligned = ["right" if i in set(right) else "left" for i in range(len(headers))]
-    cell = "padding:.12em .7em .12em 0;vertical-align:top;background:none;border:none;font-variant-numeric:tabular-nums"
-    head = "".join(
-        f"<th style='{cell};text-align:{side};font-weight:600;border-bottom:1px solid {_LINE}'>{html.escape(name)}</th>"
-        for name, side in zip(headers, aligned, strict=True)
-    )
-    lines = "".join(
-        "<tr style='background:none'>"
-        + "".join(
-            f"<td style='{cell};text-align:{side}'>{markup(text)}</td>" for text, side in zip(row, aligned, strict=True)
-        )
-        + "</tr>"
-        for row in body
-    )
-    above = f"<div style='margin-top:.5em;{_PALE}'>{html.escape(title)}</div>" if title else ""
-    return Html(
-        f"{above}<table style='border-collapse:collapse;margin:.2em 0;font-size:.95em;border:none'>"
-        f"<thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
-    )
+    return part("table", headers, body, set(right), title) if body else Html("")
 
 
 def pairs(rows: Iterable[tuple[str, Cell]]) -> Html:
     """Names and what they are, one a line; nothing where a value is empty."""
-    lines = "".join(
-        f"<tr style='background:none'><td style='{_PALE};padding:0 1em 0 0;text-align:left;vertical-align:top;border:none;"
-        f"white-space:nowrap'>{html.escape(name)}</td>"
-        f"<td style='padding:0;text-align:left;border:none'>{markup(value)}</td></tr>"
-        for name, value in rows
-        if markup(value)
-    )
-    style = "border-collapse:collapse;margin:.2em 0;font-size:.95em;border:none"
-    return Html(f"<table style='{style}'><tbody>{lines}</tbody></table>" if lines else "")
+    told = [(name, value) for name, value in rows if value not in ("", Html(""))]
+    return part("pairs", told) if told else Html("")
 
 
 def note(text: Cell, *, loud: bool = False) -> Html:
     """A sentence below."""
-    style = f"border-left:3px solid {WARNING};padding-left:.5em" if loud else _PALE
-    return Html(f"<div style='margin:.25em 0;font-size:.92em;{style}'>{markup(text)}</div>")
+    return part("note", text, loud)
 
 
 def chips(texts: Iterable[Cell]) -> Html:
     """Short things side by side, that wrap."""
-    style = "display:inline-block;margin:0 1.3em .1em 0;white-space:nowrap;font-variant-numeric:tabular-nums"
-    return Html("".join(f"<span style='{style}'>{markup(text)}</span> " for text in texts))
+    return part("chips", texts)
 
 
 def chain(links: Sequence[tuple[str, str]]) -> Html:
@@ -128,40 +134,25 @@ def chain(links: Sequence[tuple[str, str]]) -> Html:
     Args:
         links: text of every box, and ``axis``, ``fixed`` or ``end``.
     """
-    border = {
-        "axis": f"1.5px solid {ACCENT}",
-        "fixed": f"1.5px solid {_LINE};background:rgba(128,128,128,.18)",
-        "end": f"1.5px dashed {_LINE}",
-    }
-    boxes = [
-        f"<span style='display:inline-block;border:{border[kind]};border-radius:.3em;padding:.05em .5em'>{html.escape(text)}</span>"
-        for text, kind in links
-    ]
-    return Html(f"<div style='margin:.4em 0;line-height:2'>{' – '.join(boxes)}</div>")
+    return part("chain", links)
 
 
 def bar(share: float, *, loud: bool = False) -> Html:
     """A bar, from 0 to 1 of its column."""
-    width, colour = 7.0 * min(max(share, 0.0), 1.0), WARNING if loud else ACCENT
-    return Html(
-        f"<span style='display:inline-block;height:.65em;width:{width:.2f}em;min-width:1px;background:{colour}'></span>"
-    )
+    return part("bar", f"{7.0 * min(max(share, 0.0), 1.0):.2f}", loud)
 
 
 def spans(values: Iterable[tuple[str, float, float, str]]) -> Html:
     """Names with the range they go over: (name, low, high, unit)."""
     return chips(
-        f"{name} {low:g} … {high:g} {unit}".replace("-", "−")
-        if low != high
-        else f"{name} {low:g} {unit}".replace("-", "−")
+        f"{name} {f'{low:g}' if low == high else f'{low:g} … {high:g}'} {unit}".replace("-", "−")
         for name, low, high, unit in values
     )
 
 
 def framed(page: str, height_px: int) -> Html:
     """A whole page inside another, as wide as there is room; the page's own scripts run in a frame of their own."""
-    style = f"width:100%;height:{height_px}px;border:1px solid {_LINE};border-radius:.3em"
-    return Html(f'<div><iframe srcdoc="{html.escape(page)}" style="{style}"></iframe></div>')
+    return part("framed", page, height_px)
 
 
 def first_rows(count: int, row: Callable[[int], Sequence[Cell]]) -> tuple[list[Sequence[Cell]], Html]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
 from typing import Final
 
 COVERAGE: Final = 1.959964
 """Half width of a 95 % interval in standard uncertainties, of a normal error along one line."""
 UNKNOWN: Final = "unknown"
+TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
+"""A number and its unit, which stay on one line."""
 _ROUND: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
@@ -33,20 +36,64 @@ def measured(value: float, u: float, unit: str) -> str:
         unit: as in files (``um``).
     """
     sign = readable(unit)
-    if not isfinite(u):
-        return f"{plain(value)} {sign}, ± {UNKNOWN}"
-    size, half = rounded(value, COVERAGE * u)
-    return f"{_signed(size)} ± {half} {sign}"
+    return f"{_interval(value, COVERAGE * u)} {sign}" if isfinite(u) else f"{plain(value)} {sign}, ± {UNKNOWN}"
+
+
+def with_half(value: float, half: float, unit: str) -> str:
+    """A number with the half width of its 95 % interval, to two digits of that; without one, it says so.
+
+    Args:
+        value: the number.
+        half: half width; NaN where it is not known.
+        unit: as in files (``um``).
+    """
+    sign = readable(unit)
+    if not isfinite(half):
+        return f"{figure(value, sign)} (± {UNKNOWN})"
+    return figure(value, sign) if half <= 0.0 else f"{_interval(value, half)} {sign}"
+
+
+def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
+    """A number of the shop: three significant digits, no exponent, tenths of a µm at the finest beyond 10.
+
+    Args:
+        value: any; not a number is `UNKNOWN`.
+        unit: behind it, as people write it.
+        digits: significant ones.
+    """
+    if not isfinite(value):
+        return UNKNOWN
+    decimals = 2 if value == 0.0 else min(max(digits - 1 - floor(log10(abs(value))), 0), 2)
+    text = fixed(round(value, decimals), decimals)
+    return f"{text} {unit}" if unit else text
+
+
+def expanded(value: float, *, complete: bool = True, unit: str = "µm", least: str = "at least ") -> str:
+    """U of the tool point; unknown where it is not known, and ``least`` before it where a part has none: it is a lower bound."""
+    return f"{'' if complete or not isfinite(value) else least}{figure(value, unit)}"
+
+
+def place(where: Mapping[str, float]) -> str:
+    """X 467, Y 433, B 125."""
+    return ", ".join(f"{name} {round(value):g}".replace("-", "−") for name, value in where.items())
+
+
+def compact(value: float) -> str:
+    """A number with three significant digits, without zeros at its end and without an exponent."""
+    if value == 0 or not 1e-3 <= abs(value) < 1e9:
+        return "0" if value == 0 else f"{value:.2g}"
+    text = f"{value:.{max(0, 2 - floor(log10(abs(value))))}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else f"{int(text):,}".replace(",", "\u202f")
 
 
 def plain(value: float) -> str:
     """A number whose uncertainty nobody knows: three digits, none after the point from 100 on."""
-    return fixed(value, 0) if abs(value) >= 100.0 else _signed(f"{value:.3g}")
+    return fixed(value, 0) if abs(value) >= 100.0 else signed(f"{value:.3g}")
 
 
 def fixed(value: float, decimals: int) -> str:
     """So many decimals, and a true minus."""
-    return _signed(f"{value:.{decimals}f}")
+    return signed(f"{value:.{decimals}f}")
 
 
 def span(low: float, high: float, unit: str) -> str:
@@ -86,6 +133,16 @@ def ceiling(value: float) -> float:
     return next(digit * power for digit in _ROUND if digit * power >= value * (1.0 - 1e-12))
 
 
-def _signed(text: str) -> str:
+def tied(text: str, space: str) -> str:
+    """With another space between numbers and their units."""
+    return TIED.sub(rf"\1{space}\2", text)
+
+
+def _interval(value: float, half: float) -> str:
+    size, said = rounded(value, half)
+    return f"{signed(size)} ± {said}"
+
+
+def signed(text: str) -> str:
     """A true minus, and none before a nothing."""
     return text.lstrip("-") if not text.strip("-0.") else text.replace("-", "−")

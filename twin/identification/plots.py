@@ -1,7 +1,7 @@
 """Pictures of an identification. Needs the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own, as those of `twin.measurement.evaluation.plots`, whose colours and `save` they share.
-Colours tell apart for colour-blind readers; line styles and markers do so without colour.
+Every function returns a `Figure` of its own, with the colours of `twin.display.figures`, whose `save` writes it. Colours tell apart
+for colour-blind readers; line styles and markers do so without colour.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, cast, final
+from typing import Any, Final, cast, final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
@@ -21,21 +20,32 @@ from matplotlib.ticker import MaxNLocator
 from twin._common.distributions import chi2_isf
 from twin._common.errors import InputError
 from twin._common.units import DEG, TURN
+from twin.display import readable
+from twin.display.figures import (
+    BACKWARD,
+    BOTH,
+    FORWARD,
+    RUN,
+    SHADE,
+    THIRD,
+    blank,
+    dots,
+    dress,
+    heading,
+    legend_below,
+    paper,
+    polar_ticks,
+)
 from twin.identification.result import COVERAGE, THESIS_FUNCTIONS, Identification
 from twin.identification.thesis.identify import ThesisIdentification
 from twin.machine.datum.conditions import turning_patterns
 from twin.machine.effects import split_name
 from twin.machine.machine import Axis
 from twin.machine.motion_curve import Curve
-from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, SIGNS, THIRD
 from twin.uncertainty.at_tool import DEFINITION, UncertaintyMap
 
 FINE: Final = 361
 """Points a curve is drawn with."""
-HEADROOM: Final = 1.15
-HOLLOW: Final = 2.0
-"""Radius of a polar plot's zero, in units of the largest deviation: the circle's size is arbitrary, deviations are not."""
-SHADE: Final = 0.22
 
 
 def plot_motions(
@@ -60,20 +70,19 @@ def plot_motions(
     Raises:
         InputError: an axis without error motions in this estimate.
     """
-    machine = found.calibration.machine
-    names = [name for name in found.calibration.curves if split_name(name)[2] == axis]
+    curves = found.calibration.curves
+    names = [name for name in curves if split_name(name)[2] == axis]
     if not names:
         raise InputError(
             "no error motions of this axis were identified",
-            expected=f"one of {', '.join(dict.fromkeys(split_name(name)[2] for name in found.calibration.curves))}",
+            expected=f"one of {', '.join(dict.fromkeys(split_name(name)[2] for name in curves))}",
             value=axis,
         )
-    one = machine.by_name[axis]
+    one = found.calibration.machine.by_name[axis]
     half = not one.linear and one.lower is not None
-    reach = [found.calibration.curves[name].domain for name in names]
-    polar = not one.linear and thesis is None and all(high - low <= TURN + 1e-9 for low, high in reach)
-    figure = Figure(figsize=(12.0, (6.4 if half else 8.8) if polar else 7.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    turn = all(np.ptp(curves[name].domain) <= TURN + 1e-9 for name in names)
+    polar = not one.linear and thesis is None and turn
+    figure = blank(12.0, (6.4 if half else 8.8) if polar else 7.4)
     points = _thesis_points(thesis, one) if thesis is not None else {}
     dotted = _in_datum(truth, one) if truth is not None else {}
     for name in names:
@@ -82,10 +91,9 @@ def plot_motions(
             _polar(cast(PolarAxes, figure.add_subplot(*place, projection="polar")), found, name, dotted.get(name))
         else:
             _along(figure.add_subplot(*place), found, name, points.get(name), dotted.get(name))
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=9)
+    legend_below(figure)
     how = "; angle: command, radius: deviation from the bold circle" if polar else ""
-    _heading(figure, title or f"Axis {axis}: error motions with their 95 % intervals{how}")
+    heading(figure, title or f"Axis {axis}: error motions with their 95 % intervals{how}")
     return figure
 
 
@@ -99,55 +107,53 @@ def plot_orders(found: Identification, names: Sequence[str] = (), *, title: str 
     """
     choice = found.choice
     shown = list(names) or sorted(choice.by_curve, key=lambda name: -_loss(choice.by_curve[name]))[:4]
-    figure = Figure(figsize=(12.0, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(12.0, 4.8)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
-    sizes = sorted(choice.uniform)
-    _dress(left)
-    left.plot(
-        sizes, [choice.uniform[n] for n in sizes], color=FORWARD, marker="o", markersize=4, label="same number for all"
-    )
-    if THESIS_FUNCTIONS in choice.uniform:
-        left.plot(
-            THESIS_FUNCTIONS,
-            choice.uniform[THESIS_FUNCTIONS],
-            color=BACKWARD,
-            marker="s",
-            markersize=9,
-            markerfacecolor="none",
-            linestyle="",
-            label=f"degree 8 everywhere: {choice.uniform[THESIS_FUNCTIONS]:.3f}",
-        )
-    left.axhline(choice.held_out, color=THIRD, linestyle="--", label=f"chosen curve by curve: {choice.held_out:.3f}")
-    left.axhline(1.0, color=RUN, linewidth=0.8, linestyle=":", label="scatter of the readings alone")
-    left.set_yscale("log")
-    left.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
-    left.minorticks_off()
-    left.set_title("all curves alike", loc="left", fontsize=10)
-    left.set_ylabel("error of held-out readings, RMS\n[standard deviations of a reading]")
-    _dress(right)
-    for name, colour, marker, style in zip(
-        shown, (FORWARD, BACKWARD, THIRD, BOTH), "osD^", ("-", "--", "-.", ":"), strict=False
-    ):
-        scores = choice.by_curve[name]
-        right.plot(
-            list(scores), list(scores.values()), color=colour, marker=marker, markersize=4, linestyle=style, label=name
-        )
-        count = choice.counts[name]
-        right.plot(count, scores[count], color=colour, marker="o", markersize=13, markerfacecolor="none", linestyle="")
-    right.axvline(THESIS_FUNCTIONS, color=RUN, linewidth=0.9, linestyle=":", label="degree 8")
-    right.plot([], [], color=RUN, marker="o", markersize=11, markerfacecolor="none", linestyle="", label="chosen")
-    low = choice.held_out
-    high = max(max(value for n, value in choice.by_curve[name].items() if n >= choice.counts[name]) for name in shown)
-    right.set_ylim(low - 0.06 * (high - low), high + 0.1 * (high - low))
-    right.set_title("one curve at a time, the others as chosen (higher values cut off)", loc="left", fontsize=10)
-    right.set_ylabel("error of held-out readings, RMS\n[standard deviations of a reading]")
+    dress(left)
+    dress(right)
+    _alike(left, found)
+    _one_by_one(right, found, shown)
     for plot in (left, right):
+        plot.set_ylabel("error of held-out readings, RMS\n[standard deviations of a reading]")
         plot.set_xlabel("functions of a curve, the datum's included (degree + 1)")
         plot.xaxis.set_major_locator(MaxNLocator(integer=True))
         plot.legend(frameon=False, fontsize=9)
-    _heading(figure, title or "What predicts readings it has not seen")
+    heading(figure, title or "What predicts readings it has not seen")
     return figure
+
+
+def _alike(plot: Axes, found: Identification) -> None:
+    """The same number of functions for every curve."""
+    choice, sizes = found.choice, sorted(found.choice.uniform)
+    errors = [choice.uniform[n] for n in sizes]
+    plot.plot(sizes, errors, color=FORWARD, marker="o", markersize=4, label="same number for all")
+    if THESIS_FUNCTIONS in choice.uniform:
+        error = choice.uniform[THESIS_FUNCTIONS]
+        label = f"degree 8 everywhere: {error:.3f}"
+        dots(plot, THESIS_FUNCTIONS, error, BACKWARD, "s", 9, markerfacecolor="none", label=label)
+    plot.axhline(choice.held_out, color=THIRD, linestyle="--", label=f"chosen curve by curve: {choice.held_out:.3f}")
+    plot.axhline(1.0, color=RUN, linewidth=0.8, linestyle=":", label="scatter of the readings alone")
+    plot.set_yscale("log")
+    plot.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+    plot.minorticks_off()
+    plot.set_title("all curves alike", loc="left", fontsize=10)
+
+
+def _one_by_one(plot: Axes, found: Identification, names: Sequence[str]) -> None:
+    """Some curves, the others with the number that was chosen."""
+    choice = found.choice
+    styles = zip(names, (FORWARD, BACKWARD, THIRD, BOTH), "osD^", ("-", "--", "-.", ":"), strict=False)
+    for name, colour, marker, style in styles:
+        scores, count = choice.by_curve[name], choice.counts[name]
+        looks: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 4, "linestyle": style}
+        plot.plot(list(scores), list(scores.values()), **looks, label=name)
+        dots(plot, count, scores[count], colour, "o", 13, markerfacecolor="none")
+    plot.axvline(THESIS_FUNCTIONS, color=RUN, linewidth=0.9, linestyle=":", label="degree 8")
+    dots(plot, [], [], RUN, "o", 11, markerfacecolor="none", label="chosen")
+    low = choice.held_out
+    high = max(max(value for n, value in choice.by_curve[name].items() if n >= choice.counts[name]) for name in names)
+    plot.set_ylim(low - 0.06 * (high - low), high + 0.1 * (high - low))
+    plot.set_title("one curve at a time, the others as chosen (higher values cut off)", loc="left", fontsize=10)
 
 
 def plot_residuals(found: Identification, *, title: str = "") -> Figure:
@@ -163,53 +169,44 @@ def plot_residuals(found: Identification, *, title: str = "") -> Figure:
     data, machine = found.data, found.calibration.machine
     moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
     columns = max(-(-(len(moved) + 1) // 2), 1)
-    figure = Figure(figsize=(4.0 * columns, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(4.0 * columns, 7.0)
     panels = figure.subplots(2, columns, squeeze=False).ravel()
     read = found.network.read & found.used[:, None]
     for plot, i in zip(panels, moved, strict=False):
-        _dress(plot)
-        axis = machine.axes[i]
-        at = np.round(data.positions[:, i], 3)
-        # An axis at rest stands at one place for most of a plan: only rows of a line along this axis say something about it.
-        mine = _moving(data.positions, i)
-        for k, (colour, marker) in enumerate(zip((FORWARD, BACKWARD, THIRD), "osD", strict=True)):
-            rows = mine & read[:, k]
-            width = 0.012 * np.ptp(at[mine])
-            plot.plot(
-                at[rows] + (k - 1) * width,
-                found.whitened[rows, k],
-                color=colour,
-                marker=marker,
-                markersize=2.5,
-                linestyle="",
-                alpha=0.35,
-                label=f"whitened, {'xyz'[k]} of the station",
-            )
-        places = np.unique(at[mine])
-        of = [read & (mine & (at == place))[:, None] for place in places]
-        count = np.array([max(np.count_nonzero(one), 1) for one in of])
-        mean = np.array([found.whitened[one].sum() for one in of]) / count
-        half = COVERAGE * np.sqrt(np.maximum(count - _fitted(found, of)[0], 0.0)) / count
-        plot.fill_between(places, -half, half, color=RUN, alpha=0.45, linewidth=0, label="95 % of means")
-        plot.plot(places, mean, color=BOTH, marker="o", markersize=4, linewidth=1.0, label="mean")
-        plot.set_xlabel(f"{axis.name} [{SIGNS[axis.unit]}]")
-        plot.set_ylabel("residual [standard deviations]")
-        plot.set_ylim(-4.6, 4.6)
+        dress(plot)
+        _by_position(plot, found, read, i)
     last = panels[len(moved)]
-    _dress(last)
+    dress(last)
     _by_target(last, found, read)
     for plot in panels[len(moved) + 1 :]:
         plot.set_visible(False)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=9)
+    legend_below(figure)
     fit = found.misfit
-    _heading(
-        figure,
-        title
-        or f"What is left: reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})",
-    )
+    judged = f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
+    heading(figure, title or f"What is left: {judged}")
     return figure
+
+
+def _by_position(plot: Axes, found: Identification, read: np.ndarray, i: int) -> None:
+    """Whitened residuals along one axis, with their means in the band of such means."""
+    data, axis = found.data, found.calibration.machine.axes[i]
+    at = np.round(data.positions[:, i], 3)
+    # An axis at rest stands at one place for most of a plan: only rows of a line along this axis say something about it.
+    mine = _moving(data.positions, i)
+    width = 0.012 * np.ptp(at[mine])
+    for k, (colour, marker) in enumerate(zip((FORWARD, BACKWARD, THIRD), "osD", strict=True)):
+        rows = mine & read[:, k]
+        x, label = at[rows] + (k - 1) * width, f"whitened, {'xyz'[k]} of the station"
+        dots(plot, x, found.whitened[rows, k], colour, marker, 2.5, alpha=0.35, label=label)
+    places = np.unique(at[mine])
+    of = [read & (mine & (at == place))[:, None] for place in places]
+    count = np.array([max(np.count_nonzero(one), 1) for one in of])
+    mean = np.array([found.whitened[one].sum() for one in of]) / count
+    half = COVERAGE * np.sqrt(np.maximum(count - _fitted(found, of)[0], 0.0)) / count
+    plot.fill_between(places, -half, half, color=RUN, alpha=0.45, linewidth=0, label="95 % of means")
+    plot.plot(places, mean, color=BOTH, marker="o", markersize=4, linewidth=1.0, label="mean")
+    label = f"{axis.name} [{readable(axis.unit)}]"
+    plot.set(xlabel=label, ylabel="residual [standard deviations]", ylim=(-4.6, 4.6))
 
 
 def correlation(found: Identification) -> tuple[tuple[str, ...], np.ndarray]:
@@ -245,13 +242,12 @@ def plot_correlation(found: Identification, *, title: str = "") -> Figure:
     """
     names, values = correlation(found)
     size = max(5.0, 2.2 + 0.22 * len(names))
-    figure = Figure(figsize=(size + 1.0, size), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(size + 1.0, size)
     plot = figure.subplots()
     picture = plot.imshow(values, cmap="Blues", vmin=0.0, vmax=1.0)
     plot.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
     plot.set_yticks(range(len(names)), names, fontsize=8)
-    group = [(split_name(name)[1], split_name(name)[2]) for name in names]
+    group = [split_name(name)[1:] for name in names]
     for i in range(1, len(names)):
         if group[i] != group[i - 1]:
             plot.axhline(i - 0.5, color=RUN, linewidth=0.8)
@@ -259,7 +255,7 @@ def plot_correlation(found: Identification, *, title: str = "") -> Figure:
     plot.tick_params(length=0)
     bar = figure.colorbar(picture, ax=plot, shrink=0.8)
     bar.set_label("largest correlation of any part of one with any part of the other")
-    _heading(figure, title or "What the data cannot tell apart")
+    heading(figure, title or "What the data cannot tell apart")
     return figure
 
 
@@ -275,107 +271,75 @@ def plot_uncertainty(found: UncertaintyMap, horizontal: str, vertical: str, *, t
     Raises:
         InputError: axes that the map does not spread over.
     """
-    columns = [found.axes.index(name) for name in (horizontal, vertical) if name in found.axes]
-    across, up = (
-        (np.unique(found.positions[:, i]) for i in columns) if len(columns) == 2 else (np.zeros(0), np.zeros(0))
-    )
-    if min(len(across), len(up)) < 2:
-        spread = [name for i, name in enumerate(found.axes) if np.ptp(found.positions[:, i]) > 0.0]
+    at = {name: np.unique(found.positions[:, i]) for i, name in enumerate(found.axes)}
+    if not all(len(at.get(name, ())) > 1 for name in (horizontal, vertical)) or horizontal == vertical:
+        spread = [name for name, places in at.items() if len(places) > 1]
         raise InputError(
             "no plane of this map", expected=f"two of {', '.join(spread)}", value=f"{horizontal}, {vertical}"
         )
-    rest = {}
-    keep = np.ones(len(found.positions), dtype=bool)
-    for i, name in enumerate(found.axes):
-        if i not in columns:
-            there = np.unique(found.positions[:, i])
-            rest[name] = float(there[len(there) // 2])
-            keep &= found.positions[:, i] == rest[name]
-    table = found.positions[keep][:, columns]
-    order = np.lexsort((table[:, 0], table[:, 1]))
+    across, up = at[horizontal], at[vertical]
+    rest = {name: float(at[name][len(at[name]) // 2]) for name in found.axes if name not in (horizontal, vertical)}
+    keep = np.all([found.positions[:, found.axes.index(name)] == value for name, value in rest.items()], axis=0)
+    columns = [found.axes.index(vertical), found.axes.index(horizontal)]
+    order = np.lexsort(found.positions[keep][:, columns[::-1]].T)
     values = found.uncertainty.expanded_um[keep][order].reshape(len(up), len(across))
-    figure = Figure(figsize=(8.4, 5.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(8.4, 5.4)
     plot = figure.subplots()
     filled = plot.contourf(across, up, values, levels=10, cmap="cividis")
     lines = plot.contour(filled, levels=np.asarray(filled.levels)[::2], colors="white", linewidths=0.7)
     plot.clabel(lines, fmt="%g", fontsize=8)
-    plot.set_xlabel(f"{horizontal} [mm]")
-    plot.set_ylabel(f"{vertical} [mm]")
-    plot.set_aspect("equal")
-    bar = figure.colorbar(filled, ax=plot)
-    bar.set_label("U of the tool point [µm]")
-    plot.set_title(
-        ", ".join(f"{name} {value:g}" for name, value in rest.items()) + f"\n{DEFINITION}", loc="left", fontsize=9
-    )
-    _heading(figure, title or "Uncertainty of the tool point from the calibration")
+    plot.set(xlabel=f"{horizontal} [mm]", ylabel=f"{vertical} [mm]", aspect="equal")
+    figure.colorbar(filled, ax=plot).set_label("U of the tool point [µm]")
+    where = ", ".join(f"{name} {value:g}" for name, value in rest.items())
+    plot.set_title(f"{where}\n{DEFINITION}", loc="left", fontsize=9)
+    heading(figure, title or "Uncertainty of the tool point from the calibration")
     return figure
 
 
 def _along(
     plot: Axes, found: Identification, name: str, points: _Points | None, dotted: tuple[np.ndarray, np.ndarray] | None
 ) -> None:
-    _dress(plot)
+    dress(plot)
     curve = found.calibration.curves[name]
-    q = np.linspace(*curve.domain, FINE)
-    value, u = found.interval(name, q)
-    plot.fill_between(
-        q, value - COVERAGE * u, value + COVERAGE * u, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval"
-    )
-    plot.plot(q, value, color=FORWARD, linewidth=1.8, label="identified")
+    _interval(plot, found, name, 1.8, 1.0)
     if dotted is not None:
         plot.plot(*dotted, color=BOTH, linewidth=1.3, linestyle=":", label="true (simulated)")
     if points is not None:
-        plot.errorbar(
-            points.at,
-            points.value,
-            points.deviation,
-            color=BACKWARD,
-            marker="s",
-            markersize=4,
-            linestyle="",
-            linewidth=0.9,
-            capsize=2,
-            label="thesis: mean ± s of the rounds",
-        )
+        mark: dict[str, Any] = {"color": BACKWARD, "marker": "s", "markersize": 4, "linestyle": "", "capsize": 2}
+        label = "thesis: mean ± s of the rounds"
+        plot.errorbar(points.at, points.value, points.deviation, **mark, linewidth=0.9, label=label)
         plot.plot(points.fine, points.curve, color=BACKWARD, linewidth=1.0, linestyle="--", label="thesis: degree 8")
     plot.axhline(0.0, color=BOTH, linewidth=0.6)
     plot.set_title(name, loc="left", fontweight="bold", fontsize=10)
     axis = found.calibration.machine.by_name[split_name(name)[2]]
-    plot.set_xlabel(f"{axis.name} [{SIGNS[axis.unit]}]")
-    plot.set_ylabel(f"{name} [{SIGNS[curve.unit]}]")
+    plot.set(xlabel=f"{axis.name} [{readable(axis.unit)}]", ylabel=f"{name} [{readable(curve.unit)}]")
+
+
+def _interval(plot: Axes, found: Identification, name: str, width: float, scale: float) -> float:
+    """A curve with its 95 % interval; returns how far that reaches from zero."""
+    q = np.linspace(*found.calibration.curves[name].domain, FINE)
+    value, u = found.interval(name, q)
+    low, high = value - COVERAGE * u, value + COVERAGE * u
+    plot.fill_between(q * scale, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
+    plot.plot(q * scale, value, color=FORWARD, linewidth=width, label="identified")
+    return float(max(np.abs(low).max(), np.abs(high).max()))
 
 
 def _polar(plot: PolarAxes, found: Identification, name: str, dotted: tuple[np.ndarray, np.ndarray] | None) -> None:
     curve = found.calibration.curves[name]
-    q = np.linspace(*curve.domain, FINE)
-    value, u = found.interval(name, q)
-    low, high = value - COVERAGE * u, value + COVERAGE * u
-    largest = [np.abs(low).max(), np.abs(high).max()]
-    plot.fill_between(q * DEG, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
-    plot.plot(q * DEG, value, color=FORWARD, linewidth=1.6, label="identified")
+    extent = max(_interval(plot, found, name, 1.6, DEG), 1e-9)
     if dotted is not None:
         plot.plot(dotted[0] * DEG, dotted[1], color=BOTH, linewidth=1.3, linestyle=":", label="true (simulated)")
-        largest.append(np.abs(dotted[1]).max())
-    extent = float(max([*largest, 1e-9]))
-    plot.plot(q * DEG, np.zeros(FINE), color=BOTH, linewidth=1.1)
-    plot.set_ylim(-HOLLOW * extent, HEADROOM * extent)
-    ticks = [tick for tick in MaxNLocator(4, symmetric=True).tick_values(-extent, extent) if abs(tick) <= extent]
-    plot.set_yticks(ticks, [""] * len(ticks))
-    full = curve.domain[1] - curve.domain[0] > 350.0
-    if not full:
-        plot.set_thetamin(curve.domain[0])
-        plot.set_thetamax(curve.domain[1])
+        extent = max(extent, float(np.abs(dotted[1]).max()))
+    plot.plot(np.linspace(*curve.domain, FINE) * DEG, np.zeros(FINE), color=BOTH, linewidth=1.1)
+    ticks, full = polar_ticks(plot, extent, curve.domain)
+    plot.set_yticks([tick for tick, _ in ticks], [""] * len(ticks))
     plot.set_xticks(np.arange(curve.domain[0], curve.domain[1] + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(labelsize=8)
-    plot.grid(color="#cccccc", linewidth=0.5)
-    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
-    for tick in ticks:  # by hand, above the curves
-        label = f"{tick:+g}".replace("-", "−") if tick else "0"
-        plot.text(
-            (105.0 if full else 98.0) * DEG, tick, label, fontsize=7, ha="center", va="center", zorder=6, bbox=paper
-        )
-    plot.set_title(f"{name} [{SIGNS[curve.unit]}]", loc="left", fontweight="bold", fontsize=10)
+    for tick, label in ticks:  # by hand, above the curves
+        looks: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6, "bbox": paper(0.8, 0.5)}
+        plot.text((105.0 if full else 98.0) * DEG, tick, label, fontsize=7, **looks)
+    plot.set_title(f"{name} [{readable(curve.unit)}]", loc="left", fontweight="bold", fontsize=10)
 
 
 @final
@@ -421,32 +385,28 @@ def _taken(
     A linear axis: the line of a straightness, else the mean. A rotary one: the mean, and of the pairs across the axis what a shift or
     tilt of all that turns with it does.
     """
-    found: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
     if axis.linear:
-        for name, (q, values) in lines.items():
-            found[name] = np.poly1d(np.polyfit(q, values, 1 if _straightness(axis, name) else 0))
-        return found
+        return {name: np.poly1d(np.polyfit(*line, int(_straightness(axis, name)))) for name, line in lines.items()}
+    found: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
     for letters in ("XYZ", "ABC"):
         names = [f"E_{letter}{axis.name}" for letter in letters]
         present = [name for name in names if name in lines]
-        shapes = [
-            {name: (lambda q: np.ones(len(q))) if name == one else (lambda q: np.zeros(len(q))) for name in names}
-            for one in present
-        ]
-        shapes += [dict(zip(names, pattern, strict=True)) for pattern in turning_patterns(axis)]
-        matrix = [np.stack([shape[name](lines[name][0]) for shape in shapes], axis=1) for name in present]
+        shapes = {name: partial(_shapes, axis, present, name, k) for k, name in enumerate(names) if name in lines}
         if present:
-            size, *_ = np.linalg.lstsq(
-                np.concatenate(matrix), np.concatenate([lines[n][1] for n in present]), rcond=None
-            )
-            for name in present:
-                parts = [shape[name] for shape in shapes]
-                found[name] = partial(_summed, parts, size)
+            matrix = np.concatenate([shapes[name](lines[name][0]) for name in present])
+            size, *_ = np.linalg.lstsq(matrix, np.concatenate([lines[name][1] for name in present]), rcond=None)
+            found |= {name: partial(_summed, shapes[name], size) for name in present}
     return found
 
 
-def _summed(parts: Sequence[Callable[[np.ndarray], np.ndarray]], size: np.ndarray, q: np.ndarray) -> np.ndarray:
-    return np.asarray(sum(factor * part(q) for factor, part in zip(size, parts, strict=True)))
+def _shapes(axis: Axis, present: Sequence[str], name: str, component: int, q: np.ndarray) -> np.ndarray:
+    """(n, k) what a mean of each motion present, and each shift or tilt of what turns, does to one motion."""
+    own = [np.full(len(q), float(name == one)) for one in present]
+    return np.column_stack([*own, *(pattern[component](q) for pattern in turning_patterns(axis))])
+
+
+def _summed(shapes: Callable[[np.ndarray], np.ndarray], size: np.ndarray, q: np.ndarray) -> np.ndarray:
+    return np.asarray(shapes(q) @ size)
 
 
 def _straightness(axis: Axis, name: str) -> bool:
@@ -515,13 +475,3 @@ def _inverse_root(covariance: np.ndarray) -> np.ndarray:
 def _loss(scores: Mapping[int, float]) -> float:
     """What degree 8 costs one curve in held-out error."""
     return scores.get(THESIS_FUNCTIONS, 0.0) - min(scores.values())
-
-
-def _heading(figure: Figure, text: str) -> None:
-    figure.suptitle(text, x=0.01, horizontalalignment="left", fontweight="bold", fontsize=12)
-
-
-def _dress(plot: Axes) -> None:
-    plot.grid(color="#dddddd", linewidth=0.6)
-    plot.set_axisbelow(True)
-    plot.spines[["top", "right"]].set_visible(False)

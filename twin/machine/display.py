@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -53,12 +53,30 @@ def standard_uncertainty(effect: Effect, covariance: Covariance, q: np.ndarray) 
     Returns:
         µm or µrad, of that shape; NaN where any of its numbers has no uncertainty.
     """
-    names = [parameter.name for parameter in effect.parameters]
+    return combined_uncertainty([effect], covariance, {effect.frame.axis: q}, split_name(effect.name)[0], np.shape(q))
+
+
+def combined_uncertainty(
+    effects: Sequence[Effect], covariance: Covariance, state: Mapping[str, Any], component: int, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Standard uncertainty (k = 1) of what effects make together of one error component.
+
+    Args:
+        effects: the effects.
+        covariance: of the calibration's numbers.
+        state: where, and under what conditions.
+        component: 0 to 5.
+        shape: of the result.
+
+    Returns:
+        µm or µrad; NaN where any of their numbers has no uncertainty.
+    """
+    names = [parameter.name for effect in effects for parameter in effect.parameters]
     if not set(names) <= set(covariance.names):
-        return np.full(np.shape(q), np.nan)
-    rates = effect.derivatives({effect.frame.axis: q})
-    shape = np.array([np.broadcast_to(next(iter(rate.values())), np.shape(q)) for rate in rates])
-    variance = np.einsum("k...,kl,l...->...", shape, covariance.of(names).matrix, shape)
+        return np.full(shape, np.nan)
+    rates = [rate.get(component, 0.0) for effect in effects for rate in effect.derivatives(state)]
+    rate = np.stack([np.broadcast_to(one, shape) for one in rates])
+    variance = np.einsum("k...,kl,l...->...", rate, covariance.of(names).matrix, rate)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -117,11 +135,9 @@ def errors_html(
         drawn: names of those that are illustrative.
     """
     motions = {effect.name: effect for effect in effects if isinstance(effect, ErrorMotion)}
-    known = [name for name, effect in motions.items() if np.isfinite(_u_max(effect, covariance))]
-    rows = [_row(machine, axis.name, motions, covariance, drawn, bool(known)) for axis in machine.axes]
-    rows = [
-        row for row, name in zip(rows, machine.names, strict=True) if any(split_name(n)[2] == name for n in motions)
-    ]
+    known = any(np.isfinite(_curve(effect, covariance)[1]).all() for effect in motions.values())
+    named = {split_name(name)[2] for name in motions}
+    rows = [_row(machine, name, motions, covariance, drawn, known) for name in machine.names if name in named]
     grid = table(["axis", *(f"E_{d}…" for d in DIRECTIONS)], rows)
     parts = [grid]
     if rows:
@@ -149,40 +165,33 @@ def _row(
     """One axis: where it goes and what its strips' edges mean, then its six error motions."""
     axis = machine.by_name[axis_name]
     six = [motions.get(f"E_{direction}{axis_name}") for direction in DIRECTIONS]
-    values, halves = [], []
-    for effect in six:
-        q = np.linspace(*(axis.domain if effect is None else effect.domain), POINTS)
-        found = np.zeros(POINTS) if effect is None else _values(effect, q)
-        values.append(found)
-        halves.append(None if effect is None else COVERAGE * standard_uncertainty(effect, covariance, q))
-    limits = []
-    for group in (slice(0, 3), slice(3, 6)):
-        reach = [
-            float(np.max(np.abs(v) + (0.0 if h is None else np.nan_to_num(h))))
-            for v, h in zip(values[group], halves[group], strict=True)
-        ]
-        limits += [ceiling(max(reach))] * 3
-    scale = joined(
-        f"{axis_name}, {span(*axis.domain, axis.unit)}",
-        note(f"edges ±{limits[0]:g} µm, ±{limits[3]:g} µrad"),
+    curves = [None if effect is None else _curve(effect, covariance) for effect in six]
+    lengths, angles = (
+        ceiling(
+            max((float(np.max(np.abs(value) + np.nan_to_num(half))) for value, half in filter(None, of)), default=0.0)
+        )
+        for of in (curves[:3], curves[3:])
     )
-    cells: list[Cell] = [scale]
-    for effect, value, half, limit in zip(six, values, halves, limits, strict=True):
-        if effect is None:
+    cells: list[Cell] = [
+        joined(f"{axis_name}, {span(*axis.domain, axis.unit)}", note(f"edges ±{lengths:g} µm, ±{angles:g} µrad"))
+    ]
+    for effect, curve, limit in zip(six, curves, [lengths] * 3 + [angles] * 3, strict=True):
+        if effect is None or curve is None:
             cells.append(note("not given"))
             continue
-        u = np.nan if half is None else float(np.max(half)) / COVERAGE
-        peak = value[int(np.argmax(np.abs(value)))]
-        text = (
-            measured(float(peak), u, unit_of(effect.name))
-            if known
-            else f"{plain(float(peak))} {readable(unit_of(effect.name))}"
-        )
-        mark = DRAWN if effect.name in drawn else ""
+        value, half = curve
+        peak, unit = float(value[int(np.argmax(np.abs(value)))]), unit_of(effect.name)
+        text = measured(peak, float(np.max(half)) / COVERAGE, unit) if known else f"{plain(peak)} {readable(unit)}"
         says = f"{effect.name} over {axis_name}: largest {text}"
-        shown = f"{effect.name}{mark}"
+        shown = f"{effect.name}{DRAWN if effect.name in drawn else ''}"
         cells.append(joined(shown, strip(value, half, limit, says), Html(f"<small>{text}</small>")))
     return cells
+
+
+def _curve(effect: ErrorMotion, covariance: Covariance) -> tuple[np.ndarray, np.ndarray]:
+    """Values of a strip, and half widths of their 95 % intervals."""
+    q = np.linspace(*effect.domain, POINTS)
+    return _values(effect, q), COVERAGE * standard_uncertainty(effect, covariance, q)
 
 
 def _values(effect: ErrorMotion, q: np.ndarray) -> np.ndarray:
@@ -190,12 +199,8 @@ def _values(effect: ErrorMotion, q: np.ndarray) -> np.ndarray:
     return np.asarray(np.broadcast_to(found, q.shape), dtype=float)
 
 
-def _u_max(effect: ErrorMotion, covariance: Covariance) -> float:
-    return float(np.max(standard_uncertainty(effect, covariance, np.linspace(*effect.domain, POINTS))))
-
-
-def _u(name: str, covariance: Covariance) -> float:
-    """Standard uncertainty of one number; NaN where it is not known."""
+def uncertainty_of(name: str, covariance: Covariance) -> float:
+    """Standard uncertainty (k = 1) of one number; NaN where it is not known."""
     return float(np.sqrt(covariance.of([name]).matrix[0, 0])) if name in covariance.names else float("nan")
 
 
@@ -206,7 +211,9 @@ def _numbers(effects: Sequence[Effect], covariance: Covariance, title: str, draw
     for effect in effects:
         (number,) = effect.parameters
         mark = DRAWN if effect.name in drawn else ""
-        texts.append(f"{effect.name}{mark} {measured(number.value, _u(number.name, covariance), number.unit)}")
+        texts.append(
+            f"{effect.name}{mark} {measured(number.value, uncertainty_of(number.name, covariance), number.unit)}"
+        )
     return joined(note(f"{title} (± 95 %)"), chips(texts))
 
 
@@ -219,6 +226,6 @@ def _told(effect: Effect, covariance: Covariance) -> Cell:
     if not effect.parameters:
         return "as its tables say"
     return chips(
-        f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, _u(p.name, covariance), p.unit)}"
+        f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
         for p in effect.parameters
     )

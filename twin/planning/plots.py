@@ -1,32 +1,32 @@
 """Pictures of a plan: from where it measures what, and how well every error will be known. Needs the extra ``plots``.
 
-Every function returns a `Figure` of its own, as those of `twin.measurement.evaluation.plots`, whose colours they share; markers tell
-apart what colours do.
+Every function returns a `Figure` of its own, with the colours of `twin.display.figures`; markers tell apart what colours do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from twin._common.errors import InputError
+from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dots, dress, heading
 from twin.identification.result import Identification
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
-from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.planning.forecast import Forecast
 
 STYLES: Final = ((BACKWARD, "s"), (FORWARD, "o"), (THIRD, "^"))
 """Colour and marker of each plan, in the order given."""
-VIEWS: Final = ((0, 1, "from above", "x", "y"), (0, 2, "from the front", "x", "z"))
+VIEWS: Final = ((0, 1, "from above"), (0, 2, "from the front"))
+SIDES: Final = (("tool", FORWARD, "o"), ("work", BACKWARD, "s"))
 PANELS: Final = ((3, "µm"), (6, "µrad"))
 PLAIN: Final = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
 """Of ticks on a logarithmic axis: 1, 2, 5 and their tens."""
@@ -48,42 +48,28 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
             "no picture of places that nobody knows", expected="place_… and station_… in every row", file=table.source
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
-    figure = Figure(figsize=(12.0, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    for plot, (i, j, view, across, up) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+    figure = blank(12.0, 6.2)
+    for plot, (i, j, view) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for name in dict.fromkeys(table.station):
             rows = table.station == name
-            eye = table.station_pose[rows][0]
-            for point in points[rows]:
-                plot.plot([eye[i], point[i]], [eye[j], point[j]], color=RUN, linewidth=0.3, alpha=0.5, zorder=1)
-            plot.plot(eye[i], eye[j], color=BOTH, marker="D", markersize=8, linestyle="", zorder=4)
-            count = np.count_nonzero(rows)
-            plot.annotate(
-                f"{name}: {count} readings", (eye[i], eye[j]), textcoords="offset points", xytext=(8, 8), fontsize=9
-            )
-        for side, colour, marker in (("tool", FORWARD, "o"), ("work", BACKWARD, "s")):
+            eye = table.station_pose[rows][0][[i, j]]
+            for point in points[rows][:, [i, j]]:
+                plot.plot(*np.stack([eye, point]).T, color=RUN, linewidth=0.3, alpha=0.5, zorder=1)
+            dots(plot, eye[0], eye[1], BOTH, "D", 8, zorder=4)
+            words = f"{name}: {np.count_nonzero(rows)} readings"
+            plot.annotate(words, eye, textcoords="offset points", xytext=(8, 8), fontsize=9)
+        for side, colour, marker in SIDES:
             of = table.carrier == side
             if np.any(of):
-                plot.plot(
-                    points[of, i],
-                    points[of, j],
-                    color=colour,
-                    marker=marker,
-                    markersize=3.5,
-                    linestyle="",
-                    label=f"reflectors on the {side} side",
-                    zorder=3,
-                )
+                label = f"reflectors on the {side} side"
+                dots(plot, points[of, i], points[of, j], colour, marker, 3.5, label=label, zorder=3)
         plot.set_aspect("equal", adjustable="datalim")
         plot.margins(0.12)
-        plot.set_xlabel(f"{across} [mm]")
-        plot.set_ylabel(f"{up} [mm]")
+        plot.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]")
         plot.set_title(view, loc="left", fontsize=10)
-        plot.grid(color="#dddddd", linewidth=0.6)
-        plot.set_axisbelow(True)
-        plot.spines[["top", "right"]].set_visible(False)
+        dress(plot)
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=True)
-    figure.suptitle(title or "Where the plan measures", x=0.01, horizontalalignment="left", fontweight="bold")
+    heading(figure, title or "Where the plan measures")
     return figure
 
 
@@ -103,37 +89,16 @@ def plot_uncertainties(
     if not 1 <= len(foretold) <= len(STYLES):
         raise InputError("too many plans for one picture", expected=f"1 to {len(STYLES)}", value=len(foretold))
     every = list(dict.fromkeys(name for one in foretold.values() for name in one.errors))
-    figure = Figure(figsize=(12.0, 5.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(12.0, 5.8)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
         below = limit
-        at = {name: k for k, name in enumerate(names)}
         for (label, one), (colour, marker) in zip(foretold.items(), STYLES, strict=False):
-            mine = [name for name in names if name in one.errors]
-            plot.plot(
-                [at[name] for name in mine],
-                [one.errors[name] for name in mine],
-                color=colour,
-                marker=marker,
-                markerfacecolor="white",
-                markersize=7,
-                linestyle="",
-                label=f"{label}: foretold",
-            )
+            foretell = {"markerfacecolor": "white", "label": f"{label}: foretold"}
+            _marks(plot, names, one.errors, colour, marker, 7, **foretell)
             if found is not None and label in found:
-                stated = _stated(found[label])
-                mine = [name for name in names if name in stated]
-                plot.plot(
-                    [at[name] for name in mine],
-                    [stated[name] for name in mine],
-                    color=colour,
-                    marker=marker,
-                    markersize=4,
-                    linestyle="",
-                    label=f"{label}: identified",
-                )
+                _marks(plot, names, _stated(found[label]), colour, marker, 4, label=f"{label}: identified")
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter(PLAIN)
         plot.yaxis.set_minor_formatter(PLAIN)
@@ -142,16 +107,18 @@ def plot_uncertainties(
         plot.grid(color="#dddddd", linewidth=0.6, which="both", axis="y")
         plot.set_axisbelow(True)
         plot.spines[["top", "right"]].set_visible(False)
-    figure.legend(
-        *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9, ncols=2 * len(foretold)
-    )
-    figure.suptitle(
-        title or "How well every error is known (of a curve, where it is known worst)",
-        x=0.01,
-        horizontalalignment="left",
-        fontweight="bold",
-    )
+    legend: dict[str, Any] = {"loc": "outside lower center", "fontsize": 9, "ncols": 2 * len(foretold)}
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), **legend)
+    heading(figure, title or "How well every error is known (of a curve, where it is known worst)")
     return figure
+
+
+def _marks(
+    plot: Axes, names: list[str], values: Mapping[str, float], colour: str, marker: str, size: float, **more: Any
+) -> None:
+    """What is known of each name, above its place."""
+    known = [(k, values[name]) for k, name in enumerate(names) if name in values]
+    dots(plot, [k for k, _ in known], [value for _, value in known], colour, marker, size, **more)
 
 
 def _stated(found: Identification) -> dict[str, float]:

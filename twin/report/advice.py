@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
-from twin.diagnosis.wording.words import listed, lower
+from twin._common.json_form import json_form
+from twin.diagnosis.wording.words import capital, listed, lower
+from twin.display import UNKNOWN, expanded, figure, with_half
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import options_of
 from twin.report.after import After
 from twin.report.contributions import Budget, Contribution
 from twin.report.identified import Identified
-from twin.report.numbers import UNKNOWN, expanded, figure, with_half
 from twin.report.readings import Checked
 from twin.report.tables import TablesLeft
 
@@ -72,11 +74,7 @@ class Advice:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "headline": self.headline,
-            "wrong_most": list(self.wrong),
-            "steps": [{"kind": step.kind, "title": step.title, "text": step.text} for step in self.steps],
-        }
+        return json_form(self, rename={"wrong": "wrong_most"}, leave_out=("mood",))
 
 
 def advise(
@@ -99,52 +97,28 @@ def advise(
         points: measured ones against the calibration.
         tables: what tables in the control would leave, the best first; none where they are in use already.
     """
-    total = found.total.rms_um
+    rms, most = (figure(size, "µm") for size in (found.total.rms_um, found.total.max_um))
     if not found.errors and not left_out:
-        return Advice(
-            "This calibration says nothing is wrong: it names no error.",
-            "unknown",
-            (),
-            (
-                Step("measure", "Measure it", "A file without errors is no perfect machine. " + _IDENTIFY),
-                Step(
-                    "never", "Take it for accurate", "Every error of this machine counts as zero here: nobody has told."
-                ),
-            ),
+        steps = (
+            Step("measure", "Measure it", f"A file without errors is no perfect machine. {_IDENTIFY}"),
+            Step("never", "Take it for accurate", "Every error of this machine counts as zero here: nobody has told."),
         )
-    headline = (
-        f"The tool point is off by {figure(total, 'µm')} RMS over the working volume, and by up to "
-        f"{figure(found.total.max_um, 'µm')}."
-    )
-    steps = [
-        *_illustrative(calibration),
+        return Advice("This calibration says nothing is wrong: it names no error.", "unknown", (), steps)
+    every = [
+        *_void(calibration, calibration.settled and (identified is None or identified.file.converged)),
         *_incomplete(left_out, identified),
-        *_settled(calibration.settled and (identified is None or identified.converged)),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
-        *_one_of(
-            _compensate(calibration, found, outcome),
-            _adjust(found),
-            _tables(found, tables),
-        ),
+        *_one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables)),
         *_measure(found, outcome),
         *_never(calibration, found),
     ]
     return Advice(
-        headline,
+        f"The tool point is off by {rms} RMS over the working volume, and by up to {most}.",
         "well" if found.total.max_um <= SMALL_UM else "wrong",
         tuple(_line(one) for one in found.errors[:NAMED]),
-        tuple(sorted(steps, key=lambda step: _ORDER.index(step.kind))),
+        tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
-
-
-def _one_of(*ways: list[Step]) -> list[Step]:
-    """Ways to the same end, of which one is enough: each to be done after the first begins with "Or"."""
-    found: list[Step] = []
-    for step in (step for way in ways for step in way):
-        again = step.kind == "do" and any(one.kind == "do" for one in found)
-        found.append(replace(step, title=f"Or {lower(step.title)}") if again else step)
-    return found
 
 
 _ORDER: Final = ("unknown", "do", "measure", "never")
@@ -153,94 +127,65 @@ _IDENTIFY: Final = (
 )
 
 
+def _one_of(*ways: Iterator[Step]) -> Iterator[Step]:
+    """Ways to the same end, of which one is enough: each to be done after the first begins with "Or"."""
+    again = False
+    for step in chain(*ways):
+        yield replace(step, title=f"Or {lower(step.title)}") if again and step.kind == "do" else step
+        again = again or step.kind == "do"
+
+
 def _line(one: Contribution) -> str:
-    unit = "µrad" if one.unit == "urad" else "µm"
     return (
-        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, unit)}, which makes "
+        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, one.unit)}, which makes "
         f"{figure(one.rms_um, 'µm')} RMS at the tool, up to {figure(one.max_um, 'µm')} "
         f"(U {expanded(one.u_rms_um, complete=one.u_complete)})"
     )
 
 
-def _illustrative(calibration: Calibration) -> list[Step]:
-    drawn = [curve.name for curve in calibration.curves.values() if curve.illustrative]
-    if not drawn:
-        return []
-    return [
-        Step(
-            "never",
-            "Cut, adjust or fill tables with this calibration",
-            f"{len(drawn)} of its {len(calibration.curves)} error motions are ILLUSTRATIVE: drawn, not measured. The numbers "
-            "below show what such a report looks like, nothing about your machine.",
-        )
-    ]
-
-
-def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified | None) -> list[Step]:
-    steps = [
-        Step(
-            "unknown",
-            f"{listed(names)} left out",
-            f"It depends on {channel}, which nobody gave: {options_of([channel])}. Every number here is without it.",
-        )
-        for channel, names in left_out.items()
-    ]
+def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified | None) -> Iterator[Step]:
+    for channel, names in left_out.items():
+        text = f"It depends on {channel}, which nobody gave: {options_of([channel])}. Every number here is without it."
+        yield Step("unknown", f"{listed(names)} left out", text)
     if identified is None:
-        return steps
+        return
     if identified.others:
-        steps.append(
-            Step(
-                "unknown",
-                "The identification is not this calibration's",
-                f"{identified.path.name} gives other numbers for {listed(identified.others)}: it belongs to another calibration, or "
-                "this one was changed since. What it says of the fit does not hold for these numbers.",
-            )
+        text = (
+            f"{identified.path.name} gives other numbers for {listed(identified.others)}: it belongs to another calibration, or "
+            "this one was changed since. What it says of the fit does not hold for these numbers."
         )
-    lack = identified.lack_p_value
-    if lack is not None and lack < REPEATS:
-        steps.append(
-            Step(
-                "measure",
-                "Find out what the model leaves out",
-                f"The readings differ from the model by something that repeats (reduced chi² {identified.reduced_chi2:.3g}): the "
-                "uncertainties here do not cover it. `twin diagnose` names it.",
-            )
+        yield Step("unknown", "The identification is not this calibration's", text)
+    fit = identified.file.misfit
+    if fit.lack_of_fit_p_value is not None and fit.lack_of_fit_p_value < REPEATS:
+        text = (
+            f"The readings differ from the model by something that repeats (reduced chi² {fit.reduced_chi2:.3g}): the "
+            "uncertainties here do not cover it. `twin diagnose` names it."
         )
-    elif identified.p_value < REPEATS:
-        steps.append(
-            Step(
-                "measure",
-                "See why the readings scatter",
-                f"They scatter more than was stated (reduced chi² {identified.reduced_chi2:.3g}): the uncertainties here are too "
-                "small. Identify again with `--uncertainty repeats`, or `twin diagnose`.",
-            )
+        yield Step("measure", "Find out what the model leaves out", text)
+    elif fit.p_value is not None and fit.p_value < REPEATS:
+        text = (
+            f"They scatter more than was stated (reduced chi² {fit.reduced_chi2:.3g}): the uncertainties here are too "
+            "small. Identify again with `--uncertainty repeats`, or `twin diagnose`."
         )
-    return steps
+        yield Step("measure", "See why the readings scatter", text)
 
 
-def _settled(settled: bool) -> list[Step]:
-    return [] if settled else [Step("never", "Use this calibration", "The estimate it comes from did not settle.")]
-
-
-def _misfit(points: Sequence[Checked], calibration: Calibration) -> list[Step]:
+def _misfit(points: Sequence[Checked], calibration: Calibration) -> Iterator[Step]:
     """Of measured points that this calibration does not explain."""
-    return [
-        Step(
-            "measure",
-            "Find out why points do not fit",
-            f"{one.far:,} of the {one.points:,} points of {Path(one.source).name} are further off than scatter goes "
-            f"({figure(one.rms_after_um, 'µm')} RMS a coordinate over all). "
-            f"`twin diagnose {Path(one.source).name}{_about(calibration)}` names the cause.",
-        )
-        for one in points
-        if one.far
-    ]
+    for one in points:
+        if one.far:
+            name, left = Path(one.source).name, figure(one.rms_after_um, "µm")
+            text = (
+                f"{one.far:,} of the {one.points:,} points of {name} are further off than scatter goes "
+                f"({left} RMS a coordinate over all). `twin diagnose {name}{_about(calibration)}` names the cause."
+            )
+            yield Step("measure", "Find out why points do not fit", text)
 
 
-def _control(calibration: Calibration, outcome: After) -> list[Step]:
-    control = calibration.control
+def _control(calibration: Calibration, outcome: After) -> Iterator[Step]:
+    control, bare = calibration.control, outcome.bare
     if control is None:
-        return []
+        return
     alike: dict[tuple[str, ...], list[str]] = {}
     for one in control.tables:
         alike.setdefault(one.classes, []).append(one.file.name)
@@ -249,40 +194,33 @@ def _control(calibration: Calibration, outcome: After) -> list[Step]:
         text = f"These errors were measured with its tables on ({names}): they are what is left. A new table is added to them."
         text += f" {control.caution}" if control.caution else ""
     else:
-        bare = outcome.bare
-        was = (
-            ""
-            if bare is None
-            else f", from {figure(bare.rms_um, 'µm')} to {figure(outcome.before.rms_um, 'µm')} RMS at the tool"
-        )
+        ends = None if bare is None else [figure(level.rms_um, "µm") for level in (bare, outcome.before)]
+        was = "" if ends is None else f", from {ends[0]} to {ends[1]} RMS at the tool"
         text = (
             f"Its tables ({names}) take their part out by themselves{was}. All numbers here are with them switched on."
         )
-    return [Step("do", "Leave the control's tables on", text)]
+    yield Step("do", "Leave the control's tables on", text)
 
 
-def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list[Step]:
+def _compensate(calibration: Calibration, found: Budget, outcome: After) -> Iterator[Step]:
     if outcome.exact is None:
-        return [
-            Step(
-                "unknown", "No programs on this machine", "Compensation needs three linear and at most two rotary axes."
-            )
-        ]
+        text = "Compensation needs three linear and at most two rotary axes."
+        yield Step("unknown", "No programs on this machine", text)
+        return
     if found.total.rms_um <= 0.0:
-        return []
-    how = f"`twin compensate part.nc -o part.compensated.nc{_about(calibration)}{_tool(found)}{_conditions(found)}`"
-    start = figure(outcome.before.rms_um, "µm")
+        return
+    start, exact = (figure(level.rms_um, "µm") for level in (outcome.before, outcome.exact))
+    text = f"`twin compensate part.nc -o part.compensated.nc{_options(found, calibration)}`. From {start} RMS to "
     if outcome.likely is None:
-        text = (
-            f"{how}. From {start} RMS to {figure(outcome.exact.rms_um, 'µm')} if the calibration were exactly true. What it really "
-            f"leaves is {UNKNOWN}: the calibration gives no uncertainty."
+        text += (
+            f"{exact} if the calibration were exactly true. What it really leaves is {UNKNOWN}: the calibration gives no "
+            "uncertainty."
         )
     else:
         least = "" if outcome.complete else "at least "
-        text = (
-            f"{how}. From {start} RMS to {least}{figure(outcome.likely.rms_um, 'µm')} to be expected "
-            f"({figure(outcome.exact.rms_um, 'µm')} if the calibration were exactly true); 95 % of positions within "
-            f"{least}{figure(outcome.likely.quantile(0.95), 'µm')}."
+        text += (
+            f"{least}{figure(outcome.likely.rms_um, 'µm')} to be expected ({exact} if the calibration were exactly true); 95 % of "
+            f"positions within {least}{figure(outcome.likely.quantile(0.95), 'µm')}."
         )
     if outcome.out_of_range:
         share = 100.0 * outcome.out_of_range / outcome.poses
@@ -290,12 +228,12 @@ def _compensate(calibration: Calibration, found: Budget, outcome: After) -> list
             f" At {share:.2g} % of the positions, at the ends of the travel, the correction asks for more than the axes have: up to "
             f"{figure(outcome.out_of_range_um, 'µm')} stays there."
         )
-    return [Step("do", _with_measured("compensate the programs", calibration), text)]
+    yield Step("do", _with_measured("compensate the programs", calibration), text)
 
 
 def _with_measured(what: str, calibration: Calibration) -> str:
     """A title: what is not to be done with these numbers is said to be for others."""
-    return f"With measured numbers: {what}" if calibration.illustrative else f"{what[0].upper()}{what[1:]}"
+    return f"With measured numbers: {what}" if calibration.illustrative else capital(what)
 
 
 def _about(calibration: Calibration) -> str:
@@ -304,54 +242,48 @@ def _about(calibration: Calibration) -> str:
     return f"{calibration.machine.as_option}{file}"
 
 
-def _conditions(found: Budget) -> str:
-    """The options that give what the numbers were taken at."""
+def _options(found: Budget, calibration: Calibration) -> str:
+    """Those, and the options that give the tool and what the numbers were taken at."""
     at = found.kinematics.conditions
     warm = "".join(f" {name}={value:g}" for name, value in at.temperature_degC.items())
-    return f"{' --temperature' if warm else ''}{warm}{'' if at.time_s is None else f' --time {at.time_s:g}'}"
+    time = "" if at.time_s is None else f" --time {at.time_s:g}"
+    tool = f" --tool-length {found.kinematics.tool_length_mm:g}"
+    return f"{_about(calibration)}{tool}{' --temperature' if warm else ''}{warm}{time}"
 
 
-def _adjust(found: Budget) -> list[Step]:
+def _adjust(found: Budget) -> Iterator[Step]:
     """What a mechanic could put right, where it is large enough and known to be there."""
     done, doubted = [], []
     for one in found.errors:
         if one.iso_class not in MECHANICAL or one.illustrative:
             continue
-        unit = "µrad" if one.unit == "urad" else "µm"
-        saved = found.total.rms_um - found.rms_without_um(lambda other, name=one.name: other.name != name)  # type: ignore[misc]
-        size = with_half(one.peak, one.peak_half, unit)
+        rest = found.rms_without_um(one.name)
+        if found.total.rms_um - rest < WORTH * found.total.rms_um:
+            continue
         if not isfinite(one.peak_half):
-            if saved >= WORTH * found.total.rms_um:
-                doubted.append(f"{lower(one.words)} ({one.name})")
-        elif one.peak > one.peak_half and saved >= WORTH * found.total.rms_um:
-            rest = found.total.rms_um - saved
+            doubted.append(f"{lower(one.words)} ({one.name})")
+        elif one.peak > one.peak_half:
+            size = with_half(one.peak, one.peak_half, one.unit)
             done.append(f"{one.words} ({one.name}) by {size}: put right, the volume comes to {figure(rest, 'µm')} RMS.")
-    steps = []
     if done:
         text = f"{' '.join(done)} Service, by mechanical alignment; afterwards measure again: this calibration then no longer holds."
-        steps.append(Step("do", "Have it adjusted", text))
+        yield Step("do", "Have it adjusted", text)
     if doubted:
-        steps.append(
-            Step(
-                "measure",
-                "Before anything is adjusted",
-                f"How well {listed(doubted)} is known is {UNKNOWN}: measure it first.",
-            )
-        )
-    return steps
+        text = f"How well {listed(doubted)} is known is {UNKNOWN}: measure it first."
+        yield Step("measure", "Before anything is adjusted", text)
 
 
-def _tables(found: Budget, tables: Sequence[TablesLeft]) -> list[Step]:
+def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
     """What the control's own tables could take out, as `twin control` works it out."""
     if not tables:
-        return []
+        return
     best = tables[0]
     # An error within its own 95 % half-width is not shown to be there: nothing is promised of it.
     shown = {one.name for one in found.errors if one.rms_um > 0.0 and not one.peak <= one.peak_half}
     classes = {one.iso_class for one in best.carried if one.share != "no" and one.name in shown}
     names = [f"{words} ({name})" for name, words in TABLES.items() if name in classes]
     if not names:
-        return []
+        return
     where = ", ".join(f"{name} {value:g}" for name, value in best.at.items())
     text = (
         f"They take out {listed(names)} for all programs at once. RMS at the tool, {figure(best.remains.before.rms_um, 'µm')} without: "
@@ -359,10 +291,10 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> list[Step]:
     )
     if best.remains.worth >= WORTH:
         calibration = found.kinematics.calibration
-        title = _with_measured("fill the control's axis tables", calibration)
-        how = f"twin control --to {best.kind} -o tables/{_about(calibration)}{_tool(found)}{_conditions(found)}"
-        return [Step("do", title, f"{text} `{how}` writes them.")]
-    return [Step("never", "Expect much of the control's axis tables alone", text)]
+        how = f"`twin control --to {best.kind} -o tables/{_options(found, calibration)}` writes them."
+        yield Step("do", _with_measured("fill the control's axis tables", calibration), f"{text} {how}")
+    else:
+        yield Step("never", "Expect much of the control's axis tables alone", text)
 
 
 def _leaves(one: TablesLeft) -> str:
@@ -372,68 +304,57 @@ def _leaves(one: TablesLeft) -> str:
     return f"{one.kind} {figure(left.rms_um, 'µm')} by the model, {expected}"
 
 
-def _tool(found: Budget) -> str:
-    return f" --tool-length {found.kinematics.tool_length_mm:g}"
-
-
-def _measure(found: Budget, outcome: After) -> list[Step]:
+def _measure(found: Budget, outcome: After) -> Iterator[Step]:
     known = [one for one in found.errors if isfinite(one.u_rms_um) and one.u_rms_um > 0.0]
     if not known:
-        if not found.errors:
-            return []
-        return [
-            Step(
-                "measure", "How sure this is", f"U at the tool is {UNKNOWN}: no number has an uncertainty. {_IDENTIFY}"
-            )
-        ]
-    steps = []
-    weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
-    what = None
+        if found.errors:
+            text = f"U at the tool is {UNKNOWN}: no number has an uncertainty. {_IDENTIFY}"
+            yield Step("measure", "How sure this is", text)
+        return
+    what = ""
     if outcome.likely is not None and outcome.exact is not None and outcome.likely.rms_um > 2.0 * outcome.exact.rms_um:
         what = "What compensation leaves is mostly what is not known"
     elif outcome.exact is None and found.total.u_rms_um > found.total.rms_um:
         what = f"U at the tool ({figure(found.total.u_rms_um, 'µm')}) is more than the error itself. Known worst"
-    if what is not None:
+    if what:
+        weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
         names = listed([f"{lower(one.words)} ({one.name}, U {figure(one.u_rms_um, 'µm')})" for one in weak])
-        reduce = " ".join(one.name for one in weak if one.name.startswith("E_"))
-        text = (
-            f"{what}: {names}. `twin plan -o plan.csv{found.kinematics.machine.as_option} --reduce {reduce or 'tool'}`"
-        )
-        steps.append(Step("measure", "Measure again what is known worst", f"{text} says where to measure."))
+        reduce = " ".join(one.name for one in weak if one.name.startswith("E_")) or "tool"
+        how = f"`twin plan -o plan.csv{found.kinematics.machine.as_option} --reduce {reduce}` says where to measure."
+        yield Step("measure", "Measure again what is known worst", f"{what}: {names}. {how}")
     if found.without_uncertainty:
-        steps.append(
-            Step("unknown", "U is a lower bound", f"{listed(found.without_uncertainty)}: a value, but no uncertainty.")
+        text = f"{listed(found.without_uncertainty)}: a value, but no uncertainty."
+        yield Step("unknown", "U is a lower bound", text)
+
+
+def _void(calibration: Calibration, settled: bool) -> Iterator[Step]:
+    """What forbids every use of the numbers."""
+    drawn = sum(curve.illustrative for curve in calibration.curves.values())
+    if drawn:
+        text = (
+            f"{drawn} of its {len(calibration.curves)} error motions are ILLUSTRATIVE: drawn, not measured. The numbers "
+            "below show what such a report looks like, nothing about your machine."
         )
-    return steps
+        yield Step("never", "Cut, adjust or fill tables with this calibration", text)
+    if not settled:
+        yield Step("never", "Use this calibration", "The estimate it comes from did not settle.")
 
 
-def _never(calibration: Calibration, found: Budget) -> list[Step]:
-    steps = []
+def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     unproven = [
-        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, 'µrad' if one.unit == 'urad' else 'µm')})"
+        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, one.unit)})"
         for one in found.errors
         if one.iso_class in MECHANICAL and isfinite(one.peak_half) and 0.0 < one.peak <= one.peak_half
     ]
     if unproven:
-        steps.append(
-            Step("never", "Adjust what is not proven", f"{listed(unproven)}: smaller than its own uncertainty.")
-        )
+        yield Step("never", "Adjust what is not proven", f"{listed(unproven)}: smaller than its own uncertainty.")
     if found.total.rms_um > 0.0 and not calibration.illustrative:
-        steps.append(
-            Step(
-                "never",
-                "Correct the same error twice",
-                "In the control's tables and in the programs, or adjusted and still in this calibration. What is changed at the "
-                "machine makes this calibration void for it.",
-            )
+        text = (
+            "In the control's tables and in the programs, or adjusted and still in this calibration. What is changed at the "
+            "machine makes this calibration void for it."
         )
-    tilts = [one for one in found.errors if one.unit == "urad" and one.peak > 0.0 and one.rms_um == 0.0]
+        yield Step("never", "Correct the same error twice", text)
+    tilts = [one.name for one in found.errors if one.unit == "urad" and one.peak > 0.0 and one.rms_um == 0.0]
     if tilts and found.kinematics.tool_length_mm == 0.0:
-        steps.append(
-            Step(
-                "unknown",
-                "Taken without a tool",
-                f"At tool length 0 mm {listed([one.name for one in tilts])} show nothing: say `--tool-length` as it is used.",
-            )
-        )
-    return steps
+        text = f"At tool length 0 mm {listed(tilts)} show nothing: say `--tool-length` as it is used."
+        yield Step("unknown", "Taken without a tool", text)

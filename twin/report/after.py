@@ -8,11 +8,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import locked
+from twin._common.json_form import json_form
 from twin.compute.parallel import Workers
-from twin.display import finite
-from twin.kinematics.forward import Kinematics, rms_and_max
+from twin.kinematics.forward import rms_and_max
 from twin.kinematics.inverse import Inverse, Status
-from twin.report.contributions import Budget
+from twin.report.contributions import Budget, without
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.population import Spread, draw_machines
 
@@ -99,36 +99,27 @@ class After:
         """All cases there are, worst known last."""
         return tuple(one for one in (self.bare, self.before, self.exact, self.likely) if one is not None)
 
-    @property
-    def best_guess(self) -> Level | None:
-        """What is to be expected after compensation; None where that is not known."""
-        return self.likely
-
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null for what is not known."""
-
-        def of(level: Level | None) -> dict[str, Any] | None:
-            return None if level is None else level.to_dict()
-
-        return {
-            "poses": self.poses,
-            "before": of(self.before),
-            "without_control": of(self.bare),
-            "compensated_if_exactly_true": of(self.exact),
-            "compensated": of(self.likely),
-            "compensated_complete": self.likely is not None and self.complete,
-            "out_of_range": self.out_of_range,
-            "out_of_range_max_um": finite(self.out_of_range_um),
-            "orientation_not_reached": self.no_orientation,
-            "tilt_before_urad": {"rms": list(self.tilt_before_urad[0]), "max": list(self.tilt_before_urad[1])},
-            "tilt_after_urad": None
-            if self.tilt_after_urad is None
-            else {"rms": list(self.tilt_after_urad[0]), "max": list(self.tilt_after_urad[1])},
-            "machines": None
-            if self.machines is None
-            else {"as_it_is_rms": self.machines[0].to_dict(), "compensated_rms": self.machines[1].to_dict()},
-            "seed": self.seed,
-        }
+        tilts = [tilt and {"rms": tilt[0], "max": tilt[1]} for tilt in (self.tilt_before_urad, self.tilt_after_urad)]
+        spread = self.machines
+        return json_form(
+            {
+                "poses": self.poses,
+                "before": self.before,
+                "without_control": self.bare,
+                "compensated_if_exactly_true": self.exact,
+                "compensated": self.likely,
+                "compensated_complete": self.likely is not None and self.complete,
+                "out_of_range": self.out_of_range,
+                "out_of_range_max_um": self.out_of_range_um,
+                "orientation_not_reached": self.no_orientation,
+                "tilt_before_urad": tilts[0],
+                "tilt_after_urad": tilts[1],
+                "machines": None if spread is None else {"as_it_is_rms": spread[0], "compensated_rms": spread[1]},
+                "seed": self.seed,
+            }
+        )
 
 
 def after(found: Budget, seed: int) -> After:
@@ -145,13 +136,7 @@ def after(found: Budget, seed: int) -> After:
     before = np.linalg.norm(found.error_um, axis=1)
     bare = None
     if real.calibration.corrections:
-        tables = {table.name for table in real.calibration.corrections}
-        alone = Kinematics(
-            real.machine,
-            real.calibration.where(lambda name: name not in tables),
-            tool_length_mm=real.tool_length_mm,
-            conditions=real.conditions,
-        )
+        alone = without(real, {table.name for table in real.calibration.corrections})
         off = (alone.forward(q, sides).point_mm - found.drawn().point_mm) * 1e3
         bare = _level("as the machine would be without the control's tables", off)
     exact = likely = tilt_after = spreads = None

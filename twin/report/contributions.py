@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Any, final
+from types import MappingProxyType
+from typing import Any, Final, final
 
 import numpy as np
 
-from twin.display import finite
+from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics, Poses
 from twin.machine.effects import split_name
 from twin.machine.iso16907 import acts_as, iso_class
 from twin.report.words import named
 from twin.uncertainty.at_tool import NORMAL_95, ToolUncertainty, radius_95
 from twin.uncertainty.budget import BudgetRow, drawn_sides, error_budget, known_volume
+
+JSON_NAMES: Final = MappingProxyType(
+    {
+        "iso_class": "class",
+        "peak_half": "peak_half_95",
+        "u_rms_um": "U_rms_um",
+        "u_max_um": "U_max_um",
+        "u_complete": "U_complete",
+    }
+)
 
 
 @final
@@ -52,17 +63,8 @@ class Contribution:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where a number is not known."""
-        found: dict[str, Any] = {"name": self.name, "words": self.words, "class": self.iso_class}
-        if self.unit:
-            found |= {"axis": self.axis, "unit": self.unit, "peak": self.peak, "peak_half_95": finite(self.peak_half)}
-        return found | {
-            "rms_um": self.rms_um,
-            "max_um": self.max_um,
-            "U_rms_um": finite(self.u_rms_um),
-            "U_max_um": finite(self.u_max_um),
-            "U_complete": self.u_complete,
-            "illustrative": self.illustrative,
-        }
+        of_one_error = ("axis", "unit", "peak", "peak_half")
+        return json_form(self, rename=JSON_NAMES, leave_out=() if self.unit else of_one_error)
 
 
 @final
@@ -98,27 +100,30 @@ class Budget:
         row = self.positions[int(np.argmax(np.linalg.norm(self.error_um, axis=1)))]
         return dict(zip(self.kinematics.machine.names, row.tolist(), strict=True))
 
-    def rms_without_um(self, keep: Callable[[Contribution], bool]) -> float:
-        """RMS over the volume, were only some of the errors there.
+    @property
+    def by_name(self) -> dict[str, Contribution]:
+        """Errors by their names."""
+        return {one.name: one for one in self.errors}
+
+    def rms_without_um(self, name: str) -> float:
+        """RMS over the volume, were one of the errors not there.
 
         Args:
-            keep: whether an error stays.
+            name: of that error.
         """
-        kept = {one.name for one in self.errors if keep(one)}
-        real = self.kinematics
-        only = Kinematics(
-            real.machine,
-            real.calibration.where(lambda name: name in kept),
-            tool_length_mm=real.tool_length_mm,
-            conditions=real.conditions,
-        )
-        meant = self.drawn()
-        left = only.forward(self.positions, self.sides).point_mm - meant.point_mm
+        only = without(self.kinematics, {name})
+        left = only.forward(self.positions, self.sides).point_mm - self.drawn().point_mm
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) * 1e3
 
     def drawn(self) -> Poses:
         """Poses of the machine as drawn."""
         return as_drawn(self.kinematics).forward(self.positions)
+
+
+def without(real: Kinematics, names: Collection[str]) -> Kinematics:
+    """The same machine, tool and conditions without some of the errors."""
+    errors = real.calibration.where(lambda name: name not in names)
+    return Kinematics(real.machine, errors, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
 
 
 def as_drawn(real: Kinematics) -> Kinematics:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.display import finite
+from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
 from twin.report.contributions import as_drawn
+from twin.report.readings import reach
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 
@@ -46,15 +49,7 @@ class Slice:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "horizontal": self.horizontal,
-            "vertical": self.vertical,
-            "fixed": self.fixed,
-            "across": self.across.tolist(),
-            "up": self.up.tolist(),
-            "error_um": self.error_um.tolist(),
-            "U_um": [[finite(u) for u in row] for row in self.u_um],
-        }
+        return json_form(self, rename={"u_um": "U_um"})
 
 
 @final
@@ -71,7 +66,6 @@ class Field:
         error_um: (n, 3) by how much it misses, each axis between its two directions of approach.
         u_um: (n,) U of it; NaN where it is not known.
         complete: whether everything that has a value has an uncertainty; if not, a known U is a lower bound.
-        slices: planes of the grid.
     """
 
     axes: tuple[str, ...]
@@ -82,7 +76,6 @@ class Field:
     error_um: np.ndarray
     u_um: np.ndarray
     complete: bool
-    slices: tuple[Slice, ...]
 
     @property
     def standing(self) -> dict[str, float]:
@@ -100,6 +93,23 @@ class Field:
         return np.asarray(self.error_um.mean(axis=0))
 
     @property
+    def rms_um(self) -> float:
+        """Root mean square of the error."""
+        return float(np.sqrt(np.mean(self.size_um**2)))
+
+    @property
+    def rms_about_mean_um(self) -> float:
+        """What stays of that when the mean error is taken out."""
+        return float(np.sqrt(np.mean(np.sum((self.error_um - self.mean_um) ** 2, axis=1))))
+
+    @property
+    def steps_mm(self) -> dict[str, float]:
+        """Distance of neighbours of the grid, by axis."""
+        columns = [self.positions[:, self.axes.index(name)] for name in self.spread]
+        ways = zip(self.spread, self.counts, columns, strict=True)
+        return {name: float(np.ptp(column)) / max(count - 1, 1) for name, count, column in ways}
+
+    @property
     def known(self) -> bool:
         """Whether U is."""
         return bool(np.all(np.isfinite(self.u_um)))
@@ -111,6 +121,25 @@ class Field:
             return np.arange(len(self.positions))
         thin = [np.unique(np.round(np.linspace(0, count - 1, min(count, DRAWN))).astype(int)) for count in self.counts]
         return np.asarray(np.ravel_multi_index(np.meshgrid(*thin, indexing="ij"), self.counts).reshape(-1))
+
+    @cached_property
+    def slices(self) -> tuple[Slice, ...]:
+        """Planes: of three axes three each way, at both ends and in the middle; of two the one there is; of one none."""
+        places = [np.unique(self.positions[:, self.axes.index(name)]) for name in self.spread]
+        if len(self.counts) == 2:
+            return (self._slice(places, {}),)
+        if len(self.counts) < 2:
+            return ()
+        levels = [(axis, level) for axis in (2, 1, 0) for level in (0, self.counts[axis] // 2, self.counts[axis] - 1)]
+        return tuple(self._slice(places, {axis: level}) for axis, level in levels)
+
+    def _slice(self, places: list[np.ndarray], at: Mapping[int, int]) -> Slice:
+        """The plane of the axes that are not fixed at a level of theirs."""
+        across, up = (i for i in range(len(places)) if i not in at)
+        levels = tuple(at.get(i, slice(None)) for i in range(len(places)))
+        error, u = (locked(values.reshape(self.counts)[levels].T.copy()) for values in (self.size_um, self.u_um))
+        fixed = {self.spread[i]: float(places[i][level]) for i, level in at.items()}
+        return Slice(self.spread[across], self.spread[up], fixed, locked(places[across]), locked(places[up]), error, u)
 
     def edges(self) -> tuple[tuple[str, np.ndarray, np.ndarray], ...]:
         """Edges of the box the grid makes, ends in mm in the work frame; one of each axis named, with its range."""
@@ -131,21 +160,23 @@ class Field:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "axes": list(self.axes),
-            "spread": list(self.spread),
-            "standing": self.standing,
-            "rms_um": float(np.sqrt(np.mean(self.size_um**2))),
-            "max_um": float(self.size_um.max()),
-            "mean_um": self.mean_um.tolist(),
-            "U_known": self.known,
-            "U_complete": self.known and self.complete,
-            "positions": self.positions.tolist(),
-            "point_mm": self.point_mm.tolist(),
-            "error_um": self.error_um.tolist(),
-            "U_um": [finite(u) for u in self.u_um],
-            "slices": [one.to_dict() for one in self.slices],
-        }
+        return json_form(
+            {
+                "axes": self.axes,
+                "spread": self.spread,
+                "standing": self.standing,
+                "rms_um": self.rms_um,
+                "max_um": self.size_um.max(),
+                "mean_um": self.mean_um,
+                "U_known": self.known,
+                "U_complete": self.known and self.complete,
+                "positions": self.positions,
+                "point_mm": self.point_mm,
+                "error_um": self.error_um,
+                "U_um": self.u_um,
+                "slices": self.slices,
+            }
+        )
 
 
 def field(kinematics: Kinematics) -> Field:
@@ -155,7 +186,7 @@ def field(kinematics: Kinematics) -> Field:
         kinematics: machine, errors, tool, conditions.
     """
     machine = kinematics.machine
-    bounds = _bounds(kinematics)
+    bounds = reach(kinematics)
     linear = machine.linear[:3]
     if linear:
         counts = tuple(COUNTS[len(linear)] for _ in linear)
@@ -184,48 +215,4 @@ def field(kinematics: Kinematics) -> Field:
         error_um=locked(error),
         u_um=u.expanded_um,
         complete=u.complete,
-        slices=_slices(machine.names, spread, q, counts, np.linalg.norm(error, axis=1), u.expanded_um),
     )
-
-
-def _bounds(kinematics: Kinematics) -> np.ndarray:
-    """(axes, 2) ranges as far as the curves are defined, mm and degrees; of an axis without limits one turn."""
-    ranges = np.array([axis.domain for axis in kinematics.machine.axes])
-    domains = kinematics.calibration.domains()
-    return np.stack([np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1)
-
-
-def _slices(
-    axes: tuple[str, ...],
-    spread: tuple[str, ...],
-    q: np.ndarray,
-    counts: tuple[int, ...],
-    size: np.ndarray,
-    u: np.ndarray,
-) -> tuple[Slice, ...]:
-    """Of three axes three planes each way, at both ends and in the middle; of two the one there is; of one none."""
-    if len(counts) < 2:
-        return ()
-    columns = [axes.index(name) for name in spread]
-    at = [np.unique(q[:, column]) for column in columns]
-    grids = [values.reshape(counts) for values in (size, u)]
-    found = []
-    fixings: list[tuple[int, int] | None] = [None]
-    if len(counts) == 3:
-        fixings = [(axis, level) for axis in (2, 1, 0) for level in (0, counts[axis] // 2, counts[axis] - 1)]
-    for fixing in fixings:
-        left = [i for i in range(len(counts)) if fixing is None or i != fixing[0]]
-        planes = [grid if fixing is None else np.take(grid, fixing[1], axis=fixing[0]) for grid in grids]
-        fixed = {} if fixing is None else {spread[fixing[0]]: float(at[fixing[0]][fixing[1]])}
-        found.append(
-            Slice(
-                spread[left[0]],
-                spread[left[1]],
-                fixed,
-                locked(at[left[0]]),
-                locked(at[left[1]]),
-                locked(planes[0].T.copy()),
-                locked(planes[1].T.copy()),
-            )
-        )
-    return tuple(found)

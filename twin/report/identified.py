@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, final
@@ -21,28 +20,40 @@ SAME: Final = 1e-6
 """Relative: the calibration's text carries all digits, so that other numbers are other estimates."""
 
 
-class _Points(BaseModel):
+class _Model(BaseModel):
     model_config = ConfigDict(frozen=True)
+
+
+@final
+class Points(_Model):
+    """How many rows of a table were used and set aside."""
+
     used: int
     set_aside: int
 
 
-class _Error(BaseModel):
-    model_config = ConfigDict(frozen=True)
+@final
+class IdentifiedError(_Model):
+    """One error, a curve with its order and peak or one number."""
+
     name: str
     order: int | None = None
     peak: float | None = None
     value: float | None = None
 
 
-class _Unidentified(BaseModel):
-    model_config = ConfigDict(frozen=True)
+@final
+class Unidentified(_Model):
+    """An error that the data could not show."""
+
     name: str
     reason: str
 
 
-class _Misfit(BaseModel):
-    model_config = ConfigDict(frozen=True)
+@final
+class Misfit(_Model):
+    """How well the model fitted: null without degrees of freedom, or without repeats."""
+
     rms_um: float
     reduced_chi2: float | None
     dof: float
@@ -50,23 +61,27 @@ class _Misfit(BaseModel):
     lack_of_fit_p_value: float | None = None
 
 
-class _Row(BaseModel):
-    model_config = ConfigDict(frozen=True)
+@final
+class Row(_Model):
+    """A row of the table that was set aside."""
+
     line: int
     reason: str
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(frozen=True)
+@final
+class IdentificationFile(_Model):
+    """What `twin identify --json` writes, as far as a report of the machine needs it."""
+
     schema_: Literal["twin.identification/1"] = Field(alias="schema")
     machine: str
     data: str
-    points: _Points
+    points: Points
     uncertainty: str
-    errors: tuple[_Error, ...]
-    not_identifiable: tuple[_Unidentified, ...]
-    misfit: _Misfit
-    set_aside: tuple[_Row, ...]
+    errors: tuple[IdentifiedError, ...]
+    not_identifiable: tuple[Unidentified, ...]
+    misfit: Misfit
+    set_aside: tuple[Row, ...]
     notices: tuple[str, ...]
     converged: bool
 
@@ -74,40 +89,27 @@ class _File(BaseModel):
 @final
 @dataclass(frozen=True)
 class Identified:
-    """The report of an identification, as far as a report of the machine needs it.
+    """The report of an identification.
 
     Attributes:
         path: the file.
-        data: what was measured, by its file.
-        used, set_aside: rows of it.
-        spread: whose scatter the intervals carry.
-        orders: how many functions `identify` gave a curve beyond its datum, by name.
-        not_identifiable: names with the reason.
-        rms_um: of what was left of the readings, a coordinate.
-        reduced_chi2, dof, p_value: of the fit; NaN without degrees of freedom.
-        lack_p_value: of what repeats against what scatters; None without repeats.
-        rows: of the table that were set aside, line and reason.
-        notices: what a reader must know.
-        converged: whether the estimate settled.
+        file: what is in it.
         others: errors to which it gives other numbers than the calibration has: it belongs to another one, or that was extended since.
     """
 
     path: Path
-    data: str
-    used: int
-    set_aside: int
-    spread: str
-    orders: Mapping[str, int]
-    not_identifiable: tuple[tuple[str, str], ...]
-    rms_um: float
-    reduced_chi2: float
-    dof: float
-    p_value: float
-    lack_p_value: float | None
-    rows: tuple[tuple[int, str], ...]
-    notices: tuple[str, ...]
-    converged: bool
+    file: IdentificationFile
     others: tuple[str, ...]
+
+    @property
+    def orders(self) -> dict[str, int]:
+        """How many functions `identify` gave a curve beyond its datum, by name."""
+        return {one.name: one.order for one in self.file.errors if one.order is not None}
+
+    @property
+    def rows(self) -> tuple[tuple[int, str], ...]:
+        """Rows of the table that were set aside: line and reason."""
+        return tuple((row.line, row.reason) for row in self.file.set_aside)
 
     @classmethod
     def load(cls, path: str | Path, calibration: Calibration) -> Identified:
@@ -122,7 +124,7 @@ class Identified:
         """
         path = Path(path)
         try:
-            found = _File.model_validate(read_json(path, "what `twin identify --json` wrote"))
+            found = IdentificationFile.model_validate(read_json(path, "what `twin identify --json` wrote"))
         except ValidationError as error:
             first = error.errors()[0]
             entry = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -139,52 +141,15 @@ class Identified:
                 file=path,
                 value=found.machine,
             )
-        return cls(
-            path=path,
-            data=found.data,
-            used=found.points.used,
-            set_aside=found.points.set_aside,
-            spread=found.uncertainty,
-            orders={one.name: one.order for one in found.errors if one.order is not None},
-            not_identifiable=tuple((one.name, one.reason) for one in found.not_identifiable),
-            rms_um=found.misfit.rms_um,
-            reduced_chi2=_or_nan(found.misfit.reduced_chi2),
-            dof=found.misfit.dof,
-            p_value=_or_nan(found.misfit.p_value),
-            lack_p_value=found.misfit.lack_of_fit_p_value,
-            rows=tuple((one.line, one.reason) for one in found.set_aside),
-            notices=found.notices,
-            converged=found.converged,
-            others=_others(found.errors, calibration),
-        )
+        return cls(path, found, _others(found.errors, calibration))
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "file": str(self.path),
-            "data": self.data,
-            "points": {"used": self.used, "set_aside": self.set_aside},
-            "uncertainty": self.spread,
-            "not_identifiable": [{"name": name, "reason": reason} for name, reason in self.not_identifiable],
-            "misfit": {
-                "rms_um": self.rms_um,
-                "reduced_chi2": self.reduced_chi2,
-                "dof": self.dof,
-                "p_value": self.p_value,
-                "lack_of_fit_p_value": self.lack_p_value,
-            },
-            "set_aside": [{"line": line, "reason": reason} for line, reason in self.rows],
-            "notices": list(self.notices),
-            "converged": self.converged,
-            "other_numbers_than_the_calibration": list(self.others),
-        }
+        told = self.file.model_dump(mode="json", exclude={"schema_", "machine", "errors"})
+        return {"file": str(self.path), **told, "other_numbers_than_the_calibration": list(self.others)}
 
 
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _others(errors: tuple[_Error, ...], calibration: Calibration) -> tuple[str, ...]:
+def _others(errors: tuple[IdentifiedError, ...], calibration: Calibration) -> tuple[str, ...]:
     """Names to which file and calibration give different numbers, or only one of them gives any."""
     told = {one.name: one.value if one.peak is None else one.peak for one in errors}
     own = {

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.display import finite
+from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
 from twin.machine.conditions import APPROACH
+from twin.machine.display import combined_uncertainty
 from twin.machine.effects import Effect, PitchError, unit_of
 from twin.machine.machine import DIRECTIONS
-from twin.numerics.covariance import Covariance
+from twin.report.readings import is_motion, reach, summed
 from twin.report.words import named
 from twin.uncertainty.at_tool import NORMAL_95
 
@@ -76,33 +77,36 @@ class Motion:
         return float(self.half.max())
 
     @property
-    def lost_um(self) -> float:
-        """Largest difference between the directions, by amount; zero where it makes no difference."""
-        return 0.0 if self.ways is None else float(np.abs(self.ways[0] - self.ways[1]).max())
+    def axis_unit(self) -> str:
+        """The unit of the axis's position, as people write it."""
+        return "mm" if self.linear else "°"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         peak, at = self.peak
-        return {
-            "name": self.name,
-            "words": self.words,
-            "axis": self.axis,
-            "unit": self.unit,
-            "peak": peak,
-            "peak_at": at,
-            "half_95_max": finite(self.widest),
-            "order": self.order,
-            "basis": self.basis,
-            "source": self.source,
-            "added": list(self.added),
-            "illustrative": self.illustrative,
-            "position": self.position.tolist(),
-            "value": self.value.tolist(),
-            "half_95": [finite(half) for half in self.half],
-            "from_below": None if self.ways is None else self.ways[0].tolist(),
-            "from_above": None if self.ways is None else self.ways[1].tolist(),
-            "with_control": None if self.corrected is None else self.corrected.tolist(),
-        }
+        below, above = (None, None) if self.ways is None else self.ways
+        return json_form(
+            {
+                "name": self.name,
+                "words": self.words,
+                "axis": self.axis,
+                "unit": self.unit,
+                "peak": peak,
+                "peak_at": at,
+                "half_95_max": self.widest,
+                "order": self.order,
+                "basis": self.basis,
+                "source": self.source,
+                "added": self.added,
+                "illustrative": self.illustrative,
+                "position": self.position,
+                "value": self.value,
+                "half_95": self.half,
+                "from_below": below,
+                "from_above": above,
+                "with_control": self.corrected,
+            }
+        )
 
 
 def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
@@ -117,18 +121,17 @@ def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
 def _motion(kinematics: Kinematics, name: str) -> Motion | None:
     machine, calibration = kinematics.machine, kinematics.calibration
     component, axis = DIRECTIONS.index(name[2]), machine.by_name[name[3:]]
-    own = [e for e in calibration.effects if e not in calibration.corrections and _acts(e, kinematics, axis.name)]
+    own = [e for e in calibration.effects if e not in calibration.corrections and is_motion(e, axis.name, calibration)]
     q = _positions(kinematics, axis.name, own)
     state = _state(kinematics, axis.name, q)
     parts = [effect for effect in own if component in effect.components(state)]
     if not parts:
         return None
-    value = _sum(parts, state, component)
-    ways = np.stack(
-        [_sum(parts, state | {f"{APPROACH}{axis.name}": side + 0.0 * q}, component) for side in (1.0, -1.0)]
-    )
+    value = summed(parts, state, component)
+    sides = [state | {f"{APPROACH}{axis.name}": np.full(len(q), side)} for side in (1.0, -1.0)]
+    ways = np.stack([summed(parts, side, component) for side in sides])
     tables = [table for table in calibration.corrections if table.axis.name == axis.name]
-    taken = _sum(tables, state, component)
+    taken = summed(tables, state, component)
     curve = calibration.curves.get(name)
     added = tuple(effect.name for effect in parts if effect.name != name)
     return Motion(
@@ -139,7 +142,7 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
         unit=unit_of(name),
         position=locked(q),
         value=locked(value),
-        half=locked(_half(parts, state, component, calibration.covariance)),
+        half=locked(NORMAL_95 * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)),
         ways=locked(ways) if np.any(ways[0] != ways[1]) else None,
         corrected=locked(value + taken) if np.any(taken) else None,
         order=None if curve is None else curve.family.order(len(curve.coefficients)),
@@ -150,18 +153,9 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
     )
 
 
-def _acts(effect: Effect, kinematics: Kinematics, axis: str) -> bool:
-    """Whether it is a motion of that axis; squareness, a line, is told by its angle."""
-    squareness = kinematics.calibration.squareness
-    return effect.frame.axis == axis and effect.frame.role == "motion" and effect.name not in squareness
-
-
 def _positions(kinematics: Kinematics, axis: str, effects: Sequence[Effect]) -> np.ndarray:
     """The range as far as the curves go, fine enough for what is periodic."""
-    one = kinematics.machine.by_name[axis]
-    low, high = one.domain
-    bounds = kinematics.calibration.domains()[kinematics.machine.names.index(axis)]
-    low, high = max(low, bounds[0]), min(high, bounds[1])
+    low, high = reach(kinematics)[kinematics.machine.names.index(axis)]
     periods = [abs(effect.period) for effect in effects if isinstance(effect, PitchError)]
     count = max([FINE, *(int((high - low) / period * A_PERIOD) + 1 for period in periods)])
     return np.linspace(low, high, min(count, MOST))
@@ -172,22 +166,3 @@ def _state(kinematics: Kinematics, axis: str, q: np.ndarray) -> dict[str, Any]:
     middle = {one.name: np.full(len(q), 0.0 if one.lower is None else sum(one.domain) / 2.0) for one in machine.axes}
     state: dict[str, Any] = middle | {axis: q} | {f"{APPROACH}{one.name}": np.zeros(len(q)) for one in machine.axes}
     return state | dict(kinematics.conditions.channels)
-
-
-def _sum(effects: Sequence[Effect], state: Mapping[str, Any], component: int) -> np.ndarray:
-    count = len(next(iter(state.values())))
-    return np.asarray(
-        sum((effect.components(state).get(component, 0.0) for effect in effects), np.zeros(count)), dtype=float
-    )
-
-
-def _half(effects: Sequence[Effect], state: Mapping[str, Any], component: int, covariance: Covariance) -> np.ndarray:
-    """1.96 √(fᵀ Σ f) with the derivatives f by all numbers; NaN where one of them has no uncertainty."""
-    count = len(next(iter(state.values())))
-    names = [parameter.name for effect in effects for parameter in effect.parameters]
-    if not set(names) <= set(covariance.names):
-        return np.full(count, np.nan)
-    rates = [rate.get(component, 0.0) for effect in effects for rate in effect.derivatives(state)]
-    shape = np.stack([np.broadcast_to(rate, count) for rate in rates])
-    variance = np.einsum("kn,kl,ln->n", shape, covariance.of(names).matrix, shape)
-    return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0)))

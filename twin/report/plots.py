@@ -1,7 +1,7 @@
 """Pictures of a machine report. Needs the extra ``plots`` (matplotlib).
 
 Every function returns a `Figure` of its own, narrow enough to be read on a phone. Colours are those of
-`twin.measurement.evaluation.plots`, which tell apart for colour-blind readers; markers and line styles do so without colour.
+`twin.display.figures`, which tell apart for colour-blind readers; markers and line styles do so without colour.
 """
 
 from __future__ import annotations
@@ -11,20 +11,31 @@ from typing import Any, Final, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
-from matplotlib.ticker import MaxNLocator
 
 from twin._common.units import DEG, TURN
-from twin.measurement.evaluation.plots import BACKWARD, BOTH, FORWARD, RUN, THIRD
+from twin.display import figure, readable, with_half
+from twin.display.figures import (
+    BACKWARD,
+    BOTH,
+    FORWARD,
+    RUN,
+    SHADE,
+    THIRD,
+    blank,
+    dots,
+    dress,
+    legend_below,
+    paper,
+    polar_ticks,
+)
 from twin.report.after import After
 from twin.report.contributions import Contribution
 from twin.report.field import Field, Slice
 from twin.report.motions import Motion
-from twin.report.numbers import SIGNS, figure, with_half
 from twin.report.readings import Checked, Stops
 from twin.report.result import Constant
 from twin.report.scene.field import chosen_factor
@@ -35,10 +46,6 @@ WIDTH: Final = 4.4
 LETTERS: Final = 9.5
 BARS: Final = 18
 """Errors drawn one by one; the table has them all."""
-SHADE: Final = 0.22
-HOLLOW: Final = 2.0
-"""Radius of a polar plot's zero, in units of the largest deviation: the circle's size is arbitrary, deviations are not."""
-HEADROOM: Final = 1.15
 LETTER: Final = 0.072
 """Inches a letter of a label."""
 LINE: Final = 0.19
@@ -70,19 +77,17 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
     plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label="RMS over the volume")
-    plot.plot(
-        [one.max_um for one in shown], at, linestyle="", marker="D", markersize=4, color=BACKWARD, label="largest"
-    )
+    dots(plot, [one.max_um for one in shown], at, BACKWARD, "D", label="largest")
+    whisker: dict[str, Any] = {"color": "#777777", "linewidth": 1.6}
     for y, one in zip(at, shown, strict=True):
         if np.isfinite(one.u_rms_um):
-            low = max(one.rms_um - one.u_rms_um, 0.0)
-            plot.plot([low, one.rms_um + one.u_rms_um], [y, y], color="#777777", linewidth=1.6, solid_capstyle="butt")
+            ends = [max(one.rms_um - one.u_rms_um, 0.0), one.rms_um + one.u_rms_um]
+            plot.plot(ends, [y, y], **whisker, solid_capstyle="butt")
     if any(np.isfinite(one.u_rms_um) for one in shown):
-        plot.plot([], [], color="#777777", linewidth=1.6, label="U (95 %)")
+        plot.plot([], [], **whisker, label="U (95 %)")
     plot.set_yticks(at, names)
-    plot.set_ylim(-0.6, len(shown) - 0.4)
     plot.set_xlim(left=0.0)
-    plot.set_xlabel("error of the tool point [µm]")
+    plot.set(xlabel="error of the tool point [µm]", ylim=(-0.6, len(shown) - 0.4))
     plot.grid(axis="y", visible=False)
     _legend(plot, columns=3)
     return cast(Figure, plot.figure)
@@ -108,23 +113,18 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
     heights = [len(group) + 1.2 for group in groups]
-    drawing = Figure(figsize=(WIDTH, 0.35 + 0.3 * sum(heights)), layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = blank(WIDTH, 0.35 + 0.3 * sum(heights))
     plots = drawing.subplots(len(groups), 1, squeeze=False, height_ratios=heights).ravel()
     for plot, group in zip(plots, groups, strict=True):
         _dress(plot)
         at = np.arange(len(group))[::-1]
         for y, one in zip(at, group, strict=True):
-            known = np.isfinite(one.half)
-            if known:
+            if one.known:
                 plot.plot([one.value - one.half, one.value + one.half], [y, y], color=FORWARD, linewidth=2.0)
-            plot.plot(
-                one.value, y, marker="o", markersize=6, color=FORWARD, markerfacecolor=FORWARD if known else "white"
-            )
+            dots(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
-        plot.set_yticks(at, [one.name + ("" if np.isfinite(one.half) else " ?") for one in group])
-        plot.set_ylim(-0.6, len(group) - 0.4)
-        plot.set_xlabel(f"value and 95 % interval [{SIGNS[group[0].unit]}]")
+        plot.set_yticks(at, [one.name + ("" if one.known else " ?") for one in group])
+        plot.set(ylim=(-0.6, len(group) - 0.4), xlabel=f"value and 95 % interval [{readable(group[0].unit)}]")
     return drawing
 
 
@@ -134,31 +134,25 @@ def plot_squareness(one: Constant) -> Figure:
     Args:
         one: a squareness.
     """
-    drawing = Figure(figsize=(2.3, 2.3), layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = blank(2.3, 2.3)
     plot = drawing.subplots()
     plot.set_axis_off()
     plot.set_aspect("equal")
     # A sign is seen, a size is read: every angle is drawn alike.
     lean = 0.2 * float(np.sign(one.leans * one.value))
+    tip = float(np.sin(lean)), float(np.cos(lean))
     plot.annotate("", (1.06, 0.0), (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": BOTH, "linewidth": 1.8})
     plot.plot([0.0, 0.0], [0.0, 1.0], color=RUN, linestyle="--", linewidth=1.3)
-    plot.annotate(
-        "",
-        (np.sin(lean), np.cos(lean)),
-        (0.0, 0.0),
-        arrowprops={"arrowstyle": "->", "color": BACKWARD, "linewidth": 2.2},
-    )
+    plot.annotate("", tip, (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": BACKWARD, "linewidth": 2.2})
     if lean:
         arc = np.linspace(0.0, lean, 20)
         plot.plot(0.75 * np.sin(arc), 0.75 * np.cos(arc), color=BACKWARD, linewidth=1.0)
-    plot.text(1.0, -0.13, f"{one.to}+", ha="center", va="center", fontsize=LETTERS)
-    plot.text(float(np.sin(lean)), 1.08, f"{one.axis}+", ha="center", va="center", fontsize=LETTERS, color=BACKWARD)
-    plot.text(
-        0.42, 0.52, with_half(one.value, one.half, "µrad").replace(" ±", "\n±").replace(" (±", "\n(±"), fontsize=LETTERS
-    )
-    plot.set_xlim(-0.35, 1.3)
-    plot.set_ylim(-0.25, 1.2)
+    middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": LETTERS}
+    plot.text(1.0, -0.13, f"{one.to}+", **middle)
+    plot.text(tip[0], 1.08, f"{one.axis}+", **middle, color=BACKWARD)
+    size = with_half(one.value, one.half, "urad").replace(" ±", "\n±").replace(" (±", "\n(±")
+    plot.text(0.42, 0.52, size, fontsize=LETTERS)
+    plot.set(xlim=(-0.35, 1.3), ylim=(-0.25, 1.2))
     return drawing
 
 
@@ -167,8 +161,7 @@ def plot_field(field: Field) -> Figure:
     rows = field.drawn
     points, errors, size = field.point_mm[rows], field.error_um[rows], field.size_um[rows]
     factor, top = chosen_factor(points, errors), scale_top_um(float(size.max(initial=0.0)))
-    drawing = Figure(figsize=(6.4, 4.9), layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = blank(6.4, 4.9)
     plot: Any = drawing.add_subplot(projection="3d")
     colours = viridis(np.clip(size / top, 0.0, 1.0))
     arrows = factor * errors * 1e-3
@@ -179,11 +172,8 @@ def plot_field(field: Field) -> Figure:
     for text, a, b in field.edges():
         plot.plot(*np.stack([a, b]).T, color="#9aa3ad", linewidth=0.7)
         if text:
-            paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
-            plot.text(*((a + b) / 2.0), text, fontsize=8, ha="center", zorder=50, bbox=paper)
-    plot.set_xlabel("x [mm]")
-    plot.set_ylabel("y [mm]")
-    plot.set_zlabel("z [mm]")
+            plot.text(*((a + b) / 2.0), text, fontsize=8, ha="center", zorder=50, bbox=paper(0.8, 0.5))
+    plot.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     plot.tick_params(labelsize=7)
     if len(points) > 1:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
@@ -205,16 +195,14 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     high = float(np.ptp(one.up)) / float(np.ptp(one.across))
     wide = min(SIDE, MOST_HIGH / high)
     height = wide * high + 0.72
-    drawing = Figure(figsize=(WIDTH, height))
-    FigureCanvasAgg(drawing)
+    drawing = blank(WIDTH, height, layout=None)
     plot = drawing.add_axes((0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
     _dress(plot)
     levels = np.linspace(0.0, top, 9)
     filled = plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
     lines = plot.contour(one.across, one.up, values, levels=levels[1:-1], colors="white", linewidths=0.6)
     plot.clabel(lines, fmt="%g", fontsize=8)
-    plot.set_xlabel(f"{one.horizontal} [mm]")
-    plot.set_ylabel(f"{one.vertical} [mm]")
+    plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
     plot.grid(visible=False)
     beside = drawing.add_axes(((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
     drawing.colorbar(filled, cax=beside).set_label(label)
@@ -234,9 +222,7 @@ def plot_after(outcome: After) -> Figure:
         plot.set_xscale("log")
         plot.set_xlim(left=max(min(smallest), 0.01))
         plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
-    plot.set_ylim(0.0, 101.0)
-    plot.set_xlabel("error of the tool point [µm]")
-    plot.set_ylabel("share of positions below [%]")
+    plot.set(ylim=(0.0, 101.0), xlabel="error of the tool point [µm]", ylabel="share of positions below [%]")
     _legend(plot, columns=1)
     return cast(Figure, plot.figure)
 
@@ -248,20 +234,12 @@ def plot_checked(one: Checked) -> Figure:
         (one.before_um, BACKWARD, "--", "machine as drawn"),
         (one.after_um, FORWARD, "-", "with this calibration"),
     ):
-        ordered = np.sort(values)
-        plot.plot(
-            np.maximum(ordered, 1e-3),
-            100.0 * (np.arange(len(ordered)) + 1) / max(len(ordered), 1),
-            color=colour,
-            linestyle=style,
-            linewidth=1.8,
-            label=text,
-        )
+        ordered = np.maximum(np.sort(values), 1e-3)
+        share = 100.0 * (np.arange(len(ordered)) + 1) / max(len(ordered), 1)
+        plot.plot(ordered, share, color=colour, linestyle=style, linewidth=1.8, label=text)
     plot.set_xscale("log")
     plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
-    plot.set_ylim(0.0, 101.0)
-    plot.set_xlabel("measured point less expected [µm]")
-    plot.set_ylabel("share of points below [%]")
+    plot.set(ylim=(0.0, 101.0), xlabel="measured point less expected [µm]", ylabel="share of points below [%]")
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
@@ -272,83 +250,59 @@ def _styles(outcome: After) -> list[str]:
 
 def _along(motion: Motion, stops: Sequence[Stops]) -> Figure:
     plot = _plot(WIDTH, 3.0, legend=2)
-    _band(plot, motion, motion.position)
-    if motion.ways is None:
-        plot.plot(motion.position, motion.value, color=FORWARD, linewidth=1.8, label="calibration")
-    else:
-        plot.plot(motion.position, motion.ways[0], color=FORWARD, linewidth=1.8, label="coming from below (+)")
-        plot.plot(motion.position, motion.ways[1], color=THIRD, linewidth=1.8, linestyle="--", label="from above (−)")
-    if motion.corrected is not None:
-        plot.plot(
-            motion.position, motion.corrected, color=BOTH, linewidth=1.4, linestyle=":", label="left by the control"
-        )
+    _curves(plot, motion, 1.0, "coming from below (+)", (1.8, 1.4))
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
-    plot.set_xlabel(f"{motion.axis} [{'mm' if motion.linear else '°'}]")
-    plot.set_ylabel(f"{motion.name} [{SIGNS[motion.unit]}]")
+    plot.set(xlabel=f"{motion.axis} [{motion.axis_unit}]", ylabel=f"{motion.name} [{readable(motion.unit)}]")
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
 
 def _polar(motion: Motion, stops: Sequence[Stops]) -> Figure:
     low, high = float(motion.position[0]), float(motion.position[-1])
-    full = high - low > 350.0
-    drawing = Figure(figsize=(WIDTH, 4.3 if full or high - low > 200.0 else 3.2), layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = blank(WIDTH, 4.3 if high - low > 200.0 else 3.2)
     plot = cast(PolarAxes, drawing.add_subplot(projection="polar"))
     q = motion.position * DEG
-    _band(plot, motion, q)
-    lines = [motion.value] if motion.ways is None else list(motion.ways)
-    labels = ["calibration"] if motion.ways is None else ["from below (+)", "from above (−)"]
-    for values, text, colour, style in zip(lines, labels, (FORWARD, THIRD), ("-", "--"), strict=False):
-        plot.plot(q, values, color=colour, linestyle=style, linewidth=1.6, label=text)
-    if motion.corrected is not None:
-        plot.plot(q, motion.corrected, color=BOTH, linewidth=1.3, linestyle=":", label="left by the control")
+    lines = _curves(plot, motion, DEG, "from below (+)", (1.6, 1.3))
     _stops(plot, stops, DEG)
     reach = np.nan_to_num(motion.half, nan=0.0)
     extent = max(
         float((np.abs(np.array(lines)) + reach).max()), *(float(np.abs(s.value).max(initial=0.0)) for s in stops), 1e-9
     )
     plot.plot(q, np.zeros(len(q)), color=BOTH, linewidth=1.1)
-    plot.set_ylim(-HOLLOW * extent, HEADROOM * extent)
-    ticks = [tick for tick in MaxNLocator(4, symmetric=True).tick_values(-extent, extent) if abs(tick) <= extent]
-    plot.set_yticks(ticks, [f"{tick:+g}".replace("-", "−") if tick else "0" for tick in ticks], fontsize=7.5)
+    ticks, full = polar_ticks(plot, extent, (low, high))
+    plot.set_yticks([tick for tick, _ in ticks], [text for _, text in ticks], fontsize=7.5)
     plot.set_rlabel_position(100.0 if full else (low + high) / 2.0)
     for label in plot.get_yticklabels():
-        label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4})
-    if not full:
-        plot.set_thetamin(low)
-        plot.set_thetamax(high)
+        label.set_bbox(paper(0.8, 0.4))
     plot.set_xticks(np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(axis="x", labelsize=8)
-    plot.grid(color="#cccccc", linewidth=0.5)
-    handles, names = plot.get_legend_handles_labels()
-    drawing.legend(handles, names, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
-    plot.set_title(f"{motion.name} [{SIGNS[motion.unit]}]", loc="left", fontsize=LETTERS)
+    legend_below(drawing, columns=2, size=8)
+    plot.set_title(f"{motion.name} [{readable(motion.unit)}]", loc="left", fontsize=LETTERS)
     return drawing
 
 
-def _band(plot: Axes, motion: Motion, x: np.ndarray) -> None:
+def _curves(plot: Axes, motion: Motion, scale: float, below: str, widths: tuple[float, float]) -> list[np.ndarray]:
+    """The interval, the calibration's curve or both directions, and what the control leaves; returns the curves."""
+    q = motion.position * scale
     if np.all(np.isfinite(motion.half)):
         low, high = motion.value - motion.half, motion.value + motion.half
-        plot.fill_between(x, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
+        plot.fill_between(q, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
+    lines = [motion.value] if motion.ways is None else list(motion.ways)
+    labels = ["calibration"] if motion.ways is None else [below, "from above (−)"]
+    for values, text, colour, style in zip(lines, labels, (FORWARD, THIRD), ("-", "--"), strict=False):
+        plot.plot(q, values, color=colour, linestyle=style, linewidth=widths[0], label=text)
+    if motion.corrected is not None:
+        label = "left by the control"
+        plot.plot(q, motion.corrected, color=BOTH, linewidth=widths[1], linestyle=":", label=label)
+    return lines
 
 
 def _stops(plot: Axes, stops: Sequence[Stops], scale: float) -> None:
     for one in stops:
         marker, colour, text = SIDES[one.side]
-        plot.errorbar(
-            one.position * scale,
-            one.value,
-            one.half,
-            linestyle="",
-            marker=marker,
-            markersize=3.5,
-            color=colour,
-            linewidth=0.9,
-            capsize=2,
-            label=text,
-        )
+        looks: dict[str, Any] = {"marker": marker, "markersize": 3.5, "color": colour, "linewidth": 0.9, "capsize": 2}
+        plot.errorbar(one.position * scale, one.value, one.half, linestyle="", **looks, label=text)
 
 
 def _scale(top: float) -> ScalarMappable:
@@ -357,8 +311,7 @@ def _scale(top: float) -> ScalarMappable:
 
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -> Axes:
     """One plot with room for labels and so many lines of legend, inches: looking for room takes matplotlib as long as drawing."""
-    drawing = Figure(figsize=(width, height))
-    FigureCanvasAgg(drawing)
+    drawing = blank(width, height, layout=None)
     below = 0.52 + LINE * legend
     plot = drawing.add_axes(
         (left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height)
@@ -375,9 +328,7 @@ def _legend(plot: Axes, *, columns: int) -> None:
 
 
 def _dress(plot: Axes) -> None:
-    plot.grid(color="#dddddd", linewidth=0.6)
-    plot.set_axisbelow(True)
-    plot.spines[["top", "right"]].set_visible(False)
+    dress(plot)
     plot.tick_params(labelsize=LETTERS - 0.5)
     plot.xaxis.label.set_fontsize(LETTERS)
     plot.yaxis.label.set_fontsize(LETTERS)

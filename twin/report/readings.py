@@ -7,7 +7,7 @@ Larsen and McCleary 1972); with the 95 % interval from the readings' own scatter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import locked
+from twin._common.json_form import json_form
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import first_component
 from twin.diagnosis.problem.readings import readings
@@ -24,9 +25,10 @@ from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.unknowns import Unknowns
+from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, asked
-from twin.machine.effects import split_name, unit_of
+from twin.machine.effects import Effect, split_name, unit_of
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, state_of
 
@@ -58,14 +60,7 @@ class Stops:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "name": self.name,
-            "unit": unit_of(self.name),
-            "side": self.side,
-            "position": self.position.tolist(),
-            "value": self.value.tolist(),
-            "half_95": self.half.tolist(),
-        }
+        return {"name": self.name, "unit": unit_of(self.name)} | json_form(self, rename={"half": "half_95"})
 
 
 @final
@@ -102,19 +97,10 @@ class Checked:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "file": self.source,
-            "points": self.points,
-            "too_far_off": self.far,
-            "rms_before_um": self.rms_before_um,
-            "rms_after_um": self.rms_after_um,
-            "scatter": self.scatter,
-            "before_um": self.before_um.tolist(),
-            "after_um": self.after_um.tolist(),
+        told = json_form(self, rename={"source": "file", "far": "too_far_off", "rows": "set_aside"})
+        return told | {
             "stops": [stop.to_dict() for stops in self.stops.values() for stop in stops],
             "set_aside": [{"line": line, "reason": reason} for line, reason in self.rows],
-            "notices": list(self.notices),
-            "left_out": list(self.left_out),
         }
 
 
@@ -132,18 +118,9 @@ def checked(data: Measurements, machine: Machine, calibration: Calibration, path
     """
     given = state_of(data, machine)
     needed = asked(calibration.effects, machine)
-    # A side nobody noted counts as either, as everywhere; a temperature nobody noted cannot.
-    absent = {
-        name
-        for channel, by in needed.items()
-        if channel not in given and not channel.startswith(APPROACH)
-        for name in by
-    }
+    absent = {name for channel, by in needed.items() if channel not in given for name in by}
     held = calibration.where(lambda name: name not in absent)
-    held = _with_sides(held, given, machine, needed)
-    left_out = tuple(
-        effect.name for effect in calibration.effects if effect.name not in {one.name for one in held.effects}
-    )
+    kept = {effect.name for effect in held.effects}
     placed = readings(data, machine, held)
     network, good = placed.network, ~placed.bad
     none = Network(machine, network.data, network.instrument, Unknowns(machine, (), ()), None, network.covariance)
@@ -164,17 +141,8 @@ def checked(data: Measurements, machine: Machine, calibration: Calibration, path
         stops=MappingProxyType(_stops(network, placed.setup, held)),
         rows=tuple((note.line, note.text) for note in network.data.set_aside),
         notices=network.data.notices,
-        left_out=left_out,
+        left_out=tuple(effect.name for effect in calibration.effects if effect.name not in kept),
     )
-
-
-def _with_sides(
-    calibration: Calibration, given: Mapping[str, np.ndarray], machine: Machine, needed: Mapping[str, tuple[str, ...]]
-) -> Calibration:
-    """Without the effects of a side of approach that the table does not tell."""
-    untold = {f"{APPROACH}{axis.name}" for axis in machine.axes} - set(given)
-    out = {name for channel, by in needed.items() if channel in untold for name in by}
-    return calibration.where(lambda name: name not in out)
 
 
 def _rms(left: np.ndarray, read: np.ndarray) -> float:
@@ -198,8 +166,8 @@ def _stops(network: Network, setup: SetUp, calibration: Calibration) -> dict[str
         safe = np.where(weight > 0.0, weight, 1.0)
         off = np.einsum("ni,ni->n", derivative, view.residual) / safe / UM
         # The side of approach is in the value of the curve at each reading already.
-        effects = [one for one in calibration.effects if _motion_of(one, axis, calibration)]
-        value = sum((np.asarray(one.components(state).get(component, 0.0)) for one in effects), np.zeros(len(q)))
+        effects = [one for one in calibration.effects if is_motion(one, axis, calibration)]
+        value = summed(effects, state, component)
         side = state.get(f"{APPROACH}{axis}", np.zeros(len(q)))
         both = bool(np.any(side > 0) and np.any(side < 0))
         parts = [_of_side(name, way, q, value + off, weight, np.sign(side) == way) for way in ((1, -1) if both else ())]
@@ -210,9 +178,23 @@ def _stops(network: Network, setup: SetUp, calibration: Calibration) -> dict[str
     return found
 
 
-def _motion_of(effect: Any, axis: str, calibration: Calibration) -> bool:
+def reach(kinematics: Kinematics) -> np.ndarray:
+    """(axes, 2) ranges as far as the curves are defined, mm and degrees; of an axis without limits one turn."""
+    ranges, domains = np.array([axis.domain for axis in kinematics.machine.axes]), kinematics.calibration.domains()
+    return np.stack([np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1)
+
+
+def is_motion(effect: Effect, axis: str, calibration: Calibration) -> bool:
+    """Whether an effect is a motion of an axis; squareness, a line, is told by its angle."""
     own = effect.frame.axis == axis and effect.frame.role == "motion"
     return own and effect.name not in calibration.squareness
+
+
+def summed(effects: Sequence[Effect], state: Mapping[str, Any], component: int) -> np.ndarray:
+    """(n,) what effects make together of one component, µm or µrad, in n states."""
+    count = len(next(iter(state.values())))
+    parts = (effect.components(state).get(component, 0.0) for effect in effects)
+    return np.asarray(sum(parts, np.zeros(count)), dtype=float)
 
 
 def _of_side(name: str, side: int, q: np.ndarray, value: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> Stops:

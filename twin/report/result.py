@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -11,13 +11,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.json_form import json_form
 from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
-from twin.display import finite
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection
 from twin.machine.datum import MEAN_LINES, MEANING
+from twin.machine.display import uncertainty_of
 from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
@@ -70,21 +71,19 @@ class Constant:
     rms_um: float
 
     @property
+    def known(self) -> bool:
+        """Whether its uncertainty is."""
+        return bool(np.isfinite(self.half))
+
+    @property
     def over_travel_um(self) -> float | None:
         """By how much a squareness displaces the end of the travel, µm; None of a location."""
         return None if self.travel_mm is None else self.value * self.travel_mm * 1e-3
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "name": self.name,
-            "words": self.words,
-            "unit": self.unit,
-            "value": self.value,
-            "half_95": finite(self.half),
-            "over_travel_um": self.over_travel_um,
-            "rms_um": self.rms_um,
-        }
+        told = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
+        return told | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
 
 
 @final
@@ -106,12 +105,7 @@ class Gaps:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "absent_counted_as_zero": list(self.absent),
-            "without_uncertainty": list(self.without_uncertainty),
-            "left_out": {channel: list(names) for channel, names in self.left_out.items()},
-            "unused": list(self.unused),
-        }
+        return json_form(self, rename={"absent": "absent_counted_as_zero"})
 
 
 @final
@@ -162,7 +156,7 @@ class MachineReport:
     @property
     def simulated(self) -> bool:
         """Whether a file it was made of, or is shown against, says that its readings were simulated."""
-        told = () if self.identified is None else self.identified.notices
+        told = () if self.identified is None else self.identified.file.notices
         said = (*told, *(text for one in self.checked for text in one.notices))
         return self.calibration.simulated or any("simulated" in notice for notice in said)
 
@@ -186,46 +180,47 @@ class MachineReport:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON (``schema: twin.report/1``); null for what is not known."""
-        control = self.control
-        return {
-            "schema": SCHEMA,
-            "machine": self.machine.name,
-            "calibration": {
-                "path": None if self.calibration.path is None else str(self.calibration.path),
-                "source": self.calibration.source,
-                "datum": self.calibration.datum,
-                "illustrative": list(self.illustrative),
-                "simulated_readings": self.simulated,
-                "warnings": to_json(self.warnings),
-            },
-            "tool_length_mm": self.kinematics.tool_length_mm,
-            "conditions": dict(self.kinematics.conditions.channels),
-            "control": None
-            if control is None
-            else {
-                "errors_are": control.errors_are,
-                "tables": [{"file": str(one.file), "classes": list(one.classes)} for one in control.tables],
-            },
-            "definition_of_U": DEFINITION,
-            "summary": self.advice.to_dict(),
-            "budget": {
-                "poses": len(self.budget.positions),
-                "total": self.budget.total.to_dict(),
-                "worst_at": self.budget.worst,
-                "errors": [one.to_dict() for one in self.budget.errors],
-                "classes": [one.to_dict() for one in self.budget.classes],
-            },
-            "motions": [one.to_dict() for one in self.motions],
-            "constants": [one.to_dict() for one in self.constants],
-            "field": self.field.to_dict(),
-            "compensation": self.after.to_dict(),
-            "control_tables": [one.to_dict() for one in self.tables],
-            "identification": None if self.identified is None else self.identified.to_dict(),
-            "measured": [one.to_dict() for one in self.checked],
-            "gaps": self.gaps.to_dict(),
-            "unmet": list(self.unmet),
-            "sources": self.sources.to_dict(),
-        }
+        control, calibration = self.control, self.calibration
+        return json_form(
+            {
+                "schema": SCHEMA,
+                "machine": self.machine.name,
+                "calibration": {
+                    "path": None if calibration.path is None else str(calibration.path),
+                    "source": calibration.source,
+                    "datum": calibration.datum,
+                    "illustrative": self.illustrative,
+                    "simulated_readings": self.simulated,
+                    "warnings": to_json(self.warnings),
+                },
+                "tool_length_mm": self.kinematics.tool_length_mm,
+                "conditions": self.kinematics.conditions.channels,
+                "control": control
+                and {
+                    "errors_are": control.errors_are,
+                    "tables": [{"file": str(one.file), "classes": one.classes} for one in control.tables],
+                },
+                "definition_of_U": DEFINITION,
+                "summary": self.advice,
+                "budget": {
+                    "poses": len(self.budget.positions),
+                    "total": self.budget.total,
+                    "worst_at": self.budget.worst,
+                    "errors": self.budget.errors,
+                    "classes": self.budget.classes,
+                },
+                "motions": self.motions,
+                "constants": self.constants,
+                "field": self.field,
+                "compensation": self.after,
+                "control_tables": self.tables,
+                "identification": self.identified,
+                "measured": self.checked,
+                "gaps": self.gaps,
+                "unmet": self.unmet,
+                "sources": self.sources,
+            }
+        )
 
 
 def machine_report(
@@ -264,19 +259,8 @@ def machine_report(
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = known_at(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    tell("budget", 0.05)
-    shares = budget(real)
-    tell("curves", 0.3)
-    curves = motions(real)
-    numbers = _constants(real, shares)
-    tell("field", 0.35)
-    over = field(real)
-    tell("after", 0.4)
-    outcome = after(shares, seed)
-    found = []
-    for i, (path, data) in enumerate(measured):
-        tell("measured", 0.5 + 0.35 * i / len(measured))
-        found.append(checked(data, machine, known, path))
+    shares, curves, over, outcome = _over_the_volume(real, seed, tell)
+    found = tuple(_checked(measured, known, tell))
     gaps = Gaps(_absent(known), shares.without_uncertainty, left_out, at.unused(calibration))
     tell("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
@@ -288,16 +272,33 @@ def machine_report(
         kinematics=real,
         budget=shares,
         motions=curves,
-        constants=numbers,
+        constants=_constants(real, shares),
         field=over,
         after=outcome,
         identified=told,
-        checked=tuple(found),
+        checked=found,
         gaps=gaps,
         tables=tables,
         advice=advise(calibration, shares, outcome, told, left_out, found, tables),
         sources=origin,
     )
+
+
+def _over_the_volume(real: Kinematics, seed: int, tell: Say) -> tuple[Budget, tuple[Motion, ...], Field, After]:
+    tell("budget", 0.05)
+    shares = budget(real)
+    tell("curves", 0.3)
+    curves = motions(real)
+    tell("field", 0.35)
+    over = field(real)
+    tell("after", 0.4)
+    return shares, curves, over, after(shares, seed)
+
+
+def _checked(measured: Sequence[tuple[Path, Measurements]], known: Calibration, tell: Say) -> Iterator[Checked]:
+    for i, (path, data) in enumerate(measured):
+        tell("measured", 0.5 + 0.35 * i / len(measured))
+        yield checked(data, known.machine, known, path)
 
 
 def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
@@ -318,11 +319,10 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
 
 def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
     calibration, machine = real.calibration, real.machine
-    covariance = calibration.covariance
     made = {one.name: one.rms_um for one in shares.errors}
     found = []
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
-        half = NORMAL_95 * float(np.sqrt(covariance.of([name]).matrix[0, 0])) if name in covariance.names else np.nan
+        half = NORMAL_95 * uncertainty_of(name, calibration.covariance)
         component, _, letter = split_name(name)
         axis = machine.by_name[letter]
         to, leans, travel = "", 0.0, None

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
+from twin._common.json_form import json_form
 from twin.compute.parallel.versions import versions
 from twin.machine.calibration import Calibration
 from twin.machine.control.section import digest
@@ -31,7 +33,7 @@ class Source:
     """
 
     role: str
-    path: Path
+    path: str
     sha256: str
 
 
@@ -48,18 +50,13 @@ class Sources:
     """
 
     files: tuple[Source, ...]
-    programs: tuple[tuple[str, str], ...]
-    seeds: tuple[tuple[str, int], ...]
+    programs: Mapping[str, str]
+    seeds: Mapping[str, int]
     made: datetime
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "files": [{"role": one.role, "path": str(one.path), "sha256": one.sha256} for one in self.files],
-            "programs": dict(self.programs),
-            "seeds": dict(self.seeds),
-            "made": self.made.isoformat(timespec="seconds"),
-        }
+        return json_form(self, leave_out=("made",)) | {"made": self.made.isoformat(timespec="seconds")}
 
 
 def sources(
@@ -88,14 +85,15 @@ def sources(
     tables = () if calibration.control is None else calibration.control.tables
     return Sources(
         files=(
-            *(Source(role, path, digest(path)) for role, path in files),
-            *(Source(f"table in the control ({one.format})", one.file, one.sha256) for one in tables),
+            *(Source(role, str(path), digest(path)) for role, path in files),
+            *(Source(f"table in the control ({one.format})", str(one.file), one.sha256) for one in tables),
         ),
-        programs=(
-            *(versions() | {"python": platform.python_version()}).items(),
-            *((name, _version(name)) for name in MORE),
+        programs=MappingProxyType(
+            versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
         ),
-        seeds=(("poses of the volume and sides of approach", SEED), ("what is not known of the calibration", seed)),
+        seeds=MappingProxyType(
+            {"poses of the volume and sides of approach": SEED, "what is not known of the calibration": seed}
+        ),
         made=made,
     )
 

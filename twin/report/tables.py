@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from twin._common.errors import InputError
+from twin._common.json_form import json_form
 from twin.control import Carried, Remains, Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -34,12 +35,7 @@ class TablesLeft:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "format": self.kind,
-            "at": dict(self.at),
-            "tool_length_mm": self.tool_length_mm,
-            "error_at_tool": self.remains.to_dict(),
-        }
+        return json_form(self, rename={"kind": "format", "remains": "error_at_tool"}, leave_out=("carried",))
 
 
 def tables_left(

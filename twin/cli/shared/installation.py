@@ -27,6 +27,7 @@ NEEDED: Final[Mapping[str, str]] = MappingProxyType(
         "casadi": "casadi",
         "cloudpickle": "cloudpickle",
         "coal": "coal",
+        "jinja2": "jinja2",
         "joblib": "joblib",
         "meshcat": "meshcat.geometry",
         "numpy": "numpy",

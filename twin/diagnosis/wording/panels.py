@@ -28,6 +28,8 @@ BY_STATE: Final = ("frame_shift", "target_shift", "station_drift", "refraction_s
 """Causes of several components that show against one column."""
 SPREAD: Final = ("cross_axis", "thermal_expansion", "gravity_compliance")
 """Causes that depend on more than the column they are drawn against."""
+SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
+"""Names of the sides that an axis comes from."""
 COVERAGE: Final = 1.96
 MOST: Final = 3
 """Panels of the misfit."""
@@ -108,10 +110,8 @@ def residual_panels(found: Answer, *, after: bool = False) -> list[Panel]:
         after: with the causes taken out, on the scale of before.
     """
     scales, data = scales_of(found), found.data
-    before, values = (
-        directed(found, found.residual_um),
-        directed(found, found.after_um if after else found.residual_um),
-    )
+    before = directed(found, found.residual_um)
+    values = directed(found, found.after_um) if after else before
     panels = []
     axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
     for name, carrier in _telling(found, scales)[:MOST] or axes:
@@ -210,22 +210,13 @@ def scales_of(found: Answer) -> dict[str, Scale]:
         unit = "mm" if axis.linear else "°"
         scales[f"{axis.name}_{axis.unit}"] = Scale(f"{axis.name} [{unit}]", np.asarray(data.positions[:, i]))
         if np.any(data.approach[:, i]):
-            ticks = (
-                ((-1.0, "from −"), (1.0, "from +"))
-                if np.all(data.approach[:, i])
-                else ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
-            )
-            scales[f"approach_{axis.name}"] = Scale(
-                f"side {axis.name} came from [+/−]", np.asarray(data.approach[:, i], dtype=float), ticks
-            )
+            sides = np.asarray(data.approach[:, i], dtype=float)
+            ticks = tuple((at, name) for at, name in SIDES if at != 0.0 or not np.all(sides))
+            scales[f"approach_{axis.name}"] = Scale(f"side {axis.name} came from [+/−]", sides, ticks)
     if np.all(np.isfinite(data.time_s)):
         since = np.asarray(data.time_s) - float(np.min(data.time_s))
-        hours = float(np.ptp(since)) > 7200.0
-        scales["time_s"] = (
-            Scale("time from the first reading [h]", since / 3600.0)
-            if hours
-            else Scale("time from the first reading [min]", since / 60.0)
-        )
+        unit, seconds = ("h", 3600.0) if float(np.ptp(since)) > 7200.0 else ("min", 60.0)
+        scales["time_s"] = Scale(f"time from the first reading [{unit}]", since / seconds)
     rounds = list(dict.fromkeys(data.round))
     names = tuple((float(i), str(name)) for i, name in enumerate(rounds)) if len(rounds) <= 12 else ()
     scales["round"] = Scale("round [number]", np.array([float(rounds.index(name)) for name in data.round]), names)
@@ -247,13 +238,10 @@ def directed(found: Answer, values_um: np.ndarray) -> dict[str, np.ndarray]:
     values = np.where(read, values_um, 0.0)
     nothing = np.where(read.any(axis=1), 0.0, np.nan)
     base = np.einsum("nij,ni->nj", found.directions, values)
-    if (
-        not read[:, 1:].any()
-        and np.abs(found.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) < 0.99
-    ):
+    along_axes = np.abs(found.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
+    if not (read[:, 1:].any() or along_axes):
         return {"along the beam": values[:, 0] + nothing}
-    sight = np.sqrt(np.einsum("nij->nj", found.directions**2) * 1.0)
-    square = np.mean(sight**2, axis=0)
+    square = np.mean(np.einsum("nij->nj", found.directions**2), axis=0)
     seen = square > HIDDEN * max(float(square.max()), 1e-30)
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
@@ -303,17 +291,15 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
 def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Readings that a cause treats differently, named: by side of approach, or by where another axis stands."""
     data, machine = found.data, found.calibration.machine
-    everything = np.ones(len(data), dtype=bool)
     if cause.effect in ("reversal", "reversal_curve"):
         sides = data.approach[:, machine.names.index(cause.where)]
         return [("from +", sides > 0), ("from −", sides < 0)]
-    other = None
     if cause.effect == "cross_axis" and split_name(cause.where.split(" ")[0])[0] < 3:
         other = cause.where.split(" by ")[1]
-    if cause.effect == "thermal_expansion":
+    elif cause.effect == "thermal_expansion":
         other = cause.where
-    if other is None:
-        return [("", everything)]
+    else:
+        return [("", np.ones(len(data), dtype=bool))]
     q = np.asarray(data.positions[:, machine.names.index(other)])
     low, high = float(q.min()), float(q.max())
     edges = np.linspace(low, high, 4)
@@ -336,16 +322,13 @@ def _against(found: Answer, cause: Cause) -> list[Scale]:
     if effect == "thermal_expansion":
         return [scales[f"T_{where}_degC"]]
     if effect == "refraction_scale":
-        return [
-            Scale("distance from the instrument [m]", 1e-3 * np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1))
-        ]
+        distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
+        return [Scale("distance from the instrument [m]", 1e-3 * distance)]
     if effect in ("read_back", "following_error"):
         i = machine.names.index(where)
         off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
-        unit = "µm" if machine.axes[i].linear else "°"
-        return [
-            Scale(f"{where} as reported less as commanded [{unit}]", off * (1e3 if machine.axes[i].linear else 1.0))
-        ]
+        unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
+        return [Scale(f"{where} as reported less as commanded [{unit}]", off * scale)]
     if effect == "pitch_error":
         period = next(q.value for q in cause.parameters if q.name == "period")
         return [_folded(of_axis[where], where, period, "mm")]

@@ -25,8 +25,8 @@ from twin.diagnosis.wording.words import (
     plain,
     probability,
     symbol,
-    tied,
 )
+from twin.display.numbers import tied
 from twin.measurement.checks import assumptions, grouped_notes
 
 WIDTH: Final = 100

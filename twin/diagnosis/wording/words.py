@@ -6,7 +6,6 @@ stand beside them as symbols.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, exp, floor, isfinite, log10
@@ -19,8 +18,6 @@ from twin.machine.effects.specification import Advice, Kind
 MANY: Final = 8
 """Things a list names before it counts the rest."""
 COVERAGE: Final = 1.96
-TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
-"""A number and its unit, which stay on one line."""
 ENOUGH: Final = 25.0
 """Chi² between two causes at which one of them is out."""
 HOPELESS: Final = 1000.0
@@ -187,11 +184,6 @@ def _both(effect: str, where: str) -> str:
 def probability(p: float) -> str:
     """A p-value as a number."""
     return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
-
-
-def tied(text: str, space: str) -> str:
-    """With another space between numbers and their units."""
-    return TIED.sub(rf"\1{space}\2", text)
 
 
 def chance(p: float) -> str:

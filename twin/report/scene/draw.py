@@ -1,26 +1,20 @@
-"""A program on its machine as one HTML page: headless, self-contained, no network and no server.
+"""A program on its machine as one HTML page.
 
-The page is meshcat's viewer with meshcat's own drawing commands embedded, as its ``static_html`` embeds them. That one
-asks a server process for them; here they are collected straight from meshcat's classes, so none is started. Inside this
-module everything is in metres; the path and its deviations come in mm.
+Inside this module everything is in metres; the path and its deviations come in mm.
 """
 
 from __future__ import annotations
 
-import base64
-import html
-import importlib.resources
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Final, final
 
 import coal
 import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
-import umsgpack
 from meshcat import transformations
 from meshcat.animation import Animation, AnimationClip, AnimationTrack
 from meshcat.commands import SetAnimation, SetObject, SetProperty, SetTransform
@@ -29,13 +23,11 @@ from meshcat.path import Path as NodePath
 from twin._common.errors import InputError
 from twin._common.provenance import SourceWarning, texts
 from twin._common.units import MM
+from twin.display import compact
 from twin.kinematics.forward import Kinematics
-from twin.report.scene.camera import CAMERA
-from twin.report.scene.page import PAGE
 from twin.report.scene.path import (
     MAX_POINTS,
     Keyframes,
-    Mesh,
     ScenePath,
     arrow,
     arrow_blocks,
@@ -48,16 +40,37 @@ from twin.report.scene.path import (
     tube,
     viridis,
 )
+from twin.report.scene.viewer import (
+    FIRST_LINK,
+    bare_stage,
+    lines_command,
+    mesh_command,
+    node_of,
+    outermost,
+    viewer_page,
+)
 
-__all__ = ["ScenePath", "scene_html"]
-
-_FIRST_LINK = "machine"
-_EDGE = 0x4A525C
-_NOMINAL = (0.42, 0.45, 0.49)
-_RAPID = (0.72, 0.78, 0.86)
-_INK = (0.13, 0.14, 0.17)
-_RED = (0.84, 0.10, 0.12)
-_TOOL = 0xC9A227
+SECONDS: Final = 20.0
+"""Duration of the animation."""
+VECTORS: Final = 24
+"""At how many points the deviation is drawn as an arrow."""
+TOOL_RADIUS_MM: Final = 5.0
+_NOMINAL: Final = (0.42, 0.45, 0.49)
+_RAPID: Final = (0.72, 0.78, 0.86)
+_INK: Final = (0.13, 0.14, 0.17)
+_RED: Final = (0.84, 0.10, 0.12)
+_TOOL: Final = 0xC9A227
+_CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_LIGHTS: Final = (
+    ("AmbientLight", "intensity", 0.6),
+    ("FillLight", "intensity", 0.38),
+    ("FillLight", "position", [-2.0, -5.0, 4.0]),
+    ("PointLightNegativeX", "visible", False),
+    # The second point light stands in for the bounce from the floor, far enough to be even.
+    ("PointLightPositiveX", "intensity", 0.16),
+    ("PointLightPositiveX", "position", [4.0, -3.0, 1.0]),
+    ("PointLightPositiveX", "distance", 0.0),
+)
 
 
 def scene_html(
@@ -66,9 +79,6 @@ def scene_html(
     *,
     title: str,
     exaggeration: float | None = None,
-    vectors: int = 24,
-    seconds: float = 20.0,
-    tool_radius_mm: float = 5.0,
     warnings: Sequence[SourceWarning] = (),
 ) -> str:
     """The page: the machine moving through a program, and the tool path with its deviation exaggerated and coloured.
@@ -78,84 +88,70 @@ def scene_html(
         path: the motion; positions in mm and degrees, points in mm in the work frame.
         title: headline, plain text.
         exaggeration: factor on the deviation; None picks a round one that shows it well.
-        vectors: at how many points the deviation is drawn as an arrow.
-        seconds: duration of the animation.
-        tool_radius_mm: radius the tool is drawn with.
         warnings: of where the calibration comes from; the page shows them.
 
     Returns:
         The page's text, some megabytes.
 
     Raises:
-        InputError: the path does not fit the machine, a number is out of range, or the URDF has shapes that cannot be drawn.
+        InputError: the path does not fit the machine, the factor is out of range, or the URDF has shapes that cannot be drawn.
     """
     machine = kinematics.machine
     path.check(len(machine.axes))
-    given = (("exaggeration", exaggeration), ("seconds", seconds), ("tool_radius_mm", tool_radius_mm))
-    for name, value in given:
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} out of range", expected="a positive number", value=value)
-    if vectors < 0:
-        raise InputError("vectors out of range", expected="0 or more", value=vectors)
+    if exaggeration is not None and not (math.isfinite(exaggeration) and exaggeration > 0):
+        raise InputError("exaggeration out of range", expected="a positive number", value=exaggeration)
     factor = chosen_exaggeration(path) if exaggeration is None else exaggeration
     top_um = scale_top_um(path.max_um)
-
     frames = keyframes(path, machine.linear, machine.rotary)
     visuals = _visuals(kinematics)
-    tool = str(machine.model.frames[machine.tool_frame].name)
-    work = str(machine.model.frames[machine.work_frame].name)
+    tool, work = (str(machine.model.frames[frame].name) for frame in (machine.tool_frame, machine.work_frame))
     links = tuple(dict.fromkeys([*(visual.link for visual in visuals), tool, work]))
     poses = link_poses(kinematics, frames.positions, links)
     outline = _outline(visuals, links, poses)
     box = np.array([outline.min(axis=0), outline.max(axis=0)])
     size = float(np.linalg.norm(box[1] - box[0]))
+    commands = [
+        *_machine_commands(visuals, links, work),
+        *_tool_commands(kinematics, node_of(tool), 0.008 * path.extent_mm * MM),
+        *_path_commands(path, factor, top_um, node_of(work), size),
+        *_motion_commands(frames, links, poses),
+        *_stage_commands(box),
+    ]
+    data = {
+        "outline": outline.tolist(),
+        "work": f"{FIRST_LINK}/{work}",
+        "tool": f"{FIRST_LINK}/{tool}",
+        "axes": [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes],
+        **_path_data(path, frames, factor),
+    }
+    return viewer_page(
+        "scene",
+        commands,
+        data,
+        top_um,
+        title=title,
+        machine=machine.name,
+        factor=factor,
+        path=path,
+        notices=texts(warnings),
+        still="" if len(frames.share) > 1 else "still",
+    )
 
-    commands: list[Any] = []
-    for number, visual in enumerate(visuals):
-        commands += visual.commands(node_of(visual.link, f"shape{number}"))
-        if visual.link == work:
-            commands += visual.commands(node_of(work, f"pale{number}"), pale=True)
-    for link in links:
-        edges = [visual.edges for visual in visuals if visual.link == link]
-        if edges:
-            commands.append(lines_command(np.concatenate(edges), None, node_of(link, "edges")))
-    commands += _tool_commands(kinematics, node_of(tool), tool_radius_mm * MM, 0.008 * path.extent_mm * MM)
-    commands += _path_commands(path, factor, top_um, vectors, node_of(work), size)
-    commands += _motion_commands(frames, links, poses, seconds)
-    commands += _stage_commands(box)
 
+def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, Any]:
+    """What the page's script has to know of the path."""
     worst = path.shown_mm(factor)[path.worst] * MM
     shown = np.concatenate([path.nominal_mm[path.judged], path.shown_mm(factor)[path.judged]]) * MM
-    page: dict[str, Any] = {
-        "outline": outline.tolist(),
+    return {
         "pathOutline": (np.where(_CORNERS > 0, shown.max(axis=0), shown.min(axis=0))).round(6).tolist(),
-        "work": _FIRST_LINK + "/" + work,
-        "tool": _FIRST_LINK + "/" + tool,
-        "worst": {"at": worst.round(6).tolist(), "um": short(path.max_um), "line": int(path.lines[path.worst])},
-        "seconds": seconds,
-        "axes": [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes],
+        "worst": {"at": worst.round(6).tolist(), "um": compact(path.max_um), "line": int(path.lines[path.worst])},
+        "seconds": SECONDS,
         "share": frames.share.round(6).tolist(),
         "q": frames.positions.round(3).tolist(),
         "um": frames.deviation_um.round(2).tolist(),
         "line": path.lines[frames.block].astype(int).tolist(),
         "cutting": path.cutting[frames.block].astype(int).tolist(),
     }
-    return PAGE.substitute(
-        title=html.escape(title),
-        camera=CAMERA,
-        machine=html.escape(machine.name),
-        viewer=viewer_source(),
-        commands=json.dumps([packed(command) for command in commands]),
-        page=json.dumps(page).replace("</", "<\\/"),
-        **colour_bar(top_um),
-        factor=short(factor),
-        max_um=short(path.max_um),
-        rms_um=short(path.rms_um),
-        max_line=int(path.lines[path.worst]),
-        what="cutting moves" if np.any(path.cutting) else "all moves",
-        notice="".join(f'<p class="notice">{html.escape(text)}</p>' for text in texts(warnings)),
-        still="" if len(frames.share) > 1 else "still",
-    )
 
 
 def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, ...]) -> np.ndarray:
@@ -178,6 +174,7 @@ def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, 
     return poses
 
 
+@final
 @dataclass(frozen=True)
 class _Visual:
     """One shape of the URDF, placed in its link's frame; ``edges`` (2k, 3) and ``corners`` (8, 3) in that frame too."""
@@ -185,43 +182,33 @@ class _Visual:
     link: str
     geometry: Any
     placement: np.ndarray
-    colour: tuple[float, float, float, float]
+    colour: tuple[float, ...]
     edges: np.ndarray
     corners: np.ndarray
 
     def commands(self, node: NodePath, pale: bool = False) -> list[Any]:
         """Drawing commands; ``pale`` for the close-up, where it is only the ground the path is seen against."""
         red, green, blue, alpha = (1 - 0.2 * (1 - part) if pale else part for part in self.colour)
-        material = shapes.MeshLambertMaterial(
-            color=_hex((red, green, blue)),
-            opacity=alpha,
-            # Pushed back a hair, so that the edges drawn on the faces win.
-            polygonOffset=True,
-            polygonOffsetFactor=1,
-            polygonOffsetUnits=1,
-        )
+        # Pushed back a hair, so that the edges drawn on the faces win.
+        back = {"polygonOffset": True, "polygonOffsetFactor": 1, "polygonOffsetUnits": 1}
+        material = shapes.MeshLambertMaterial(color=_hex((red, green, blue)), opacity=alpha, **back)
         return [SetObject(self.geometry, material, node), SetTransform(self.placement, node)]
 
 
 def _visuals(kinematics: Kinematics) -> list[_Visual]:
     machine = kinematics.machine
     model = machine.model
+    refused = partial(InputError, expected="boxes, cylinders and spheres", file=machine.urdf)
     try:
         found = pin.buildGeomFromUrdf(model, str(machine.urdf), pin.GeometryType.VISUAL)
     except (ValueError, RuntimeError) as error:
-        raise InputError(
-            "shapes that cannot be loaded", expected="boxes, cylinders and spheres", file=machine.urdf, value=error
-        ) from error
+        raise refused("shapes that cannot be loaded", value=error) from error
     visuals = []
     for entry in found.geometryObjects:
-        frame = model.frames[entry.parentFrame]
-        placement = (frame.placement.inverse() * entry.placement).homogeneous
-        shape = entry.geometry
-        turn = np.eye(4)
+        frame, shape, turn = model.frames[entry.parentFrame], entry.geometry, np.eye(4)
         if isinstance(shape, coal.Box):
             half = np.array(shape.halfSide)
-            geometry = shapes.Box((2 * half).tolist())
-            edges = _box_edges(half)
+            geometry, edges = shapes.Box((2 * half).tolist()), _box_edges(half)
         elif isinstance(shape, coal.Cylinder):
             half = np.array([shape.radius, shape.radius, shape.halfLength])
             geometry = shapes.Cylinder(2 * shape.halfLength, shape.radius)
@@ -230,32 +217,14 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
             edges = _rims(shape.radius, shape.halfLength)
         elif isinstance(shape, coal.Sphere):
             half = np.full(3, shape.radius)
-            geometry = shapes.Sphere(shape.radius)
-            edges = np.zeros((0, 3))
+            geometry, edges = shapes.Sphere(shape.radius), np.zeros((0, 3))
         else:
-            raise InputError(
-                f"a shape of {frame.name} that cannot be drawn",
-                expected="boxes, cylinders and spheres",
-                file=machine.urdf,
-                value=type(shape).__name__,
-            )
-        corners = half * _CORNERS
-        red, green, blue, alpha = (float(part) for part in entry.meshColor)
-        colour = (red, green, blue, alpha)
-        visuals.append(
-            _Visual(
-                str(frame.name),
-                geometry,
-                placement @ turn,
-                colour,
-                _moved(placement, edges),
-                _moved(placement, corners),
-            )
-        )
+            raise refused(f"a shape of {frame.name} that cannot be drawn", value=type(shape).__name__)
+        place = (frame.placement.inverse() * entry.placement).homogeneous
+        colour = tuple(float(part) for part in entry.meshColor)
+        edges, corners = _moved(place, edges), _moved(place, half * _CORNERS)
+        visuals.append(_Visual(str(frame.name), geometry, place @ turn, colour, edges, corners))
     return visuals
-
-
-_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
 def _box_edges(half: np.ndarray) -> np.ndarray:
@@ -280,49 +249,55 @@ def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) 
         pose = poses[:, links.index(visual.link)]
         points.append((np.einsum("nij,kj->nki", pose[:, :3, :3], visual.corners) + pose[:, None, :3, 3]).reshape(-1, 3))
     every = np.concatenate(points)
-    ways = np.array(
-        [(x, y, z) for x in (-2, -1, 0, 1, 2) for y in (-2, -1, 0, 1, 2) for z in (-2, -1, 0, 1, 2)], dtype=float
-    )
-    return np.asarray(np.unique(every[np.argmax(every @ ways.T, axis=0)].round(4), axis=0))
+    return np.asarray(np.unique(every[outermost(every)].round(4), axis=0))
 
 
-def _tool_commands(kinematics: Kinematics, node: NodePath, radius: float, dot: float) -> list[Any]:
+def _machine_commands(visuals: list[_Visual], links: tuple[str, ...], work: str) -> list[Any]:
+    """The links' shapes, those of the work side once more for the close-up, and their edges."""
+    commands: list[Any] = []
+    for number, visual in enumerate(visuals):
+        commands += visual.commands(node_of(visual.link, f"shape{number}"))
+        if visual.link == work:
+            commands += visual.commands(node_of(work, f"pale{number}"), pale=True)
+    for link in links:
+        edges = [visual.edges for visual in visuals if visual.link == link]
+        if edges:
+            commands.append(lines_command(np.concatenate(edges), None, node_of(link, "edges")))
+    return commands
+
+
+def _tool_commands(kinematics: Kinematics, node: NodePath, dot: float) -> list[Any]:
     length = kinematics.tool_length_mm * MM
     tip = np.array([0.0, 0.0, -length])
     commands: list[Any] = []
     if length > 0:
         upright = transformations.rotation_matrix(math.pi / 2, [1, 0, 0])
         upright[:3, 3] = tip / 2
+        cylinder = shapes.Cylinder(length, TOOL_RADIUS_MM * MM)
         # Twice: solid on the machine, a ghost in the close-up, where it must not hide the path.
         for name, opacity in (("tool", 1.0), ("ghost", 0.22)):
             material = shapes.MeshLambertMaterial(color=_TOOL, opacity=opacity, depthWrite=opacity == 1.0)
-            commands += [
-                SetObject(shapes.Cylinder(length, radius), material, node.append(name)),
-                SetTransform(upright, node.append(name)),
-            ]
+            commands += [SetObject(cylinder, material, node.append(name)), SetTransform(upright, node.append(name))]
     if dot > 0:
+        ink, place = shapes.MeshBasicMaterial(color=_hex(_INK)), node.append("tip")
         commands += [
-            SetObject(shapes.Sphere(dot), shapes.MeshBasicMaterial(color=_hex(_INK)), node.append("tip")),
-            SetTransform(transformations.translation_matrix(tip), node.append("tip")),
+            SetObject(shapes.Sphere(dot), ink, place),
+            SetTransform(transformations.translation_matrix(tip), place),
         ]
     return commands
 
 
-def _path_commands(
-    path: ScenePath, factor: float, top_um: float, vectors: int, node: NodePath, size: float
-) -> list[Any]:
+def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath, size: float) -> list[Any]:
     """The path in the work frame, twice: fine for the close-up, bold for the view of the whole machine (``size`` across)."""
-    shown = path.shown_mm(factor) * MM
-    nominal = path.nominal_mm * MM
+    shown, nominal = path.shown_mm(factor) * MM, path.nominal_mm * MM
     colours = viridis(np.clip(path.deviation_um / top_um, 0.0, 1.0))
     cuts, rapids = runs(path.cutting, True), runs(path.cutting, False)
     fine = 0.004 * path.extent_mm * MM
-    bold = max(fine, 0.0011 * size)
     commands: list[Any] = []
     grey, pale = (np.tile(colour, (len(nominal), 1)) for colour in (_NOMINAL, _RAPID))
     for name, points, tints, radius, sides, limit in (
         ("fine", shown, colours, fine, 6, MAX_POINTS),
-        ("bold", shown, colours, bold, 4, MAX_POINTS // 3),
+        ("bold", shown, colours, max(fine, 0.0011 * size), 4, MAX_POINTS // 3),
         ("nominal", nominal, grey, 0.35 * fine, 3, MAX_POINTS),
     ):
         pieces = thinned(cuts, limit, path.worst)
@@ -333,25 +308,17 @@ def _path_commands(
             tubes = [tube(points[piece], np.full(len(piece), radius), tints[piece], sides) for piece in pieces]
             commands.append(mesh_command(joined(tubes), node.append(name)))
     if rapids:
-        commands.append(
-            lines_command(*_pairs(nominal, pale, thinned(rapids, MAX_POINTS, path.worst)), node.append("rapids"))
-        )
-    blocks = [block for block in arrow_blocks(path, vectors) if path.deviation_um[block] > 0]
+        lines = _pairs(nominal, pale, thinned(rapids, MAX_POINTS, path.worst))
+        commands.append(lines_command(*lines, node.append("rapids")))
+    blocks = [block for block in arrow_blocks(path, VECTORS) if path.deviation_um[block] > 0]
     if blocks and fine > 0:
-        arrows = [
-            arrow(
-                nominal[block],
-                shown[block],
-                (1.3 if block == path.worst else 0.9) * fine,
-                _RED if block == path.worst else _INK,
-            )
-            for block in blocks
-        ]
+        looks = [(1.3, _RED) if block == path.worst else (0.9, _INK) for block in blocks]
+        arrows = [arrow(nominal[b], shown[b], wide * fine, ink) for b, (wide, ink) in zip(blocks, looks, strict=True)]
         commands.append(mesh_command(joined(arrows), node.append("arrows")))
     return commands
 
 
-def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarray, seconds: float) -> list[Any]:
+def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarray) -> list[Any]:
     """Poses of the links, and the animation of those that move: one node a link, whatever it consists of."""
     commands: list[Any] = []
     animation = Animation()
@@ -360,7 +327,7 @@ def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarra
         commands.append(SetTransform(track[0], node_of(link)))
         if len(track) > 1 and np.ptp(track, axis=0).max() > 1e-9:
             # With one frame a second the keys' times are seconds.
-            times = (frames.share * seconds).tolist()
+            times = (frames.share * SECONDS).tolist()
             clip = AnimationClip(fps=1)
             quaternions = [pin.Quaternion(pose[:3, :3]).coeffs().tolist() for pose in track]
             clip.tracks["position"] = AnimationTrack("position", "vector3", times, track[:, :3, 3].tolist())
@@ -378,80 +345,18 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
     floor = NodePath(("floor",))
     thickness = 0.004 * float(np.linalg.norm(span))
     slab = shapes.Box([1.16 * span[0], 1.16 * span[1], thickness])
-    lights: dict[str, dict[str, Any]] = {
-        "AmbientLight": {"intensity": 0.6},
-        "FillLight": {"intensity": 0.38, "position": [-2.0, -5.0, 4.0]},
-        "PointLightNegativeX": {"visible": False},
-        # The second point light stands in for the bounce from the floor, far enough to be even.
-        "PointLightPositiveX": {"intensity": 0.16, "position": [4.0, -3.0, 1.0], "distance": 0.0},
-    }
     return [
         SetObject(slab, shapes.MeshLambertMaterial(color=0xE3E7EB), floor),
         SetTransform(transformations.translation_matrix([centre[0], centre[1], low[2] - thickness]), floor),
         *bare_stage(),
-        *(
-            SetProperty(key, value, NodePath(("Lights", light, "<object>")))
-            for light, entries in lights.items()
-            for key, value in entries.items()
-        ),
+        *(SetProperty(key, value, NodePath(("Lights", light, "<object>"))) for light, key, value in _LIGHTS),
     ]
-
-
-def bare_stage() -> list[Any]:
-    """Commands that take away what the viewer shows by itself."""
-    return [SetProperty("visible", False, NodePath((name,))) for name in ("Grid", "Axes", "Background")]
-
-
-def mesh_command(mesh: Mesh, node: NodePath) -> SetObject:
-    """Draws a mesh, metres."""
-    # Unlit, so that a colour in the picture is the colour of the legend.
-    return SetObject(
-        shapes.TriangularMeshGeometry(mesh.vertices, mesh.faces, mesh.colours),
-        shapes.MeshBasicMaterial(vertexColors=True),
-        node,
-    )
-
-
-def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
-    """(2k, 3) ends of segments with their colours; the colour of edges where none are given."""
-    ends = segments.astype(np.float32).T
-    if colours is None:
-        drawn = shapes.PointsGeometry(ends), shapes.LineBasicMaterial(color=_EDGE, opacity=0.55)
-    else:
-        drawn = shapes.PointsGeometry(ends, colours.astype(np.float32).T), shapes.LineBasicMaterial(vertexColors=True)
-    return SetObject(shapes.LineSegments(*drawn), path=node)
 
 
 def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Ends of all segments of all runs, and their colours."""
     ends = np.concatenate([np.repeat(piece, 2)[1:-1] for piece in pieces])
     return points[ends], colours[ends]
-
-
-def packed(command: Any) -> str:
-    """A drawing command as the viewer takes it: msgpack in base64. Names of objects are fixed: same input, same page."""
-    data = command.lower()
-    if isinstance(command, SetObject):
-        entry = data["object"]
-        for kind, mark in (("geometries", "geometry"), ("materials", "material")):
-            entry[kind][0]["uuid"] = entry["object"][mark] = mark
-        entry["object"]["uuid"] = data["path"]
-    # Single precision: 0.1 µm at a metre, below anything to be seen, and half the size.
-    return base64.b64encode(umsgpack.packb(_plain(data), force_float_precision="single")).decode("ascii")
-
-
-def _plain(data: Any) -> Any:
-    """The same with NumPy's numbers as Python's, which is all msgpack knows."""
-    if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_plain(value) for value in data] if not isinstance(data, umsgpack.Ext) else data
-    return data.item() if isinstance(data, np.generic) else data
-
-
-def node_of(*names: str) -> NodePath:
-    """A place in the viewer's tree."""
-    return NodePath(("meshcat", _FIRST_LINK, *names))
 
 
 def _moved(placement: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -461,27 +366,3 @@ def _moved(placement: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _hex(colour: tuple[float, float, float]) -> int:
     red, green, blue = (round(255 * part) for part in colour)
     return red << 16 | green << 8 | blue
-
-
-def colour_bar(top: float) -> dict[str, str]:
-    """What a page's colour bar from 0 to ``top`` is made of: its CSS gradient, and the numbers below it."""
-    colours = viridis(np.linspace(0.0, 1.0, 17))
-    return {
-        "gradient": ", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in colours),
-        "ticks": "".join(f"<span>{short(top * share / 4)}</span>" for share in range(5)),
-    }
-
-
-def short(value: float) -> str:
-    """A number with three significant digits, and no exponent."""
-    if value == 0 or not 1e-3 <= abs(value) < 1e9:
-        return "0" if value == 0 else f"{value:.2g}"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else f"{int(text):,}".replace(",", "\u202f")
-
-
-def viewer_source() -> str:
-    """The viewer of meshcat, as one script."""
-    file = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
-    return file.read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twin._common.errors import InputError
 
@@ -20,22 +21,7 @@ SHOWN_SHARE = 0.08
 """Of the path's extent: how large the largest deviation is shown, about."""
 
 # Viridis (CC0, Smith and van der Walt) at 0, 1/8 … 1: even to the eye and readable without colour vision.
-_VIRIDIS = (
-    np.array(
-        [
-            (68, 1, 84),
-            (71, 45, 123),
-            (59, 82, 139),
-            (44, 114, 142),
-            (33, 145, 140),
-            (40, 174, 128),
-            (94, 201, 98),
-            (173, 220, 48),
-            (253, 231, 37),
-        ]
-    )
-    / 255.0
-)
+_VIRIDIS = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
 
 
 @final
@@ -66,16 +52,9 @@ class ScenePath:
         count = len(self.positions)
         if count == 0:
             raise InputError("nothing to show", expected="a program with at least one motion")
-        points = (count, 3)
-        shapes = {
-            "positions": (count, axes),
-            "nominal_mm": points,
-            "actual_mm": points,
-            "cutting": (count,),
-            "lines": (count,),
-        }
-        for name, shape in shapes.items():
-            array = np.asarray(getattr(self, name))
+        rest = {"positions": (axes,), "nominal_mm": (3,), "actual_mm": (3,), "cutting": (), "lines": ()}
+        for name, of_one in rest.items():
+            array, shape = np.asarray(getattr(self, name)), (count, *of_one)
             if array.shape != shape:
                 raise InputError(f"{name} of the wrong shape", expected=str(shape), value=array.shape)
             if not np.all(np.isfinite(array)):
@@ -191,8 +170,9 @@ def scale_top_um(largest_um: float) -> float:
 
 def viridis(share: np.ndarray) -> np.ndarray:
     """(n, 3) colours, 0 … 1, for (n,) shares of the scale."""
-    at = np.linspace(0.0, 1.0, len(_VIRIDIS))
-    return np.column_stack([np.interp(share, at, channel) for channel in _VIRIDIS.T])
+    colours = np.array([list(bytes.fromhex(colour)) for colour in _VIRIDIS.split()]) / 255.0
+    at = np.linspace(0.0, 1.0, len(colours))
+    return np.column_stack([np.interp(share, at, channel) for channel in colours.T])
 
 
 def runs(cutting: np.ndarray, wanted: bool) -> list[np.ndarray]:
@@ -284,7 +264,7 @@ def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int)
     return Mesh(vertices.reshape(-1, 3), faces, np.repeat(colours, sides, axis=0))
 
 
-def arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: tuple[float, float, float]) -> Mesh:
+def arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: ArrayLike) -> Mesh:
     """A shaft with a pointed head from (3,) start to (3,) end."""
     length = float(np.linalg.norm(end - start))
     neck = start + (end - start) * max(0.4, 1.0 - 7.0 * radius / max(length, 1e-300))

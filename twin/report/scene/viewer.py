@@ -1,0 +1,104 @@
+"""meshcat's viewer as one HTML page: headless, self-contained, no network and no server.
+
+meshcat's own drawing commands are embedded, as its ``static_html`` embeds them. That one asks a server process for them; here they are
+collected straight from meshcat's classes, so none is started. Lengths are metres.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.resources
+import json
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any, Final
+
+import meshcat.geometry as shapes
+import numpy as np
+import umsgpack
+from meshcat.commands import SetObject, SetProperty
+from meshcat.path import Path as NodePath
+
+from twin.display import compact, render
+from twin.report.scene.path import Mesh, viridis
+
+FIRST_LINK: Final = "machine"
+"""Under which everything is drawn."""
+_EDGE: Final = 0x4A525C
+_WAYS: Final = np.array(list(product((-2, -1, 0, 1, 2), repeat=3)), dtype=float)
+
+
+def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any], top_um: float, **words: Any) -> str:
+    """Return the page's text, some megabytes.
+
+    Args:
+        template: its file beside this module; it extends ``viewer.html.j2``.
+        commands: meshcat's drawing commands.
+        data: numbers for the page's script.
+        top_um: end of the colour scale.
+        words: what else the template names.
+    """
+    colours = viridis(np.linspace(0.0, 1.0, 17))
+    main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
+    return render(
+        f"report/scene/templates/{template}.html.j2",
+        viewer=main.read_text(encoding="utf-8"),
+        commands=json.dumps([packed(command) for command in commands]),
+        page=json.dumps(data).replace("</", "<\\/"),
+        gradient=", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in colours),
+        ticks=[compact(top_um * share / 4) for share in range(5)],
+        **words,
+    )
+
+
+def node_of(*names: str) -> NodePath:
+    """A place in the viewer's tree."""
+    return NodePath(("meshcat", FIRST_LINK, *names))
+
+
+def bare_stage() -> list[Any]:
+    """Commands that take away what the viewer shows by itself."""
+    return [SetProperty("visible", False, NodePath((name,))) for name in ("Grid", "Axes", "Background")]
+
+
+def mesh_command(mesh: Mesh, node: NodePath) -> SetObject:
+    """Draws a mesh."""
+    # Unlit, so that a colour in the picture is the colour of the legend.
+    geometry = shapes.TriangularMeshGeometry(mesh.vertices, mesh.faces, mesh.colours)
+    return SetObject(geometry, shapes.MeshBasicMaterial(vertexColors=True), node)
+
+
+def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
+    """(2k, 3) ends of segments with their colours; the colour of edges where none are given."""
+    ends = segments.astype(np.float32).T
+    if colours is None:
+        drawn = shapes.PointsGeometry(ends), shapes.LineBasicMaterial(color=_EDGE, opacity=0.55)
+    else:
+        drawn = shapes.PointsGeometry(ends, colours.astype(np.float32).T), shapes.LineBasicMaterial(vertexColors=True)
+    return SetObject(shapes.LineSegments(*drawn), path=node)
+
+
+def outermost(points: np.ndarray) -> np.ndarray:
+    """Indices of those of (n, 3) points that lie farthest out, for the camera to keep in view."""
+    return np.asarray(np.unique(np.argmax(points @ _WAYS.T, axis=0)))
+
+
+def packed(command: Any) -> str:
+    """A drawing command as the viewer takes it: msgpack in base64. Names of objects are fixed: same input, same page."""
+    data = command.lower()
+    if isinstance(command, SetObject):
+        entry = data["object"]
+        for kind, mark in (("geometries", "geometry"), ("materials", "material")):
+            entry[kind][0]["uuid"] = entry["object"][mark] = mark
+        entry["object"]["uuid"] = data["path"]
+    # Single precision: 0.1 µm at a metre, below anything to be seen, and half the size.
+    return base64.b64encode(umsgpack.packb(_plain(data), force_float_precision="single")).decode("ascii")
+
+
+def _plain(data: Any) -> Any:
+    """The same with NumPy's numbers as Python's, which is all msgpack knows."""
+    if isinstance(data, dict):
+        return {key: _plain(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_plain(value) for value in data] if not isinstance(data, umsgpack.Ext) else data
+    return data.item() if isinstance(data, np.generic) else data
