@@ -437,8 +437,8 @@ def test_other_refusals(dmu50: Machine, tmp_path: Path) -> None:
 def test_table_2_of_the_paper() -> None:
     """Díaz Pérez et al. (2019), table 2: 501 nm; and its claim that a fit within 0.05 µm adds less than 0.01 µm."""
     table_2 = [
-        Contribution.resolution("HRPWM", 0.700, "2.62e-5 V"),
-        Contribution.resolution("laser system", 0.00158, "1.58 nm"),
+        Contribution("HRPWM", 0.700 / np.sqrt(12.0), "2.62e-5 V/√12"),
+        Contribution("laser system", 0.00158 / np.sqrt(12.0), "1.58 nm/√12"),
         Contribution("calibrated laser system", 0.099, "geometrical errors, measuring system"),
         Contribution("RMS positioning error", 0.110, "noise, vibrations"),
     ]

@@ -44,8 +44,8 @@ were drawn (`twin.samples.dmu50_calibration.as_drawn`), ours in mean lines. The 
 block ends, tool 120 mm, after touching off tool and workpiece.
 """
 
+from twin.compensation.account import Report
 from twin.compensation.bench import Options
 from twin.compensation.compensator import Compensation, Compensator, compensate, compensate_file
-from twin.compensation.report import Report
 
 __all__ = ["Compensation", "Compensator", "Options", "Report", "compensate", "compensate_file"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from twin._common.errors import InputError
 from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
 from twin.compensation.fewer_blocks.distance import apart
-from twin.compensation.fewer_blocks.emit import Places, axis_words, tip_words
+from twin.compensation.fewer_blocks.emit import Places
 from twin.compensation.fewer_blocks.fit import Fitter, Line, Piece, Tool
 from twin.compensation.fewer_blocks.report import Shares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
@@ -40,9 +40,7 @@ STEPS: Final = 16
 """Places a block at which a fitted curve is looked at."""
 
 
-@final
-@dataclass(frozen=True)
-class Figures:
+class Figures(NamedTuple):
     """What a run's curves and blocks took of the tolerance, the largest of its stretches.
 
     Attributes:
@@ -56,15 +54,6 @@ class Figures:
     fit_mm: float = 0.0
     chord_mm: float = 0.0
     path_mm: float = 0.0
-
-    def or_more(self, other: Figures) -> Figures:
-        """The larger of each."""
-        return Figures(
-            max(self.share_mm, other.share_mm),
-            max(self.fit_mm, other.fit_mm),
-            max(self.chord_mm, other.chord_mm),
-            max(self.path_mm, other.path_mm),
-        )
 
 
 @final
@@ -187,7 +176,7 @@ class Fewer:
             given[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
             changed[blocks] = True
             pieces += found[1]
-            figures = figures.or_more(found[2])
+            figures = Figures(*map(max, figures, found[2]))
         why = "" if pieces else "no fewer blocks keep to the tolerance"
         return Fitted(
             Places(run, np.concatenate(words), given, changed),
@@ -220,7 +209,9 @@ class Fewer:
                 continue
             curve, at = Fitter(line, tool, part * allowed).curve(pieces, STEPS)
             # Blocks are straight in the words that come out.
-            straight, out = (partial(axis_words, self.space), self._tool(True, False)) if posted else (_same, tool)
+            straight, out = (
+                (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
+            )
             found = few_blocks(replace(line, words=straight(line.words)), straight(curve), at, out, allowed)
             cost = np.inf if found is None else len(found[0]) + _cost(pieces)
             if found is None or cost >= least:
@@ -229,7 +220,7 @@ class Fewer:
             dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
             chord = apart(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
             figures = Figures(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
-            best = (tip_words(self.space, found[0]) if posted else found[0]), pieces, figures
+            best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
             if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break
         return best
