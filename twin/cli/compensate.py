@@ -43,7 +43,7 @@ from twin.cli.options import workers as workers_of
 from twin.cli.outputs import ANY, JsonOption, Output, command
 from twin.cli.terminal import echo, tell_error
 from twin.compensation import Compensator, Options
-from twin.compensation.many import JSON, TEXT, Outcome, compensate_files
+from twin.compensation.many import JSON, TEXT, ProgramOutcome, compensate_files
 from twin.compute.parallel import Workers
 from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.machine.calibration import Calibration
@@ -183,7 +183,7 @@ def _several(
     workers: Workers,
     strict: bool,
 ) -> None:
-    found: dict[Path, Outcome] = {}
+    found: dict[Path, ProgramOutcome] = {}
     interrupted = False
     try:
         with (

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.backlash import LostMotion
-from twin.compensation.comparison import Comparison
+from twin.compensation.comparison import PoseComparison
 from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
 from twin.display import Html, card, pairs
@@ -116,8 +116,8 @@ class Bench:
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.full = self._with(calibration)
         self.lost = LostMotion(calibration)
-        self.compared = Comparison(self.full, self.space.nominal)
-        self.corrected_by = Comparison(self.space.nominal, self.space.nominal)
+        self.compared = PoseComparison(self.full, self.space.nominal)
+        self.corrected_by = PoseComparison(self.space.nominal, self.space.nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
                 "the thesis's method knows nothing of the control's own tables and would correct what they correct again",
@@ -172,17 +172,17 @@ class Bench:
             increment[:3] = CUTTER_LOCATION_INCREMENT
         return increment
 
-    def aim(self, *, turns: bool) -> Aim:
+    def aim(self, *, turns: bool) -> CorrectionAim:
         """What is corrected in a program that moves rotary axes, or in one that does not."""
         return self._aims[turns]
 
     @cached_property
-    def _aims(self) -> tuple[Aim, Aim]:
-        return Aim(self, False), Aim(self, True)
+    def _aims(self) -> tuple[CorrectionAim, CorrectionAim]:
+        return CorrectionAim(self, False), CorrectionAim(self, True)
 
 
 @final
-class Aim:
+class CorrectionAim:
     """What is corrected in one program, and the machines with only that.
 
     Args:
@@ -215,9 +215,9 @@ class Aim:
         return self._bench.limited(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
-    def compared(self) -> Comparison:
+    def compared(self) -> PoseComparison:
         """What the machine with those alone does, beside what was meant."""
-        return Comparison(self.point, self._bench.space.nominal)
+        return PoseComparison(self.point, self._bench.space.nominal)
 
     @cached_property
     def point_inverse(self) -> Inverse:

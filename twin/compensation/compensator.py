@@ -17,7 +17,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.files import command_files, whole_file
 from twin._common.provenance import program_comments
-from twin.compensation.account import Account, Report
+from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import check, motionless, unreadable
 from twin.compensation.solving import Corrected, Pieces, corrected, replacing
@@ -129,7 +129,7 @@ class Compensator:
             text = written.commented(text, program_comments(bench.calibration.warnings))
         self._check(program, reading, found, text, written, posted=posted)
         say("checking", 0.9)
-        account = Account(bench, aim, program.source)
+        account = CompensationAccount(bench, aim, program.source)
         account.add(found)
         notices = [*reading.notices, *path.passed]
         report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)

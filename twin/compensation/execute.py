@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.backlash import LostMotion
-from twin.compensation.toolpath import Motion, Path, Setup, WordSpace, check_domains, follow, outside_range
+from twin.compensation.toolpath import Path, PathMotion, Setup, WordSpace, check_domains, follow, outside_range
 from twin.display import card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -137,7 +137,7 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
     )
 
 
-def _fractions(motion: Motion) -> np.ndarray:
+def _fractions(motion: PathMotion) -> np.ndarray:
     """Of a motion, near enough to each other; its end if nobody knows where it starts."""
     if not np.isfinite(motion.start).all():
         return np.array([1.0])

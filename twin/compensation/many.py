@@ -31,7 +31,7 @@ Verdict = Literal["done", "not met", "failed"]
 
 @final
 @dataclass(frozen=True)
-class Outcome:
+class ProgramOutcome:
     """What became of one program.
 
     Attributes:
@@ -186,7 +186,7 @@ def compensate_files(
     options: Options | None = None,
     workers: Workers | None = None,
     progress: Callable[[str, float], None] | None = None,
-) -> Generator[Outcome, None, None]:
+) -> Generator[ProgramOutcome, None, None]:
     """Compensate programs, each written as soon as it is done, whole or not at all; in the order in which they are done.
 
     Args:
@@ -201,7 +201,7 @@ def compensate_files(
     Raises:
         InputError: as `outputs`; machine, calibration and options do not fit each other; as `twin.compute.parallel.finished`. What
         is wrong
-            with one program is in its `Outcome`.
+            with one program is in its `ProgramOutcome`.
     """
     say = progress or (lambda stage, fraction: None)
     own = Workers() if workers is None else workers
@@ -219,7 +219,7 @@ def compensate_files(
                     there.append((find_program(program), room / goal.name))
                     goal_of.append((program, goal))
                 except InputError as error:
-                    yield Outcome(program, None, {}, error)
+                    yield ProgramOutcome(program, None, {}, error)
             orders = _Orders(there, travel=own.scheduler is not None)
             say("programs", 0.0)
             answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), refusals=True)
@@ -228,9 +228,9 @@ def compensate_files(
                     program, goal = goal_of[index]
                     if isinstance(found, Answer):
                         _keep(found, there[index][1], goal)
-                        outcome = Outcome(program, goal, found.report, None)
+                        outcome = ProgramOutcome(program, goal, found.report, None)
                     else:  # a program that ends its worker stops the others as little as one that cannot be read
-                        outcome = Outcome(program, None, {}, found)
+                        outcome = ProgramOutcome(program, None, {}, found)
                     say("programs", count / len(orders))
                     yield outcome
     finally:

@@ -17,8 +17,8 @@ from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import Tally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
 from twin.compensation.account.uncorrected import uncorrected
-from twin.compensation.bench import Aim, Bench
-from twin.compensation.comparison import Commands, Compared
+from twin.compensation.bench import Bench, CorrectionAim
+from twin.compensation.comparison import Commands, ComparedPoses
 from twin.compensation.solving import Corrected
 from twin.compensation.solving.rows import Rows
 from twin.kinematics.forward import angle_between_rad
@@ -37,7 +37,7 @@ SAME_SIDE: Final = 0.01
 
 
 @final
-class Account:
+class CompensationAccount:
     """The account of one compensated program.
 
     Args:
@@ -46,7 +46,7 @@ class Account:
         source: the program's name.
     """
 
-    def __init__(self, bench: Bench, aim: Aim, source: str) -> None:
+    def __init__(self, bench: Bench, aim: CorrectionAim, source: str) -> None:
         self._bench, self._aim, self._source = bench, aim, source
         self._before, self._after = Tally(4, 4), Tally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
@@ -278,7 +278,7 @@ class Account:
             )
 
 
-def _add(tally: Tally, found: Compared, lines: np.ndarray) -> None:
+def _add(tally: Tally, found: ComparedPoses, lines: np.ndarray) -> None:
     """Distances (µm), angles and tilts (µrad) of some poses to a tally."""
     tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
     size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin.compensation.account.report import LineNote, ReversalNote
-from twin.compensation.bench import Aim, Bench
+from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving import Corrected
 from twin.machine.conditions import TIME, Listening
 
@@ -69,7 +69,7 @@ def of_sides(corrected: Corrected) -> Iterator[LineNote]:
             )
 
 
-def of_reversals(bench: Bench, aim: Aim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
+def of_reversals(bench: Bench, aim: CorrectionAim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
     """What was done about every reversal of the calibration; ``taken_up`` (axes,): at how many turns."""
     for i in np.flatnonzero(bench.lost.size).tolist():
         axis = bench.machine.axes[i]

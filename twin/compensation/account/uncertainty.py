@@ -25,7 +25,7 @@ NAMED = 8
 
 @final
 @dataclass(frozen=True)
-class Correction:
+class ToolCorrection:
     """What was corrected at the block ends, of the tool point or of the tool axis.
 
     Attributes:
@@ -138,7 +138,7 @@ class Correction:
 
 @final
 class CorrectionTally:
-    """A `Correction` in the making: block ends come a stretch of program at a time, those of one block together.
+    """A `ToolCorrection` in the making: block ends come a stretch of program at a time, those of one block together.
 
     Args:
         of: ``tool point`` or ``tool axis``.
@@ -177,14 +177,14 @@ class CorrectionTally:
         self._blocks += len(first)
         self._known, self._without = bool(tool.parameters), tool.without_uncertainty
 
-    def correction(self) -> Correction | None:
+    def correction(self) -> ToolCorrection | None:
         """Of all that was added; None of nothing."""
         if not self._tally.count:
             return None
         rms, expanded_rms, x, y, z = self._tally.rms
         (size, expanded), (_, widest) = self._tally.largest.tolist()
         line, widest_line = self._tally.lines.tolist()
-        return Correction(
+        return ToolCorrection(
             of=self._of,
             unit=self._unit,
             blocks=self._blocks,
@@ -207,10 +207,10 @@ class CorrectionTally:
 class Corrections:
     """Of point and axis; None where the scope does not correct it."""
 
-    point: Correction | None
-    axis: Correction | None
+    point: ToolCorrection | None
+    axis: ToolCorrection | None
 
-    def __iter__(self) -> Iterator[Correction]:
+    def __iter__(self) -> Iterator[ToolCorrection]:
         """Those there are."""
         return (one for one in (self.point, self.axis) if one is not None)
 

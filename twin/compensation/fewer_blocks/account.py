@@ -12,7 +12,7 @@ from twin.compensation.account import LineNote, Report
 from twin.compensation.compensator import Compensation
 from twin.compensation.fewer_blocks.emit import Shortened
 from twin.compensation.fewer_blocks.fewer import Fewer, Fitted
-from twin.compensation.fewer_blocks.report import Contribution, PathReport, RunReport, Shares
+from twin.compensation.fewer_blocks.report import PathReport, RunReport, Shares, UncertaintyContribution
 from twin.compensation.fewer_blocks.verify import Executed, apart_mm, execute_words
 from twin.compensation.toolpath import Path
 from twin.nc.blocks import Dialect, Program, Reading
@@ -32,10 +32,8 @@ class Job:
         short: the program with fewer blocks.
         text: what is about to be written.
         dialect: its language.
-        posted: whether that is another than the input's.
-        result: the compensation; None without one, and where it was not posted either.
-        compensated: whether the machine's errors were compensated.
-        asked: whether they were to be.
+        result: the compensation, or what was posted without one; None where there is neither.
+        asked: whether the machine's errors were to be compensated.
     """
 
     program: Program
@@ -46,9 +44,7 @@ class Job:
     short: Shortened
     text: str
     dialect: Dialect
-    posted: bool
     result: Compensation | None
-    compensated: bool
     asked: bool
 
     def number(self, line: int) -> int:
@@ -69,12 +65,12 @@ def account(fewer: Fewer, job: Job) -> PathReport:
     notes = [LineNote(job.number(one.line), one.text) for one in (*job.reading.notices, *job.path.passed)]
     if not runs:
         notes.insert(0, LineNote(1, "no run of short feed blocks: nothing was refitted"))
-    compensation = job.result.report if job.result is not None and job.compensated else None
+    compensation = job.result.report if job.result is not None and fewer.compensated else None
     return PathReport(
         program=job.program.source,
         machine=bench.machine.name,
         calibration=str(errors.path or "none"),
-        warnings=errors.warnings if job.compensated else (),
+        warnings=errors.warnings if fewer.compensated else (),
         shares=job.shares,
         lever_mm=fewer.lever,
         angle_deg=float(np.degrees(tolerance / fewer.lever)),
@@ -133,7 +129,7 @@ def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
 def _done(fewer: Fewer, job: Job, dense: np.ndarray, begins: np.ndarray) -> Executed:
     """What is about to be written, executed; ``begins``: the first move of it that each shortened one became."""
     again = job.dialect.read(job.text.encode("latin-1"), job.program.source)
-    tcp = fewer.bench.options.tcp and not job.posted
+    tcp = fewer.bench.options.tcp and not fewer.posted
     reading = job.dialect.moves(again, fewer.space.axes, tcp=tcp)
     done = execute_words(again, reading, fewer.space, fewer.bench.full, dense)
     if job.result is None:
@@ -144,14 +140,16 @@ def _done(fewer: Fewer, job: Job, dense: np.ndarray, begins: np.ndarray) -> Exec
     return done.without((begins[moves] + place)[job.result.taken])
 
 
-def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[Contribution]:
+def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[UncertaintyContribution]:
     """What the uncertainty at a place of the path is made of."""
     path = max((run.path_um for run in runs), default=0.0)
     between_ends = max((run.machine_um for run in runs), default=0.0)
-    yield Contribution.within("path: fit and chords", path, "largest distance from the input")
-    yield Contribution.within("compensation between ends, rounding", between_ends, "largest distance from the blocks")
+    yield UncertaintyContribution.within("path: fit and chords", path, "largest distance from the input")
+    yield UncertaintyContribution.within(
+        "compensation between ends, rounding", between_ends, "largest distance from the blocks"
+    )
     known = None if compensation is None else compensation.uncertainty.point
     if known is not None:
         standard = float(np.linalg.norm(known.standard_rms)) if known.known else float("nan")
         how = "RMS over the program" if known.known else "no covariance in the calibration"
-        yield Contribution("the machine as calibrated", standard, how)
+        yield UncertaintyContribution("the machine as calibrated", standard, how)

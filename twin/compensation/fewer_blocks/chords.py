@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from twin.compensation.fewer_blocks.distance import apart, to_line
-from twin.compensation.fewer_blocks.fit import Line, Tool
+from twin.compensation.fewer_blocks.fit import Polyline, Tool
 
 OUTWARD: Final = 0.25
 """Of the heights of both chords at a vertex: half their mean."""
@@ -25,7 +25,7 @@ GROWTH: Final = 1.15
 
 
 def few_blocks(
-    line: Line, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
+    line: Polyline, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """The vertices behind the first of the fewest straight blocks that stay near a polyline.
 
@@ -84,7 +84,7 @@ def _demand(curve: np.ndarray, at: np.ndarray, tool: Tool) -> np.ndarray:
 
 
 def _blocks(
-    line: Line,
+    line: Polyline,
     curve: np.ndarray,
     curve_at: np.ndarray,
     sums: np.ndarray,

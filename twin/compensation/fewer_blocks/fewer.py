@@ -14,7 +14,7 @@ from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
 from twin.compensation.fewer_blocks.distance import apart
 from twin.compensation.fewer_blocks.emit import Places
-from twin.compensation.fewer_blocks.fit import Fitter, Line, Piece, Tool
+from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
 from twin.compensation.fewer_blocks.report import Shares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
 from twin.compensation.toolpath import Path
@@ -73,7 +73,7 @@ class Fitted:
     places: Places
     shares: Shares
     corners: int
-    pieces: tuple[Piece, ...]
+    pieces: tuple[CurvePiece, ...]
     figures: Figures
     why: str
 
@@ -152,7 +152,7 @@ class Fewer:
         if len(vertices) < 3:
             return self._as_it_is(run, shares, "it does not move the tool")
         ids = np.cumsum(moving)[1:] - 1
-        line = Line.of(vertices, tool)
+        line = Polyline.of(vertices, tool)
         allowed -= _coarseness(line, tool)
         if allowed <= 0.0:
             return self._as_it_is(run, shares, "its blocks are too far from straight at the tool")
@@ -160,7 +160,7 @@ class Fewer:
         words: list[np.ndarray] = []
         given = np.zeros(len(run.lines), dtype=int)
         changed = np.full(len(run.lines), self.printed)
-        pieces: list[Piece] = []
+        pieces: list[CurvePiece] = []
         figures = Figures()
         for number, (begin, end) in enumerate(pairwise(cuts)):
             blocks = np.flatnonzero((ids <= end) & ((ids > begin) | (number == 0)))
@@ -200,7 +200,7 @@ class Fewer:
 
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
-    ) -> tuple[np.ndarray, list[Piece], Figures] | None:
+    ) -> tuple[np.ndarray, list[CurvePiece], Figures] | None:
         """The fewest blocks and control points found for a stretch without corners: the blocks' ends, the curve, what they take."""
         best, least = None, np.inf
         for part in FIT:
@@ -225,13 +225,13 @@ class Fewer:
                 break
         return best
 
-    def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Line, list[Piece]]:
+    def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Polyline, list[CurvePiece]]:
         """The curve with the fewest control points, over the parameters."""
         powers: tuple[float, ...] = POWERS
         if len(words) > 2 * TRIAL:
-            costs = [_cost(Fitter(Line.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
+            costs = [_cost(Fitter(Polyline.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
             powers = (POWERS[int(np.argmin(costs))],)
-        lines = [Line.of(words, tool, power) for power in powers]
+        lines = [Polyline.of(words, tool, power) for power in powers]
         found = [(line, Fitter(line, tool, allowed).pieces()) for line in lines]
         return min(found, key=lambda one: _cost(one[1]))
 
@@ -250,7 +250,7 @@ class Fewer:
         return place
 
 
-def _coarseness(line: Line, tool: Tool) -> float:
+def _coarseness(line: Polyline, tool: Tool) -> float:
     """How far a line is from the polyline of the places it is looked at, mm: nothing where its blocks are straight at the tool."""
     middle = tool((line.dense[1:] + line.dense[:-1]) / 2.0)
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())
@@ -260,7 +260,7 @@ def _same(words: np.ndarray) -> np.ndarray:
     return words
 
 
-def _cost(pieces: list[Piece]) -> int:
+def _cost(pieces: list[CurvePiece]) -> int:
     return sum(piece.degree for piece in pieces)
 
 

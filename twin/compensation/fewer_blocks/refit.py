@@ -7,9 +7,12 @@ saves blocks, the blocks the rest. What comes out is read back and executed dens
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Final, final
+
+import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.bench import Bench, Options, Progress
@@ -20,12 +23,12 @@ from twin.compensation.fewer_blocks.emit import Shortened, renumbered, shortened
 from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
 from twin.compensation.fewer_blocks.report import PathReport, Shares
-from twin.compensation.fewer_blocks.runs import find_runs
-from twin.compensation.toolpath import follow
+from twin.compensation.fewer_blocks.runs import Run, find_runs
+from twin.compensation.toolpath import Path, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Dialect, Move, Program
 
 DEFAULT_TOLERANCE_MM: Final = 0.01
 
@@ -108,39 +111,16 @@ class Refitter:
             say("fitting", 0.05 + 0.5 * i / len(runs))
             fitted.append(fewer.of(run, path))
         say("writing", 0.55)
-        members = {line for run in runs for line in run.lines}
-        loose = [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
-        short = shortened(
-            program,
-            dialect,
-            reading,
-            [one.places for one in fitted],
-            space,
-            increment,
-            tcp=tcp,
-            posted=posted,
-            others=loose if printed else (),
-        )
+        others = _others(path, runs) if printed else ()
+        places = [one.places for one in fitted]
+        short = shortened(program, dialect, reading, places, space, increment, tcp=tcp, posted=posted, others=others)
         shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
         result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
         if not posted:
             text = renumbered(program, text, dialect)
         say("checking", 0.9)
-        job = Job(
-            program=program,
-            reading=reading,
-            path=path,
-            fitted=tuple(fitted),
-            shares=shares,
-            short=short,
-            text=text,
-            dialect=written_in,
-            posted=posted,
-            result=result,
-            compensated=self.compensated,
-            asked=self.asked,
-        )
+        job = Job(program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.asked)
         report = account(fewer, job)
         say("done", 1.0)
         return Refit(text, report)
@@ -161,14 +141,20 @@ class Refitter:
         )
 
 
+def _others(path: Path, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
+    """Moves that are in no run, and where they end."""
+    members = {line for run in runs for line in run.lines}
+    return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
+
+
 def refit(
-    program: str | Path,
+    program: str | FilePath,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
     options: Options | None = None,
     compensated: bool = True,
-    output: str | Path | None = None,
+    output: str | FilePath | None = None,
     feed: float | None = None,
     progress: Progress | None = None,
 ) -> Refit:
@@ -190,9 +176,9 @@ def refit(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
-    source = Path(program)
+    source = FilePath(program)
     points = is_points(source)
-    target = dialect_for(Path(output)) if output is not None else None
+    target = dialect_for(FilePath(output)) if output is not None else None
     if points:
         iso = next(dialect for dialect in DIALECTS if dialect.name == "iso")
         read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target or iso, feed)

@@ -28,7 +28,7 @@ PARTS: Final = ("fit", "chord", "path", "machine", "total")
 
 @final
 @dataclass(frozen=True)
-class Contribution:
+class UncertaintyContribution:
     """One contribution to an uncertainty.
 
     Attributes:
@@ -42,12 +42,12 @@ class Contribution:
     how: str
 
     @classmethod
-    def within(cls, name: str, limit_um: float, how: str) -> Contribution:
+    def within(cls, name: str, limit_um: float, how: str) -> UncertaintyContribution:
         """Of an error that lies anywhere within ± a limit."""
         return cls(name, limit_um / sqrt(3.0), f"{how}: ± {limit_um:.3f} µm/√3")
 
 
-def combined(contributions: Sequence[Contribution]) -> float:
+def combined(contributions: Sequence[UncertaintyContribution]) -> float:
     """U = k √Σu² in µm; NaN where a contribution is not known."""
     return COVERAGE_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
 
@@ -133,7 +133,7 @@ class PathReport:
     runs: tuple[RunReport, ...]
     not_met: tuple[LineNote, ...]
     notes: tuple[LineNote, ...]
-    contributions: tuple[Contribution, ...]
+    contributions: tuple[UncertaintyContribution, ...]
     compensation: Report | None
     compensation_asked: bool = False
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.compensation.backlash import LostMotion
 from twin.compensation.fewer_blocks.distance import apart, lengths
-from twin.compensation.toolpath import Motion, WordSpace, follow
+from twin.compensation.toolpath import PathMotion, WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.nc.blocks import Program, Reading
 
@@ -69,7 +69,7 @@ def execute_words(
     return Executed(moves[of], words, point)
 
 
-def _fractions(motion: Motion) -> np.ndarray:
+def _fractions(motion: PathMotion) -> np.ndarray:
     if not motion.interpolated:
         return np.array([1.0])
     size = np.abs(motion.end - motion.start)

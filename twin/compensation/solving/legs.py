@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.compensation.bench import Bench
 from twin.compensation.solving.rows import counted
-from twin.compensation.toolpath import Motion
+from twin.compensation.toolpath import PathMotion
 
 STEP_DEG: Final = 2.0
 """How finely an arc or a turn of the tool is searched for turning points, degrees."""
@@ -72,7 +72,7 @@ class Legs:
 
 
 def turning_points(
-    bench: Bench, motions: Sequence[Motion], which: np.ndarray, axes: Sequence[int]
+    bench: Bench, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where axes turn round inside motions.
 
@@ -109,17 +109,17 @@ def turning_points(
     return _apart(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
 
 
-def _can_turn(motion: Motion) -> bool:
+def _can_turn(motion: PathMotion) -> bool:
     return motion.move.arc is not None or (motion.move.tcp and bool(np.any(motion.start[3:] != motion.end[3:])))
 
 
-def _steps(motion: Motion) -> int:
+def _steps(motion: PathMotion) -> int:
     turned = float(np.abs(motion.end[3:] - motion.start[3:]).max(initial=0.0)) if motion.move.tcp else 0.0
     arc = 0.0 if motion.move.arc is None else abs(np.degrees(motion.move.arc.angle_rad))
     return max(4, int(np.ceil(max(turned, arc) / STEP_DEG)))
 
 
-def _velocity(bench: Bench, motions: Sequence[Motion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """(n, axes) difference of commands just behind and just before fractions of motions, these in order."""
     bounds = np.append(np.flatnonzero(np.diff(of, prepend=-1)), len(of))
     tcp = np.array([motions[i].move.tcp for i in of])
@@ -132,7 +132,9 @@ def _velocity(bench: Bench, motions: Sequence[Motion], of: np.ndarray, fraction:
     return commands(behind) - commands(before)
 
 
-def _apart(bench: Bench, motions: Sequence[Motion], of: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _apart(
+    bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Those in order, without any that words cannot tell from the one before or from an end of its motion."""
     kept: list[tuple[int, float]] = []
     for motion in np.unique(of).tolist():

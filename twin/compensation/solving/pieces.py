@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import every
-from twin.compensation.bench import Aim, Bench, vector_decimals
+from twin.compensation.bench import Bench, CorrectionAim, vector_decimals
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import Path
@@ -51,7 +51,7 @@ class Pieces:
     """
 
     def __init__(
-        self, bench: Bench, path: Path, aim: Aim, dialect: Dialect, *, source: str, posted: bool = False
+        self, bench: Bench, path: Path, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
     ) -> None:
         self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
         self.space = bench.space

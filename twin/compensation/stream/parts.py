@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
-from twin.compensation.bench import Aim, Bench
+from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
@@ -24,7 +24,7 @@ PART_LINES: Final = 60_000
 
 
 @final
-class Source:
+class ProgramFile:
     """The file of a program.
 
     Args:
@@ -87,7 +87,7 @@ class Read(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Part:
+class ProgramPart:
     """Stretches as read, to be solved together.
 
     Attributes:
@@ -100,7 +100,7 @@ class Part:
     read: Sequence[Read]
     motions: MotionColumns
     context: int
-    aim: Aim | None
+    aim: CorrectionAim | None
 
     @property
     def moves(self) -> int:
@@ -124,7 +124,7 @@ class PartReader:
         failed: why it cannot be read to its end; None if it can.
     """
 
-    def __init__(self, bench: Bench, source: Source, turns: bool | None) -> None:
+    def __init__(self, bench: Bench, source: ProgramFile, turns: bool | None) -> None:
         self._bench, self._source = bench, source
         self._aim = None if turns is None else bench.aim(turns=turns)
         self._reader = IsoReader(str(source.path), bench.space.axes, tcp=bench.options.tcp)
@@ -140,7 +140,7 @@ class PartReader:
         """What a reader of the account must know of the lines read so far."""
         return [*self._notices, *self._follower.passed]
 
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[ProgramPart]:
         """The program as read; where it `failed`, all that was read before."""
         a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
         full, read = a_part, list[Read]()
@@ -158,8 +158,8 @@ class PartReader:
             self.failed = error
         yield self._part(read, motions)
 
-    def _part(self, read: list[Read], motions: list[MotionColumns]) -> Part:
-        return Part(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
+    def _part(self, read: list[Read], motions: list[MotionColumns]) -> ProgramPart:
+        return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
     def _read(self, data: bytes) -> Read:
         stretch = Stretch(data, self.lines, self._bench.space.axes.names)

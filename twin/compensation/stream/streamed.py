@@ -18,13 +18,13 @@ from typing import BinaryIO, Final, final
 
 import numpy as np
 
-from twin.compensation.account import Account, Report
+from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Progress
 from twin.compensation.checked import motionless
 from twin.compensation.solving import Corrected, Pieces, corrected, replacing
 from twin.compensation.solving.between import SAMPLES_A_PIECE
 from twin.compensation.solving.rows import even_cuts, spacings
-from twin.compensation.stream.parts import PART_LINES, Part, PartReader, Source
+from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import Path as ToolPath
 from twin.nc.bulk import NewPositions
@@ -56,9 +56,9 @@ class Streamed:
 
     def __init__(self, bench: Bench, source: Path, progress: Progress) -> None:
         self._bench = bench
-        self._source = Source(source)
+        self._source = ProgramFile(source)
         self._say = progress
-        self._account: Account | None = None
+        self._account: CompensationAccount | None = None
 
     def run(self, out: BinaryIO) -> Report | None:
         """Compensate.
@@ -102,12 +102,12 @@ class Streamed:
         self._say("done", 1.0)
         return report
 
-    def _solved(self, reader: PartReader) -> Generator[tuple[Part, NewPositions], None, None]:
+    def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, NewPositions], None, None]:
         """Parts and what replaces their moves; it ends early where the reader does.
 
         Reading and writing, solving, and accounting each go through the parts in order, on threads of their own.
         """
-        waiting: deque[tuple[Part, Future[Solved], Future[None]]] = deque()
+        waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
         accounted: Future[None] | None = None
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
             try:
@@ -130,7 +130,7 @@ class Streamed:
                 solving.shutdown(cancel_futures=True)
                 accounting.shutdown(cancel_futures=True)
 
-    def _solve(self, part: Part) -> Solved:
+    def _solve(self, part: ProgramPart) -> Solved:
         """What replaces the moves of a part.
 
         Raises:
@@ -152,7 +152,7 @@ class Streamed:
         """Account for a part."""
         for cut in solved.result()[1]:
             if self._account is None:
-                self._account = Account(self._bench, cut.pieces.aim, str(self._source.path))
+                self._account = CompensationAccount(self._bench, cut.pieces.aim, str(self._source.path))
             self._account.add(cut)
 
 
@@ -165,7 +165,7 @@ def _silent(stage: str, fraction: float) -> None:
     """Stages of one stretch are not worth telling."""
 
 
-def _ends(part: Part, tolerance_mm: float) -> list[int]:
+def _ends(part: ProgramPart, tolerance_mm: float) -> list[int]:
     """Where to cut the motions of a part so that each cut has no more than some `POSES` to check before any block is split."""
     motions = part.motions
     long = spacings(motions.start, motions.end)

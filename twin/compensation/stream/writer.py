@@ -9,7 +9,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import program_comments
 from twin.compensation.bench import Bench
 from twin.compensation.checked import check, unreadable
-from twin.compensation.stream.parts import Part, Read, Source
+from twin.compensation.stream.parts import ProgramFile, ProgramPart, Read
 from twin.nc.bulk import NewPositions
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso import Iso
@@ -32,7 +32,7 @@ class PartWriter:
         bytes: how much was read of what was written.
     """
 
-    def __init__(self, bench: Bench, source: Source, out: BinaryIO) -> None:
+    def __init__(self, bench: Bench, source: ProgramFile, out: BinaryIO) -> None:
         self._bench, self._axes, self._name = bench, bench.space.axes, str(source.path)
         self._begins = source.begins()
         self._out = out
@@ -42,7 +42,7 @@ class PartWriter:
         self._head: bytes | None = b""
         self._lines = self.moves = self.bytes = 0
 
-    def write(self, part: Part, new: NewPositions) -> None:
+    def write(self, part: ProgramPart, new: NewPositions) -> None:
         """Write a part, and read back what was written.
 
         Raises:

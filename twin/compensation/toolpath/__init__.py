@@ -1,15 +1,15 @@
 """From what a program says to what the axes are told: words, commands, and the path between two blocks."""
 
 from twin.compensation.toolpath.follow import Follower, follow
-from twin.compensation.toolpath.motions import Motion, MotionColumns, Passage, Path
+from twin.compensation.toolpath.motions import MotionColumns, Passage, Path, PathMotion
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
     "Follower",
-    "Motion",
     "MotionColumns",
     "Passage",
     "Path",
+    "PathMotion",
     "Setup",
     "WordSpace",
     "axis_words",

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.toolpath.motions import Motion, MotionColumns, Passage, Path
+from twin.compensation.toolpath.motions import MotionColumns, Passage, Path, PathMotion
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Kind, Left, Move, Notice, Program, Reading
 from twin.nc.columns import MoveColumns
@@ -53,7 +53,7 @@ class Follower:
         self._assumed = False
         self._left: list[Left] = []
 
-    def follow(self, reading: Reading, text_of: TextOf) -> dict[int, Motion]:
+    def follow(self, reading: Reading, text_of: TextOf) -> dict[int, PathMotion]:
         """The motions of all moves, by the index of the move.
 
         Raises:
@@ -79,7 +79,7 @@ class Follower:
         behind = np.searchsorted(moves.line, np.array([one.line for one in left], dtype=int), side="right")
         stops = np.unique([*moves.special, *np.flatnonzero(np.diff(moves.tcp)) + 1, *behind, len(moves)])
         parts: list[MotionColumns] = []
-        loose: dict[int, Motion] = {}
+        loose: dict[int, PathMotion] = {}
         at = 0
         while at < len(moves):
             self._forget_before(int(moves.line[at]))
@@ -132,7 +132,7 @@ class Follower:
         ordered[self._space.order], which[self._space.order] = commands, moved
         self.passages.append(Passage(self._count, ordered, which))
 
-    def _step(self, move: Move, solutions: np.ndarray | None, text_of: TextOf) -> Motion | None:
+    def _step(self, move: Move, solutions: np.ndarray | None, text_of: TextOf) -> PathMotion | None:
         """One move; None if it is no motion from and to places that are known."""
         self._forget_before(move.line)
         if move.tcp != self._tcp:
@@ -159,7 +159,7 @@ class Follower:
             self._not_said(move, end, text_of)
             return None
         self._count += 1
-        return Motion(move, start, end)
+        return PathMotion(move, start, end)
 
     def _named(self, move: Move) -> np.ndarray:
         """(axes,) which words a move has."""

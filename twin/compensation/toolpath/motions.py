@@ -16,7 +16,7 @@ COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end")
 
 @final
 @dataclass(frozen=True)
-class Motion:
+class PathMotion:
     """One move with its ends known, in words of its own mode.
 
     Attributes:
@@ -62,7 +62,7 @@ class Motion:
 
 @final
 @dataclass(frozen=True)
-class MotionColumns(Sequence[Motion]):
+class MotionColumns(Sequence[PathMotion]):
     """Motions in columns; a motion is made where somebody asks for it.
 
     Attributes:
@@ -70,7 +70,7 @@ class MotionColumns(Sequence[Motion]):
         line: (n,) index of its line.
         rapid: (n,) whether it is a rapid.
         tcp: (n,) whether its words are tool-tip coordinates.
-        start, end: (n, axes) as of `Motion`.
+        start, end: (n, axes) as of `PathMotion`.
         special: by index, the moves with more to them: arcs and tool vectors.
     """
 
@@ -83,7 +83,7 @@ class MotionColumns(Sequence[Motion]):
     special: dict[int, Move]
 
     @classmethod
-    def of(cls, motions: dict[int, Motion], width: int) -> MotionColumns:
+    def of(cls, motions: dict[int, PathMotion], width: int) -> MotionColumns:
         """Of motions by the index of their move; ``width``: how many axes."""
         moves = [motion.move for motion in motions.values()]
         return cls(
@@ -113,10 +113,10 @@ class MotionColumns(Sequence[Motion]):
         return len(self.line)
 
     @overload
-    def __getitem__(self, index: int) -> Motion: ...
+    def __getitem__(self, index: int) -> PathMotion: ...
     @overload
-    def __getitem__(self, index: slice) -> list[Motion]: ...
-    def __getitem__(self, index: int | slice) -> Motion | list[Motion]:
+    def __getitem__(self, index: slice) -> list[PathMotion]: ...
+    def __getitem__(self, index: int | slice) -> PathMotion | list[PathMotion]:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         move = self.special.get(index)
@@ -124,7 +124,7 @@ class MotionColumns(Sequence[Motion]):
             kind = Kind.RAPID if self.rapid[index] else Kind.LINEAR
             end = tuple(self.end[index].tolist())
             move = Move(int(self.line[index]), kind, bool(self.tcp[index]), end, frozenset())
-        return Motion(move, self.start[index], self.end[index])
+        return PathMotion(move, self.start[index], self.end[index])
 
 
 @final
@@ -155,7 +155,7 @@ class Path:
         passages: what those lines, and lines that leave an axis in a place unknown, do to the axes.
     """
 
-    motions: Sequence[Motion]
+    motions: Sequence[PathMotion]
     columns: MotionColumns
     passed: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
