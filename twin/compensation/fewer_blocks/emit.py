@@ -14,7 +14,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from twin._common.errors import OutputError
-from twin.compensation.bench import vector_decimals
+from twin.compensation.bench import Bench, vector_decimals
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.toolpath import WordSpace, turns_tool
 from twin.nc.blocks import Dialect, Move, Program, Reading, Rewrite
@@ -61,10 +61,8 @@ def shortened(
     dialect: Dialect,
     reading: Reading,
     runs: Sequence[Places],
-    space: WordSpace,
-    increment: np.ndarray,
+    bench: Bench,
     *,
-    tcp: bool,
     posted: bool = False,
     others: Sequence[tuple[Move, np.ndarray]] = (),
 ) -> Shortened:
@@ -75,9 +73,7 @@ def shortened(
         dialect: its language.
         reading: what it says.
         runs: what becomes of its runs.
-        space: the machine's words.
-        increment: (axes,) least increments of the words.
-        tcp: as the program was read.
+        bench: the machine, set up.
         posted: whether it is to be written in axis words, whatever it is in: places of runs are then axis positions, with straight
             ways of the axes between them.
         others: further moves to be written at their increments, with their words.
@@ -85,6 +81,7 @@ def shortened(
     Raises:
         OutputError: the text does not come out with a line for a line: a defect of `twin`.
     """
+    space, increment = bench.space, bench.printed_increment(dialect.name, posted=posted)
     by_line = {move.line: move for move in reading.moves}
     turns, vectors = turns_tool(reading.moves, space.axes), vector_decimals(dialect.name)
     rewrites = [
@@ -111,7 +108,7 @@ def shortened(
         program.dialect,
         tuple("" if index in gone else line for index, line in enumerate(written.texts)),
     )
-    found = dialect.moves(left, space.axes, tcp=tcp)
+    found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
     return Shortened(left, Reading(moves, found.notices, found.left))
 

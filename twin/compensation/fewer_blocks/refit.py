@@ -96,12 +96,12 @@ class Refitter:
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
-        space, tcp = self.bench.space, self.bench.options.tcp
+        space = self.bench.space
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
         increment = self.bench.printed_increment(dialect.name, posted=posted)
         fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
-        reading = dialect.moves(program, space.axes, tcp=tcp)
+        reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
             raise motionless(program.source)
@@ -113,7 +113,7 @@ class Refitter:
         say("writing", 0.55)
         others = _others(path, runs) if printed else ()
         places = [one.places for one in fitted]
-        short = shortened(program, dialect, reading, places, space, increment, tcp=tcp, posted=posted, others=others)
+        short = shortened(program, dialect, reading, places, self.bench, posted=posted, others=others)
         shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
         result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
