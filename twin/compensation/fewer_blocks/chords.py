@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.compensation.fewer_blocks.distance import apart, to_line
+from twin.compensation.fewer_blocks.distance import apart
 from twin.compensation.fewer_blocks.fit import Polyline, Tool
 
 OUTWARD: Final = 0.25
@@ -104,8 +104,6 @@ def _blocks(
     words[:, still] = line.words[0, still]
     dense, dense_at = between(words, at, SAMPLES)
     places = tool(dense)
-    if to_line(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm).max() > allowed_mm:
-        return None
     off = apart(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
     return (words[1:], at, off) if off <= allowed_mm else None
 

@@ -16,7 +16,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.compensation.fewer_blocks.distance import lengths, to_line
+from twin.compensation.fewer_blocks.distance import apart, lengths
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
 Kind = Literal["polynomial", "trigonometric"]
@@ -206,7 +206,7 @@ class Fitter:
 
     def _block(self, first: int) -> CurvePiece:
         """A block as it is."""
-        return CurvePiece(first, first + 1, _basis("polynomial", 1, 0.0), self.line.words[first : first + 2], 0.0)
+        return CurvePiece(first, first + 1, FGBernstein(1), self.line.words[first : first + 2], 0.0)
 
     def _best(self, first: int, tangent: np.ndarray | None) -> CurvePiece | None:
         """The piece to go on with from a vertex; None if none stands for more blocks than it costs control points."""
@@ -274,7 +274,7 @@ class Fitter:
         half_angle = line.turning_rad(first, last) / 2.0 if kind == "trigonometric" else 0.0
         if kind == "trigonometric" and not LEAST_HALF_ANGLE_RAD < half_angle < MOST_HALF_ANGLE_RAD:
             return None
-        basis = _basis(kind, degree, half_angle)
+        basis = FGBernstein(degree, kind=kind, half_angle_rad=half_angle)
         ends = line.words[[first, last]]
         way = self._way(first, last)
         held, given = [0, degree], [ends[0], ends[1]]
@@ -301,16 +301,8 @@ class Fitter:
         curve = self.tool(_values(basis, count) @ control)
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
         meant, meant_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
-        off = float(to_line(curve, at, meant, meant_at, limit, limit).max())
-        if off <= limit:
-            off = max(off, float(to_line(meant, meant_at, curve, at, limit, limit).max()))
+        off = apart(curve, at, meant, meant_at, limit, limit)
         return CurvePiece(first, last, basis, locked(control), off) if off <= self.allowed else None
-
-
-def _basis(kind: Kind, degree: int, half_angle_rad: float) -> FGBernstein:
-    if kind == "polynomial":
-        return FGBernstein(degree)
-    return FGBernstein(degree, kind=kind, half_angle_rad=half_angle_rad)
 
 
 def _second(basis: FGBernstein, start: np.ndarray, slope: np.ndarray) -> np.ndarray:
