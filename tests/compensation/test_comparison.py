@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.compute.test_native import compiled, eager, libraries  # noqa: F401
-from twin.compensation.comparison import Commands, Comparison
+from twin.compensation.comparison import Commands, PoseComparison
 from twin.compute import batch
 from twin.compute.native import loading
 from twin.kinematics.forward import Kinematics, angle_between_rad
@@ -42,7 +42,7 @@ def test_poses_beside_those_meant(
     monkeypatch.setenv(loading.SWITCH, switch)
     real = Kinematics(dmu50, calibration, tool_length_mm=LENGTH)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)
-    comparison = Comparison(real, nominal)
+    comparison = PoseComparison(real, nominal)
     meant, given = lines(n, 5), lines(n, 6)
     found = comparison.poses(meant, given)
     reached, target = real.forward(given.written()), nominal.forward(meant.written())
@@ -67,7 +67,7 @@ def test_poses_beside_those_meant(
 
 def test_what_is_not_known(dmu50: Machine, calibration: Calibration) -> None:
     """No finite number, or outside a curve's domain by more than rounding; never an error."""
-    comparison = Comparison(Kinematics(dmu50, calibration), Kinematics(dmu50, Calibration.zero(dmu50)))
+    comparison = PoseComparison(Kinematics(dmu50, calibration), Kinematics(dmu50, Calibration.zero(dmu50)))
     lower, upper = calibration.domains()[0]
     q = np.tile(LIMITS.mean(axis=1), (7, 1))
     q[1, 2], q[2, 0], q[3, 0], q[4, 0], q[5, 0] = np.nan, upper + 1e-10, upper + 1e-8, lower - 1e-8, np.inf
@@ -83,7 +83,7 @@ def test_what_is_not_known(dmu50: Machine, calibration: Calibration) -> None:
 def test_sides_of_a_reversal(dmu50: Machine) -> None:
     """Half its size either way, and nothing where the side is not known."""
     reversed_ = replace(Calibration.zero(dmu50), extra=(Reversal(dmu50.by_name["X"], 6.0),))
-    comparison = Comparison(Kinematics(dmu50, reversed_), Kinematics(dmu50, Calibration.zero(dmu50)))
+    comparison = PoseComparison(Kinematics(dmu50, reversed_), Kinematics(dmu50, Calibration.zero(dmu50)))
     q = Commands(np.tile(LIMITS.mean(axis=1), (3, 1)))
     sides = np.zeros((3, 5))
     sides[:, dmu50.names.index("X")] = 1.0, -1.0, 0.0

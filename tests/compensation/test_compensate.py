@@ -309,7 +309,7 @@ def test_a_correction_says_how_well_it_is_known(dmu50: Machine, calibration: Cal
     result = compensate(TURNS, dmu50, known)
     point, axis = result.report.uncertainty.point, result.report.uncertainty.axis
     assert point is not None and axis is not None
-    assert point.shown is True and axis.shown is True and point.below == ()
+    assert point.shown is True and axis.shown is True and len(point.below) == 0
     ends = result.nominal
     at = ToolUncertainty(Kinematics(dmu50, known, tool_length_mm=LENGTH)).at(ends)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.compensation.test_compensate import LENGTH, compensate, uncertain
 from tests.compensation.test_stream import HEAD, curve
-from twin.compensation.interpolation import ACCURACY, FEW, LONGEST, interpolated
+from twin.compensation.account.interpolation import ACCURACY, FEW, LONGEST, interpolated
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

@@ -22,7 +22,7 @@ from twin._common.errors import InputError
 from twin.cli.commands import app
 from twin.cli.shared.words import gathered
 from twin.compensation import Options
-from twin.compensation.fewer_blocks import Contribution, PathReport, combined
+from twin.compensation.fewer_blocks import PathReport, UncertaintyContribution, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -437,13 +437,13 @@ def test_other_refusals(dmu50: Machine, tmp_path: Path) -> None:
 def test_table_2_of_the_paper() -> None:
     """Díaz Pérez et al. (2019), table 2: 501 nm; and its claim that a fit within 0.05 µm adds less than 0.01 µm."""
     table_2 = [
-        Contribution.resolution("HRPWM", 0.700, "2.62e-5 V"),
-        Contribution.resolution("laser system", 0.00158, "1.58 nm"),
-        Contribution("calibrated laser system", 0.099, "geometrical errors, measuring system"),
-        Contribution("RMS positioning error", 0.110, "noise, vibrations"),
+        UncertaintyContribution("HRPWM", 0.700 / np.sqrt(12.0), "2.62e-5 V/√12"),
+        UncertaintyContribution("laser system", 0.00158 / np.sqrt(12.0), "1.58 nm/√12"),
+        UncertaintyContribution("calibrated laser system", 0.099, "geometrical errors, measuring system"),
+        UncertaintyContribution("RMS positioning error", 0.110, "noise, vibrations"),
     ]
     assert combined(table_2) == pytest.approx(0.501, abs=5e-4)  # as printed
-    added = combined([*table_2, Contribution.within("trajectory", 0.05, "fit")]) - combined(table_2)
+    added = combined([*table_2, UncertaintyContribution.within("trajectory", 0.05, "fit")]) - combined(table_2)
     assert 0.0 < added < 0.01
 
 

@@ -15,15 +15,15 @@ from scipy.interpolate import BPoly
 from tests.compensation.test_path import from_line
 from twin.compensation.fewer_blocks.chords import few_blocks
 from twin.compensation.fewer_blocks.distance import to_any, to_line
-from twin.compensation.fewer_blocks.fit import Fitter, Line, Piece
+from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline
 
 
 def tool(words: np.ndarray) -> np.ndarray:
     return words
 
 
-def fitted(words: np.ndarray, allowed: float, power: float) -> tuple[Line, Fitter, list[Piece]]:
-    line = Line.of(words, tool, power)
+def fitted(words: np.ndarray, allowed: float, power: float) -> tuple[Polyline, Fitter, list[CurvePiece]]:
+    line = Polyline.of(words, tool, power)
     fitter = Fitter(line, tool, allowed)
     return line, fitter, fitter.pieces()
 

@@ -13,8 +13,9 @@ import pytest
 
 from tests.machine.errors import random_calibration
 from twin._common.errors import InputError, OutputError
-from twin.compensation import Compensator, Options, stream
-from twin.compensation.account import CLASS_POSES
+from twin.compensation import Compensator, Options
+from twin.compensation.account.sample import CLASS_POSES
+from twin.compensation.stream import parts
 from twin.compensation.toolpath import Setup
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -57,9 +58,9 @@ def both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """
 
     def cut(size: int, shortest: int, lines: int) -> None:
-        monkeypatch.setattr(stream, "STRETCH_BYTES", size)
+        monkeypatch.setattr(parts, "STRETCH_BYTES", size)
         monkeypatch.setattr(iso_stream, "SHORTEST_RUN", shortest)
-        monkeypatch.setattr(stream, "PART_LINES", lines)
+        monkeypatch.setattr(parts, "PART_LINES", lines)
 
     def run(text: str | bytes, compensator: Compensator, *stretches: tuple[int, int, int]) -> str:
         source, output = tmp_path / "p.nc", tmp_path / "out.nc"
@@ -265,8 +266,8 @@ def test_an_interrupt_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In the middle of the work: no output, no trace of it, and what was there before still is."""
-    monkeypatch.setattr(stream, "STRETCH_BYTES", 2000)
-    monkeypatch.setattr(stream, "PART_LINES", 50)
+    monkeypatch.setattr(parts, "STRETCH_BYTES", 2000)
+    monkeypatch.setattr(parts, "PART_LINES", 50)
     source, output = tmp_path / "p.nc", tmp_path / "out.nc"
     source.write_text(HEAD + curve(1000))
     output.write_text("before")
@@ -286,8 +287,8 @@ def test_an_interrupt_leaves_nothing(
 
 def test_an_error_comes_before_a_later_one(usual: Compensator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading is ahead of solving; what is said is still the first thing that is wrong."""
-    monkeypatch.setattr(stream, "STRETCH_BYTES", 2000)
-    monkeypatch.setattr(stream, "PART_LINES", 50)
+    monkeypatch.setattr(parts, "STRETCH_BYTES", 2000)
+    monkeypatch.setattr(parts, "PART_LINES", 50)
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(100) + "G1 X1.2.3\n" + curve(100) + "G81 X1\n")
     with pytest.raises(InputError, match=r"p\.nc:106: X has no number"):

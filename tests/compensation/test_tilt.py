@@ -154,7 +154,7 @@ def test_the_report_and_the_run_say_how_the_axis_leans(dmu50: Machine) -> None:
         assert max(side.tilt_max_urad) <= side.max_urad * (1.0 + 1e-6)
     x, y = report.before.tilt_rms_urad
     assert f"about x / y of the tool, RMS: before {x:.1f} / {y:.1f}" in report.to_text()
-    assert report.to_dict()["before"]["tilt_rms_urad"] == report.before.tilt_rms_urad
+    assert tuple(report.to_dict()["before"]["tilt_rms_urad"]) == report.before.tilt_rms_urad
     space = WordSpace(dmu50, Setup(), None)
     path = follow(read, dialect.moves(read, space.axes, tcp=False), space)
     run = execute(read, path, space, Kinematics(dmu50, calibration))

@@ -18,7 +18,7 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.compensation import Compensator, Options
-from twin.compensation.many import JSON, TEXT, Outcome, compensate_files
+from twin.compensation.many import JSON, TEXT, ProgramOutcome, compensate_files
 from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import DEFAULT, Machine
@@ -134,9 +134,9 @@ def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool)
     return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
 
 
-def _finished(outcomes: Generator[Outcome, None, None], strict: bool) -> tuple[dict[Path, Outcome], bool]:
+def _finished(outcomes: Generator[ProgramOutcome, None, None], strict: bool) -> tuple[dict[Path, ProgramOutcome], bool]:
     """The outcome of every program that was finished, and whether a signal ended the work before its end."""
-    found: dict[Path, Outcome] = {}
+    found: dict[Path, ProgramOutcome] = {}
     try:
         with closing(outcomes):
             for outcome in outcomes:
@@ -146,7 +146,9 @@ def _finished(outcomes: Generator[Outcome, None, None], strict: bool) -> tuple[d
     return found, False
 
 
-def _several(programs: list[Path], found: Mapping[Path, Outcome], folder: Path, *, interrupted: bool) -> CommandResult:
+def _several(
+    programs: list[Path], found: Mapping[Path, ProgramOutcome], folder: Path, *, interrupted: bool
+) -> CommandResult:
     told = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
     count = Counter(outcome.verdict for outcome in told)

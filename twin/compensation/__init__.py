@@ -44,8 +44,22 @@ were drawn (`twin.samples.dmu50_calibration.as_drawn`), ours in mean lines. The 
 block ends, tool 120 mm, after touching off tool and workpiece.
 """
 
+# The way of a program, stage by stage; `Compensator.compensate` goes it with a program in memory, `stream` with one of any length.
+#
+#   program          twin.nc                      bytes                  → Program
+#   blocks           Dialect.moves                Program                → Reading
+#   tool path        toolpath.follow              Reading                → Path
+#   pieces           solving.Pieces               Path                   → Pieces
+#   what the machine would do, and its correction
+#                    solving.corrected            Pieces                 → Corrected
+#   written          solving.replacing, Dialect   Corrected              → NewPositions, text
+#   checked          checked.check                NewPositions, read back
+#   account          account.Account              Corrected              → Report
+#
+# `bench` has what is the same for every program: the machine, its errors, and what of these is to be corrected.
+
+from twin.compensation.account import Report
 from twin.compensation.bench import Options
 from twin.compensation.compensator import Compensation, Compensator, compensate, compensate_file
-from twin.compensation.report import Report
 
 __all__ = ["Compensation", "Compensator", "Options", "Report", "compensate", "compensate_file"]

@@ -98,8 +98,7 @@ class LostMotion:
         for axis in self.axes:
             way, own = _with_passages(path, motion, commands[:, axis], axis)
             lag = self.size[axis] < 0.0
-            side = play(way, -self.size[axis]) if lag else held(way, self._dead_band[axis])
-            found[:, axis] = side[own]
+            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._held(way, axis))[own]
         return found
 
     def turned(self, path: Path, motion: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -111,29 +110,24 @@ class LostMotion:
         found = np.zeros(wanted.shape)
         for axis in self.axes:
             way, own = _with_passages(path, motion, wanted[:, axis], axis)
-            found[:, axis] = _from_the_turn(way, held(way, self._dead_band[axis]))[own]
+            found[:, axis] = _from_the_turn(way, self._held(way, axis))[own]
         return found
 
+    def _held(self, way: np.ndarray, axis: int) -> np.ndarray:
+        return _play(way, self._dead_band[axis])[1]
 
-def play(way: np.ndarray, width: float) -> np.ndarray:
-    """Where in its play an axis is.
+
+def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where in its play an axis is, and the end of its play it was at last.
 
     Args:
         way: (n,) positions, NaN where not known.
         width: the play, in the same unit.
 
     Returns:
-        (n,) from −1 to +1, changing over a way of ``width``; 0 until it moves, and again where the position is not known.
+        (n,) from −1 to +1, changing over a way of ``width``; 0 until it moves, and again where the position is not known. (n,) +1, −1,
+        or 0 before it was at one end.
     """
-    return _play(way, width)[0]
-
-
-def held(way: np.ndarray, width: float) -> np.ndarray:
-    """The end of its play an axis was at last: (n,) +1, −1, or 0 before it was at one; arguments as of `play`."""
-    return _play(way, width)[1]
-
-
-def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     rate = 2.0 / width
     state = side = 0.0
     last = np.nan

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Literal, final
+from functools import cached_property, partial
+from typing import Final, Literal, final
 
 import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.backlash import LostMotion
-from twin.compensation.comparison import Comparison
+from twin.compensation.comparison import PoseComparison
 from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
 from twin.display import Html, card, pairs
@@ -26,6 +26,17 @@ from twin.uncertainty.at_tool import ToolUncertainty
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the fraction done."""
+Keep = Callable[[str], bool]
+KeepTable = Callable[[ControlCorrection], bool]
+CUTTER_LOCATION_INCREMENT: Final = 1e-5
+"""mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
+VECTOR_DECIMALS: Final = {"apt": 9}
+"""Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
+
+
+def vector_decimals(dialect: str) -> int:
+    """Decimals of a tool vector in a dialect."""
+    return VECTOR_DECIMALS.get(dialect, 7)
 
 
 @final
@@ -105,8 +116,8 @@ class Bench:
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.full = self._with(calibration)
         self.lost = LostMotion(calibration)
-        self.compared = Comparison(self.full, self.space.nominal)
-        self.corrected_by = Comparison(self.space.nominal, self.space.nominal)
+        self.compared = PoseComparison(self.full, self.space.nominal)
+        self.corrected_by = PoseComparison(self.space.nominal, self.space.nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
                 "the thesis's method knows nothing of the control's own tables and would correct what they correct again",
@@ -121,52 +132,22 @@ class Bench:
             [np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1
         )
 
-    def limited(self, keep: Callable[[str], bool]) -> Kinematics:
-        """The machine with only some of its errors, by the ISO 230-1 name of the error motion each is part of."""
-        return self._with(self._where(keep))
-
-    def at_point(self, scope: Scope) -> Kinematics:
-        """The machine with the errors a scope corrects at the functional point, and what the control takes out of them."""
-        return self._with(
-            self._where(
-                lambda name: scope.at_point(name, self.machine),
-                lambda table: scope.covers(_classes_of(table)),
-            )
-        )
-
-    def in_orientation(self, scope: Scope) -> Kinematics:
-        """The same of those it corrects by moving the rotary axes."""
-        return self._with(
-            self._where(
-                lambda name: scope.in_orientation(name, self.machine),
-                lambda table: not table.axis.linear and (scope.orientation or scope.covers(_classes_of(table))),
-            )
-        )
-
     @cached_property
     def control_alone(self) -> Kinematics | None:
         """The machine as drawn under the control's tables; None where they take nothing out of these errors."""
-        if not self.calibration.corrections:
-            return None
-        return self._with(self._where(lambda name: False, lambda table: True))
+        return self.limited(lambda name: False, lambda table: True) if self.calibration.corrections else None
 
-    def corrected(self, scope: Scope, *, orientation: bool) -> Calibration:
-        """The errors a scope corrects, at the point or, where the rotary axes move for it, in the orientation."""
-        return self._where(
-            lambda name: (
-                scope.at_point(name, self.machine) or (orientation and scope.in_orientation(name, self.machine))
-            ),
-            lambda table: scope.covers(_classes_of(table)),
-        )
+    def limited(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
+        """The machine with only some of its errors; arguments as of `where`."""
+        return self._with(self.where(keep, keep_table))
 
-    @property
-    def none(self) -> Calibration:
-        """No error at all."""
-        return self.space.nominal.calibration
+    def where(self, keep: Keep, keep_table: KeepTable) -> Calibration:
+        """Some of the errors.
 
-    def _where(
-        self, keep: Callable[[str], bool], keep_table: Callable[[ControlCorrection], bool] = lambda table: False
-    ) -> Calibration:
+        Args:
+            keep: whether to, by the ISO 230-1 name of the error motion each is part of.
+            keep_table: whether to keep what a table of the control takes out of them.
+        """
         tables = {table.name: table for table in self.calibration.corrections}
         return self.calibration.where(
             lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name])
@@ -184,17 +165,24 @@ class Bench:
         """(n,) whether commands (mm, degrees) leave an axis's range."""
         return outside_range(self.machine, commands)
 
-    def aim(self, *, turns: bool) -> Aim:
+    def printed_increment(self, dialect: str, *, posted: bool) -> np.ndarray:
+        """(axes,) least increments of the words that come out of a program of a dialect, in their order."""
+        increment = self.increment.copy()
+        if dialect == "apt" and not posted:
+            increment[:3] = CUTTER_LOCATION_INCREMENT
+        return increment
+
+    def aim(self, *, turns: bool) -> CorrectionAim:
         """What is corrected in a program that moves rotary axes, or in one that does not."""
         return self._aims[turns]
 
     @cached_property
-    def _aims(self) -> tuple[Aim, Aim]:
-        return Aim(self, False), Aim(self, True)
+    def _aims(self) -> tuple[CorrectionAim, CorrectionAim]:
+        return CorrectionAim(self, False), CorrectionAim(self, True)
 
 
 @final
-class Aim:
+class CorrectionAim:
     """What is corrected in one program, and the machines with only that.
 
     Args:
@@ -210,18 +198,26 @@ class Aim:
     def __init__(self, bench: Bench, turns: bool) -> None:
         self._bench = bench
         self.turns = turns
-        self.scope = bench.options.scope or Scope.everything(orientation=turns)
-        self.lost = LostMotion(bench.corrected(self.scope, orientation=turns) if bench.thesis is None else bench.none)
+        self.scope = scope = bench.options.scope or Scope.everything(orientation=turns)
+        corrected = bench.where(
+            lambda name: scope.at_point(name, bench.machine) or (turns and scope.in_orientation(name, bench.machine)),
+            self._table_at_point,
+        )
+        self.lost = LostMotion(corrected if bench.thesis is None else bench.space.nominal.calibration)
+
+    def _table_at_point(self, table: ControlCorrection) -> bool:
+        return self.scope.covers(_classes_of(table))
 
     @cached_property
     def point(self) -> Kinematics:
-        """The errors corrected at the functional point."""
-        return self._bench.at_point(self.scope)
+        """The machine with the errors corrected at the functional point, and what the control takes out of them."""
+        machine = self._bench.machine
+        return self._bench.limited(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
-    def compared(self) -> Comparison:
+    def compared(self) -> PoseComparison:
         """What the machine with those alone does, beside what was meant."""
-        return Comparison(self.point, self._bench.space.nominal)
+        return PoseComparison(self.point, self._bench.space.nominal)
 
     @cached_property
     def point_inverse(self) -> Inverse:
@@ -230,8 +226,11 @@ class Aim:
 
     @cached_property
     def orientation(self) -> Kinematics | None:
-        """The errors corrected by the rotary axes; None where they do not move for it."""
-        limited = self._bench.in_orientation(self.scope)
+        """The same of those corrected by the rotary axes; None where these do not move for it."""
+        limited = self._bench.limited(
+            lambda name: self.scope.in_orientation(name, self._bench.machine),
+            lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
+        )
         return limited if self.turns and not limited.calibration.empty else None
 
     @cached_property
@@ -262,13 +261,15 @@ class Aim:
     @cached_property
     def by_class(self) -> Mapping[str, Kinematics]:
         """The machine with the errors of one class alone, for those classes that it has errors of."""
-        found = {
-            name: self._bench.limited(lambda error, name=name: iso_class(error, self._bench.machine) == name)  # type: ignore[misc]
-            for name in BASIC
-        }
+        bench = self._bench
+        found = {basic: bench.limited(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC}
         return {name: alone for name, alone in found.items() if not alone.calibration.empty}
 
 
 def _classes_of(table: ControlCorrection) -> tuple[str, ...]:
     """The classes it takes out by the axis it moves: a rotary axis corrects its own position, the linear ones all else."""
     return tuple(name for name in table.classes if (name == "R-POS") is not table.axis.linear)
+
+
+def _is_of(basic: str, machine: Machine, name: str) -> bool:
+    return iso_class(name, machine) == basic

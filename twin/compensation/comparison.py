@@ -53,7 +53,7 @@ class Commands:
 
 @final
 @dataclass(frozen=True)
-class Compared:
+class ComparedPoses:
     """Poses of the tool beside those meant.
 
     Attributes:
@@ -68,13 +68,13 @@ class Compared:
     leaning: np.ndarray
     known: np.ndarray
 
-    def where(self, keep: np.ndarray) -> Compared:
+    def where(self, keep: np.ndarray) -> ComparedPoses:
         """Some of them."""
-        return Compared(self.distance_mm[keep], self.angle_rad[keep], self.leaning[keep], self.known[keep])
+        return ComparedPoses(self.distance_mm[keep], self.angle_rad[keep], self.leaning[keep], self.known[keep])
 
 
 @final
-class Comparison:
+class PoseComparison:
     """Compares what a machine with errors reaches with what the machine as drawn was meant to, never raising.
 
     Args:
@@ -96,12 +96,12 @@ class Comparison:
         (distance,) = self._distance(*self._inputs(meant, given, approach))
         return distance[:, 0]
 
-    def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> Compared:
+    def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
         """All there is to compare; arguments as of `distance_mm`."""
         distance, apart, leaning, beyond = self._poses(*self._inputs(meant, given, approach))
         known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
         angle = 2.0 * np.arcsin(np.minimum(apart[:, 0] / 2.0, 1.0))
-        return Compared(distance[:, 0], angle, leaning, known)
+        return ComparedPoses(distance[:, 0], angle, leaning, known)
 
     def _inputs(self, meant: Commands, given: Commands, approach: np.ndarray | None) -> Iterator[np.ndarray | Taken]:
         yield from meant.inputs

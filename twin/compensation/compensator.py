@@ -14,17 +14,16 @@ from typing import final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin._common.errors import InputError, OutputError
+from twin._common.errors import InputError
 from twin._common.files import command_files, whole_file
 from twin._common.provenance import program_comments
-from twin.compensation.account import Account
+from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Options, Progress
-from twin.compensation.pieces import Pieces
-from twin.compensation.report import Report
-from twin.compensation.rows import Rows
-from twin.compensation.stream import PRINTED_MM, Streamed, unreadable
+from twin.compensation.checked import check, motionless, unreadable
+from twin.compensation.solving import Corrected, Pieces, corrected, replacing
+from twin.compensation.stream import Streamed
 from twin.compensation.toolpath import Path as ToolPath
-from twin.compensation.toolpath import check_domains, follow
+from twin.compensation.toolpath import follow, turns_tool
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
@@ -47,6 +46,7 @@ class Compensation:
         nominal: (rows, axes) nominal commands of every block's pieces, mm and degrees.
         exact: (rows, axes) compensated commands before the linear words were rounded.
         commands: (rows, axes) compensated commands as printed.
+        moves: (rows,) index of each one's move among those of the reading.
         lines: (rows,) program line of each.
         taken: (rows,) whether it only takes up a reversal, on the way to where the block begins.
     """
@@ -59,6 +59,7 @@ class Compensation:
     nominal: np.ndarray
     exact: np.ndarray
     commands: np.ndarray
+    moves: np.ndarray
     lines: np.ndarray
     taken: np.ndarray
 
@@ -83,7 +84,13 @@ class Compensator:
         self.bench = Bench(machine, calibration, Options() if options is None else options)
 
     def compensate(
-        self, program: Program, dialect: Dialect, progress: Progress | None = None, *, into: Dialect | None = None
+        self,
+        program: Program,
+        dialect: Dialect,
+        progress: Progress | None = None,
+        *,
+        into: Dialect | None = None,
+        reading: Reading | None = None,
     ) -> Compensation:
         """Compensate one program.
 
@@ -93,6 +100,7 @@ class Compensator:
             progress: called with a stage and the fraction done.
             into: the language to write; another than the program's own only for cutter locations (APT), which are then
                 posted as axis words.
+            reading: what the program says, where somebody knows it more exactly than its text.
 
         Raises:
             InputError: the program cannot be read, or something in it must not pass uncompensated.
@@ -100,55 +108,49 @@ class Compensator:
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
-        axes = self.bench.space.axes
-        reading = dialect.moves(program, axes, tcp=self.bench.options.tcp)
-        path = follow(program, reading, self.bench.space)
+        bench, axes = self.bench, self.bench.space.axes
+        if reading is None:
+            reading = dialect.moves(program, axes, tcp=bench.options.tcp)
+        path = follow(program, reading, bench.space)
         if not path.motions:
-            raise InputError(
-                "no block that moves an axis to a known place", expected="a program with motion", file=program.source
-            )
+            raise motionless(program.source)
         written = dialect if into is None else into
         posted = written.name != dialect.name
-        rotary = set(axes.rotary)
-        turns = any(move.vector is not None or move.named & rotary for move in reading.moves)
-        aim = self.bench.aim(turns=turns)
-        pieces = Pieces(self.bench, path, aim, dialect, source=program.source, posted=posted)
-        numbers = path.columns.line + 1
-        check_domains(self.bench.full, program.source, numbers, self.bench.space.commands(pieces.end, pieces.tcp))
+        aim = bench.aim(turns=turns_tool(reading.moves, axes))
         say("solving", 0.1)
-        rows = pieces.solve(say)
-        rewrites = [] if pieces.idle else _rewrites(pieces, rows)
+        found = corrected(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
+        rewrites = tuple(_rewrites(found))
         say("writing", 0.8)
         if posted:
             text = post(program, reading, rewrites, axes, "heidenhain" if written.name == "heidenhain" else "iso")
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         if rewrites:
-            text = written.commented(text, program_comments(self.bench.calibration.warnings))
-        tcp = self.bench.options.tcp and not posted
+            text = written.commented(text, program_comments(bench.calibration.warnings))
+        self._check(program, reading, found, text, written, posted=posted)
+        say("checking", 0.9)
+        account = CompensationAccount(bench, aim, program.source)
+        account.add(found)
+        notices = [*reading.notices, *path.passed]
+        report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
+        say("done", 1.0)
+        rows = found.rows
+        moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
+        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.taken)
+        return Compensation(text, report, reading, rewrites, path, *map(locked, columns))
+
+    def _check(
+        self, program: Program, reading: Reading, found: Corrected, text: str, written: Dialect, *, posted: bool
+    ) -> None:
+        """Read back what was written, and compare it with what was meant."""
+        axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
         try:
             again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
-        _verify(program, reading, rewrites, again)
-        say("checking", 0.9)
-        account = Account(self.bench, aim, program.source)
-        account.add(pieces, rows, rewritten=len(rewrites))
-        notices = [*reading.notices, *path.passed]
-        report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
-        say("done", 1.0)
-        return Compensation(
-            text,
-            report,
-            reading,
-            tuple(rewrites),
-            path,
-            locked(rows.nominal),
-            locked(rows.exact),
-            locked(rows.commands),
-            locked(numbers[rows.motion]),
-            locked(rows.taken),
-        )
+        new = replacing([found], len(reading.moves), len(axes.names))
+        got = np.array([move.position for move in again.moves]).reshape(-1, len(axes.names))
+        check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress | None = None, *, into: Dialect | None = None
@@ -188,17 +190,10 @@ class Compensator:
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """The files that this compensation is made from."""
-        calibration = self.bench.calibration
+        calibration, machine = self.bench.calibration, self.bench.machine
         tables = () if calibration.control is None else calibration.control.tables
-        for path in (
-            program,
-            self.bench.machine.path,
-            self.bench.machine.urdf,
-            calibration.path,
-            *(one.file for one in tables),
-        ):
-            if path is not None:
-                yield path
+        files = (program, machine.path, machine.urdf, calibration.path, *(one.file for one in tables))
+        return (path for path in files if path is not None)
 
 
 def compensate(
@@ -263,60 +258,23 @@ def compensate_file(
     return Compensator(machine, errors, options).compensate_file(found, target, progress, into=into)
 
 
-def _rewrites(pieces: Pieces, rows: Rows) -> list[Rewrite]:
-    """One a motion, in order."""
-    found = []
-    bounds = np.searchsorted(rows.motion, np.arange(len(pieces.path.motions) + 1))
-    kept = np.zeros(len(pieces.path.motions), dtype=bool)
-    kept[rows.motion[rows.untouched]] = True
-    for i, motion in enumerate(pieces.path.motions):
-        if kept[i] and not pieces.posted:
-            continue
-        part = slice(bounds[i], bounds[i + 1])
-        positions = rows.printed[part].copy()
-        vectors = None
-        if pieces.by_vector[i] or not pieces.turns:
-            positions[:, 3:] = np.nan  # no rotary words: the vector says it, or the program has none
-        if pieces.by_vector[i]:
-            vectors = rows.vectors[part]
-        found.append(Rewrite(motion.move, positions, vectors, _shares(pieces, rows, part)))
-    return found
+def _rewrites(found: Corrected) -> Iterator[Rewrite]:
+    """One a motion that is given new words, in order."""
+    new, by_vector = found.new, found.pieces.by_vector
+    for i in np.flatnonzero(new.count).tolist():
+        part = slice(new.first[i], new.first[i] + new.count[i])
+        vectors = new.vectors[part] if by_vector[i] else None
+        yield Rewrite(found.pieces.path.motions[i].move, new.positions[part], vectors, _shares(found, part))
 
 
-def _shares(pieces: Pieces, rows: Rows, part: slice) -> np.ndarray | None:
+def _shares(found: Corrected, part: slice) -> np.ndarray | None:
     """Of a motion's time that each of its rows takes, where they are not all alike; one degree counts as one millimetre."""
+    rows = found.rows
     taken = rows.taken[part]
     if not np.any(taken):
         return None
     shares = np.diff(rows.fraction[part], prepend=0.0)
     before = rows.printed[np.maximum(np.arange(part.start, part.stop) - 1, 0)]
     way = np.linalg.norm(rows.printed[part] - before, axis=1)
-    shares[taken] = way[taken] / max(float(way.sum()), pieces.increment[0])
+    shares[taken] = way[taken] / max(float(way.sum()), found.pieces.increment[0])
     return np.clip(shares, 1e-6, 1.0)
-
-
-def _verify(program: Program, reading: Reading, rewrites: list[Rewrite], again: Reading) -> None:
-    """Compare the output, read back: every position with what was meant.
-
-    Raises:
-        OutputError: they differ.
-    """
-    moves = again.moves
-    by_move = {id(rewrite.move): rewrite for rewrite in rewrites}
-    position = 0
-    for move in reading.moves:
-        rewrite = by_move.get(id(move))
-        wanted = np.array([move.position]) if rewrite is None else rewrite.positions
-        found = moves[position : position + len(wanted)]
-        position += len(wanted)
-        line = program.lines[move.line].number
-        if len(found) < len(wanted):
-            raise OutputError(f"{program.source}:{line}: a block was lost on the way out")
-        got = np.array([one.position for one in found])
-        off = np.abs(got - wanted) > PRINTED_MM
-        if rewrite is not None and np.any(off):
-            raise OutputError(
-                f"{program.source}:{line}: the output says {got[off.any(axis=1)][0]}, not {wanted[off.any(axis=1)][0]}"
-            )
-    if position != len(moves):
-        raise OutputError(f"{program.source}: {len(moves)} moves in the output, {position} meant")

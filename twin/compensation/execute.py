@@ -9,14 +9,14 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.backlash import LostMotion
-from twin.compensation.toolpath import Path, Setup, WordSpace, along, check_domains, chords, follow, outside_range
+from twin.compensation.toolpath import Path, PathMotion, Setup, WordSpace, check_domains, follow, outside_range
 from twin.display import card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import read_program
-from twin.nc.blocks import Kind, Program
+from twin.nc.blocks import Program
 
 SPACING: Final = (5.0, 2.0)
 """mm of linear and degrees of rotary motion between two points, at most."""
@@ -115,22 +115,12 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
     Raises:
         InputError: a position in the axis's range that its error motions do not cover.
     """
-    words, tcp, cutting, ends, lines, of = [], [], [], [], [], []
-    for i, motion in enumerate(path.motions):
-        fractions = np.array([1.0])
-        if np.isfinite(motion.start).all():
-            size = np.abs(motion.end - motion.start)
-            steps = max(size[:3].max() / SPACING[0], size[3:].max(initial=0.0) / SPACING[1], chords(motion, CHORD_MM))
-            fractions = np.arange(1, int(np.ceil(max(steps, 1.0))) + 1) / np.ceil(max(steps, 1.0))
-        words.append(along(motion, fractions) if np.isfinite(motion.start).all() else motion.end[None, :])
-        of += [i] * len(fractions)
-        tcp += [motion.move.tcp] * len(fractions)
-        cutting += [motion.move.kind is not Kind.RAPID] * len(fractions)
-        ends += [False] * (len(fractions) - 1) + [True]
-        lines += [program.lines[motion.move.line].number] * len(fractions)
-    positions = space.commands(np.concatenate(words), np.array(tcp))
-    check_domains(real, program.source, np.array(lines)[ends], positions[ends])
-    sides = LostMotion(real.calibration).sides(path, np.array(of), positions)
+    words, of = path.dense([_fractions(motion) for motion in path.motions])
+    columns = path.columns
+    ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
+    positions = space.commands(words, columns.tcp[of])
+    check_domains(real, program.source, lines[ends], positions[ends])
+    sides = LostMotion(real.calibration).sides(path, of, positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
     meant, reached = space.nominal.forward(positions), real.forward(positions, sides)
@@ -140,8 +130,17 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
         sides=sides,
         reached_mm=reached.point_mm,
         tilt_urad=reached.tilt_urad(meant),
-        cutting=np.array(cutting)[keep],
-        ends=np.array(ends)[keep],
-        lines=np.array(lines)[keep],
+        cutting=~columns.rapid[of][keep],
+        ends=ends[keep],
+        lines=lines[keep],
         left_out=int(np.count_nonzero(~keep)),
     )
+
+
+def _fractions(motion: PathMotion) -> np.ndarray:
+    """Of a motion, near enough to each other; its end if nobody knows where it starts."""
+    if not np.isfinite(motion.start).all():
+        return np.array([1.0])
+    size = np.abs(motion.end - motion.start)
+    steps = max(size[:3].max() / SPACING[0], size[3:].max(initial=0.0) / SPACING[1], motion.chords(CHORD_MM), 1.0)
+    return np.arange(1, int(np.ceil(steps)) + 1) / np.ceil(steps)

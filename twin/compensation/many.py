@@ -11,13 +11,12 @@ from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 from twin._common.errors import InputError, OutputError
 from twin._common.files import check_writable, move_into_place, scratch_folder, write_json, write_whole
 from twin.compensation.bench import Options
 from twin.compensation.compensator import Compensator
-from twin.compensation.report import Report
 from twin.compute.parallel import Workers, finished
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -32,7 +31,7 @@ Verdict = Literal["done", "not met", "failed"]
 
 @final
 @dataclass(frozen=True)
-class Outcome:
+class ProgramOutcome:
     """What became of one program.
 
     Attributes:
@@ -85,24 +84,20 @@ class Order:
     Attributes:
         program: its path, on the computer that asks.
         output: where to write it, there.
-        data: the program itself, for a worker that is elsewhere; None for one that reads and writes these files.
-        unread: why it cannot be read; None if it can.
+        data: the program itself, for a worker that is elsewhere; None for one that reads and writes these files; an error if it
+            cannot be read.
     """
 
     program: Path
     output: Path
-    data: bytes | None
-    unread: str | None = None
+    data: bytes | InputError | None
 
 
-@final
-@dataclass(frozen=True)
-class Answer:
-    """What a worker says of an order: the report, or why there is none; with the program where it travelled as data."""
+class Answer(NamedTuple):
+    """The report as text and as JSON, with the program where it travelled as data."""
 
     text: str
     report: dict[str, Any]
-    error: InputError | OutputError | None
     data: bytes | None = None
 
 
@@ -124,16 +119,17 @@ class Shop:
         """Set up once a worker."""
         return Compensator(self.machine, self.calibration, self.options)
 
-    def fill(self, order: Order) -> Answer:
-        """One order; a program that cannot be compensated is an answer, so that it does not stop the others."""
+    def fill(self, order: Order) -> Answer | InputError | OutputError:
+        """One order; why a program cannot be compensated is an answer, so that it does not stop the others."""
         try:
-            if order.unread is not None:
-                raise InputError("cannot be read", expected="a readable file", file=order.program, value=order.unread)
-            if order.data is None:
-                return _answer(self.compensator.compensate_file(order.program, order.output))
-            return self._elsewhere(order, order.data)
+            if isinstance(order.data, InputError):
+                return order.data
+            if order.data is not None:
+                return self._elsewhere(order, order.data)
+            report = self.compensator.compensate_file(order.program, order.output)
+            return Answer(report.to_text(), report.to_dict())
         except (InputError, OutputError) as error:
-            return Answer("", {}, error)
+            return error
 
     def _elsewhere(self, order: Order, data: bytes) -> Answer:
         with scratch_folder() as room:
@@ -149,11 +145,8 @@ class Shop:
                 ) from None
             except OutputError as error:
                 raise OutputError(str(error).replace(str(own), str(order.program))) from None
-            return replace(_answer(replace(report, program=str(order.program))), data=out.read_bytes())
-
-
-def _answer(report: Report) -> Answer:
-    return Answer(report.to_text(), report.to_dict(), None)
+            report = replace(report, program=str(order.program))
+            return Answer(report.to_text(), report.to_dict(), out.read_bytes())
 
 
 def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
@@ -193,7 +186,7 @@ def compensate_files(
     options: Options | None = None,
     workers: Workers | None = None,
     progress: Callable[[str, float], None] | None = None,
-) -> Generator[Outcome, None, None]:
+) -> Generator[ProgramOutcome, None, None]:
     """Compensate programs, each written as soon as it is done, whole or not at all; in the order in which they are done.
 
     Args:
@@ -208,7 +201,7 @@ def compensate_files(
     Raises:
         InputError: as `outputs`; machine, calibration and options do not fit each other; as `twin.compute.parallel.finished`. What
         is wrong
-            with one program is in its `Outcome`.
+            with one program is in its `ProgramOutcome`.
     """
     say = progress or (lambda stage, fraction: None)
     own = Workers() if workers is None else workers
@@ -226,19 +219,20 @@ def compensate_files(
                     there.append((find_program(program), room / goal.name))
                     goal_of.append((program, goal))
                 except InputError as error:
-                    yield Outcome(program, None, {}, error)
+                    yield ProgramOutcome(program, None, {}, error)
             orders = _Orders(there, travel=own.scheduler is not None)
             say("programs", 0.0)
             answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), refusals=True)
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):
                     program, goal = goal_of[index]
-                    # A program that ends its worker stops the others as little as one that cannot be read.
-                    answer = found if isinstance(found, Answer) else Answer("", {}, found)
-                    if answer.error is None:
-                        _keep(answer, there[index][1], goal)
+                    if isinstance(found, Answer):
+                        _keep(found, there[index][1], goal)
+                        outcome = ProgramOutcome(program, goal, found.report, None)
+                    else:  # a program that ends its worker stops the others as little as one that cannot be read
+                        outcome = ProgramOutcome(program, None, {}, found)
                     say("programs", count / len(orders))
-                    yield Outcome(program, goal if answer.error is None else None, answer.report, answer.error)
+                    yield outcome
     finally:
         if made and not any(folder.iterdir()):
             folder.rmdir()
@@ -257,10 +251,12 @@ class _Orders(Sequence[Order]):
 
     def __getitem__(self, index: Any) -> Any:
         program, output = self._there[index]
+        data: bytes | InputError | None = None
         try:
-            return Order(program, output, program.read_bytes() if self._travel else None)
+            data = program.read_bytes() if self._travel else None
         except OSError as error:
-            return Order(program, output, None, error.strerror)
+            data = InputError("cannot be read", expected="a readable file", file=program, value=error.strerror)
+        return Order(program, output, data)
 
 
 def _keep(answer: Answer, made: Path, goal: Path) -> None:

@@ -13,7 +13,6 @@ figure 3.11 was made with it:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import final
 
 import numpy as np
@@ -23,9 +22,6 @@ from twin._common.units import URAD
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.motion_curve import Curve
-
-CLASSES = ("L-POS", "L-STR", "L-SQU", "R-ANG")
-"""What the thesis says it corrects (2.9.1, 3.5)."""
 
 
 @final
@@ -54,7 +50,6 @@ class ThesisMethod:
         self._nominal = nominal
         self._linear = list(machine.linear)
         self._rotary = list(machine.rotary)
-        self._columns = {axis.name: i for i, axis in enumerate(machine.axes)}
 
     def commands(self, nominal: np.ndarray) -> np.ndarray:
         """Compensated commands (n, axes), mm and degrees, for nominal ones: rotary axes first, then linear (figure 3.9)."""
@@ -67,46 +62,41 @@ class ThesisMethod:
         """(n, 3) mm to follow the workpiece: listing 3.3, whose errors stand before the whole chain."""
         shift = np.zeros((len(q), 3))
         turned = np.broadcast_to(np.eye(3), (len(q), 3, 3))
-        axes = [self._nominal.machine.axes[i].name for i in self._rotary]
-        for name in axes:
-            column = q[:, self._columns[name]]
+        for i in self._rotary:
             for k, read in enumerate("ABB"):  # E_B is read for E_C
-                turned = turned @ _turn(k, self._read(f"E_{read}{name}", column) * URAD)
-        for name in axes:
-            column = q[:, self._columns[name]]
-            shift += np.stack([self._read(f"E_{d}{name}", column) * 1e-3 for d in "XYZ"], axis=1)
-        # The workpiece point under the tool, in the machine: where the tool is meant to be.
-        point = self._tool_in_base(q)
-        moved = np.einsum("nij,nj->ni", turned, point + shift)
-        return np.asarray(moved - point)
+                turned = turned @ _turn(k, self._read(f"E_{read}", i, q) * URAD)
+            shift += self._translation_mm(i, q)
+        # The workpiece point under the tool is where the tool is meant to be; the work frame at rest is the base frame.
+        upright = np.array(q)
+        upright[:, self._rotary] = 0.0
+        point = self._nominal.forward(upright).point_mm
+        return np.asarray(np.einsum("nij,nj->ni", turned, point + shift) - point)
 
     def _of_linear(self, q: np.ndarray) -> np.ndarray:
         """(n, 3) mm deviation of the linear axes: eq. 3.40 and listing 3.4, translations and squareness only."""
-        x, y, z = (q[:, self._columns[name]] for name in "XYZ")
-        square: Mapping[str, float] = self._calibration.squareness
-        deviation = np.zeros((len(q), 3))
-        for name, column in zip("XYZ", (x, y, z), strict=True):
-            deviation += np.stack([self._read(f"E_{d}{name}", column) * 1e-3 for d in "XYZ"], axis=1)
+        _, y, z = (q[:, i] for i in self._linear)
+        square = self._calibration.squareness
+        deviation = sum((self._translation_mm(i, q) for i in self._linear), start=np.zeros((len(q), 3)))
         deviation[:, 0] += (-y * square.get("E_C0Y", 0.0) + z * square.get("E_B0Z", 0.0)) * 1e-6
         deviation[:, 1] += -z * square.get("E_A0Z", 0.0) * 1e-6
         return deviation
 
-    def _tool_in_base(self, q: np.ndarray) -> np.ndarray:
-        upright = np.array(q)
-        upright[:, self._rotary] = 0.0  # the work frame at rest is the base frame
-        return np.asarray(self._nominal.forward(upright).point_mm)
+    def _translation_mm(self, axis: int, q: np.ndarray) -> np.ndarray:
+        """(n, 3) mm by which an axis is off."""
+        return np.stack([self._read(f"E_{d}", axis, q) * 1e-3 for d in "XYZ"], axis=1)
 
-    def _read(self, name: str, positions: np.ndarray) -> np.ndarray:
-        """A curve as the listings read it: without its constant, at the nearest whole mm or degree."""
-        curve: Curve | None = self._calibration.curves.get(name)
+    def _read(self, component: str, axis: int, q: np.ndarray) -> np.ndarray:
+        """A curve of an axis as the listings read it: without its constant, at the nearest whole mm or degree."""
+        name = self._calibration.machine.axes[axis].name
+        curve: Curve | None = self._calibration.curves.get(component + name)
         if curve is None:
-            return np.zeros(len(positions))
+            return np.zeros(len(q))
         lo, hi = curve.domain
-        whole = np.round(positions)
+        whole = np.round(q[:, axis])
         if lo < 0.0 <= hi:
             # The table runs from 0 down to lo; a negative index counts from its end.
             whole = np.where(whole < 0.0, lo - 1.0 - whole, whole)
-        elif self._calibration.machine.by_name[name[3:]].lower is None:
+        elif self._calibration.machine.by_name[name].lower is None:
             whole = lo + np.mod(whole - lo, hi - lo)
         values = curve(np.clip(whole, lo, hi))
         at_zero = curve(np.clip(0.0, lo, hi))
@@ -121,6 +111,3 @@ def _turn(about: int, angles: np.ndarray) -> np.ndarray:
     turns[:, i, i] = turns[:, j, j] = np.cos(angles)
     turns[:, i, j], turns[:, j, i] = -np.sin(angles), np.sin(angles)
     return turns
-
-
-__all__ = ["CLASSES", "ThesisMethod"]

@@ -12,8 +12,7 @@ uncertainty. Everything else passes through byte for byte; a run that cannot get
 options=twin.Options(tolerance_mm=0.01)).text`.
 """
 
-from twin.compensation.fewer_blocks.budget import Contribution, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter, refit
-from twin.compensation.fewer_blocks.report import PathReport
+from twin.compensation.fewer_blocks.report import PathReport, UncertaintyContribution, combined
 
-__all__ = ["Contribution", "PathReport", "Refit", "Refitter", "combined", "refit"]
+__all__ = ["PathReport", "Refit", "Refitter", "UncertaintyContribution", "combined", "refit"]

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from twin.compensation.fewer_blocks.distance import apart, to_line
-from twin.compensation.fewer_blocks.fit import Line, Tool
+from twin.compensation.fewer_blocks.distance import apart
+from twin.compensation.fewer_blocks.fit import Polyline, Tool
 
 OUTWARD: Final = 0.25
 """Of the heights of both chords at a vertex: half their mean."""
@@ -25,7 +25,7 @@ GROWTH: Final = 1.15
 
 
 def few_blocks(
-    line: Line, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
+    line: Polyline, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """The vertices behind the first of the fewest straight blocks that stay near a polyline.
 
@@ -84,7 +84,7 @@ def _demand(curve: np.ndarray, at: np.ndarray, tool: Tool) -> np.ndarray:
 
 
 def _blocks(
-    line: Line,
+    line: Polyline,
     curve: np.ndarray,
     curve_at: np.ndarray,
     sums: np.ndarray,
@@ -104,8 +104,6 @@ def _blocks(
     words[:, still] = line.words[0, still]
     dense, dense_at = between(words, at, SAMPLES)
     places = tool(dense)
-    if to_line(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm).max() > allowed_mm:
-        return None
     off = apart(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
     return (words[1:], at, off) if off <= allowed_mm else None
 

@@ -92,7 +92,8 @@ def apart(
         other_at: (m,) their parameters; alike where the lines belong together.
         near: as of `to_line`.
         limit: as of `to_line`.
-        anywhere: whether what is still beyond the limit is looked for all over the other line.
+        anywhere: whether what is still beyond the limit is looked for all over the other line; else it may stop at a distance beyond
+            the limit.
     """
     worst = 0.0
     for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
@@ -101,4 +102,6 @@ def apart(
         if anywhere and far.size:
             found[far] = to_any(points[far], line)
         worst = max(worst, float(found.max()))
+        if worst > limit and not anywhere:
+            break
     return worst

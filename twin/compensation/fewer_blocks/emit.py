@@ -7,20 +7,18 @@ left says of every axis what it means, whether its words are absolute or increme
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import NamedTuple, final
 
 import numpy as np
 
 from twin._common.errors import OutputError
+from twin.compensation.bench import Bench, vector_decimals
 from twin.compensation.fewer_blocks.runs import Run
-from twin.compensation.toolpath import WordSpace
-from twin.nc.blocks import AxisWords, Dialect, Move, Program, Reading, Rewrite
+from twin.compensation.toolpath import WordSpace, turns_tool
+from twin.nc.blocks import Dialect, Move, Program, Reading, Rewrite
 from twin.nc.heidenhain_words import HEAD
-
-VECTOR_DECIMALS: Final = {"apt": 9}
-"""Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
 
 
 @final
@@ -46,37 +44,16 @@ class Places:
         return np.append(True, np.diff(self.given) > 0)
 
 
-@final
-class Shortened(Dialect):
-    """A program with fewer blocks, as a language of its own: it is read with its places as exact as they were found.
+class Shortened(NamedTuple):
+    """A program with fewer blocks.
 
-    Args:
-        inner: the program's language.
+    Attributes:
         program: with the blocks of runs rewritten, those taken out left as empty lines (lines keep their numbers).
-        reading: what it says, exact.
+        reading: what it says, its places as exact as they were found.
     """
 
-    def __init__(self, inner: Dialect, program: Program, reading: Reading) -> None:
-        self.inner = inner
-        self.name, self.suffixes = inner.name, inner.suffixes
-        self.program = program
-        self.reading = reading
-
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines; see `Dialect.read`."""
-        return self.inner.read(data, source)
-
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """What the shortened program says, exact; any other as its language has it."""
-        return self.reading if program is self.program else self.inner.moves(program, axes, tcp=tcp)
-
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with moves replaced; see `Dialect.rewrite`."""
-        return self.inner.rewrite(program, axes, reading, rewrites)
-
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """The text with comments at its head; see `Dialect.commented`."""
-        return self.inner.commented(text, comments)
+    program: Program
+    reading: Reading
 
 
 def shortened(
@@ -84,10 +61,8 @@ def shortened(
     dialect: Dialect,
     reading: Reading,
     runs: Sequence[Places],
-    space: WordSpace,
-    increment: np.ndarray,
+    bench: Bench,
     *,
-    tcp: bool,
     posted: bool = False,
     others: Sequence[tuple[Move, np.ndarray]] = (),
 ) -> Shortened:
@@ -98,9 +73,7 @@ def shortened(
         dialect: its language.
         reading: what it says.
         runs: what becomes of its runs.
-        space: the machine's words.
-        increment: (axes,) least increments of the words.
-        tcp: as the program was read.
+        bench: the machine, set up.
         posted: whether it is to be written in axis words, whatever it is in: places of runs are then axis positions, with straight
             ways of the axes between them.
         others: further moves to be written at their increments, with their words.
@@ -108,9 +81,9 @@ def shortened(
     Raises:
         OutputError: the text does not come out with a line for a line: a defect of `twin`.
     """
+    space, increment = bench.space, bench.printed_increment(dialect.name, posted=posted)
     by_line = {move.line: move for move in reading.moves}
-    turns = any(move.vector is not None or move.named & set(space.axes.rotary) for move in reading.moves)
-    vectors = VECTOR_DECIMALS.get(dialect.name, 7)
+    turns, vectors = turns_tool(reading.moves, space.axes), vector_decimals(dialect.name)
     rewrites = [
         _rewrite(move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors)
         for move, words in others
@@ -135,9 +108,9 @@ def shortened(
         program.dialect,
         tuple("" if index in gone else line for index, line in enumerate(written.texts)),
     )
-    found = dialect.moves(left, space.axes, tcp=tcp)
+    found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
-    return Shortened(dialect, left, Reading(moves, found.notices, found.left))
+    return Shortened(left, Reading(moves, found.notices, found.left))
 
 
 def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:
@@ -153,18 +126,6 @@ def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.
         linear = space.words(solved, tcp[turned])[:, :3]
         found[turned, :3] = np.round(linear / increment[:3]) * increment[:3]
     return np.asarray(found)
-
-
-def axis_words(space: WordSpace, words: np.ndarray) -> np.ndarray:
-    """(n, axes) axis words of (n, axes) tool-tip words."""
-    tcp = np.ones(len(words), dtype=bool)
-    return space.words(space.commands(words, tcp), ~tcp)
-
-
-def tip_words(space: WordSpace, words: np.ndarray) -> np.ndarray:
-    """(n, axes) tool-tip words of (n, axes) axis words."""
-    tcp = np.ones(len(words), dtype=bool)
-    return space.words(space.commands(words, ~tcp), tcp)
 
 
 def renumbered(program: Program, text: str, dialect: Dialect) -> str:
@@ -203,7 +164,7 @@ def _exactly(move: Move, exact: Mapping[int, np.ndarray], space: WordSpace, *, p
     """A move with its end as it was found."""
     words = exact[move.line]
     if posted and move.tcp:
-        return move._replace(tcp=False, vector=None, position=tuple(axis_words(space, words[None])[0].tolist()))
+        return move._replace(tcp=False, vector=None, position=tuple(space.switched(words[None], tcp=False)[0].tolist()))
     position = tuple(old if old != old else float(new) for old, new in zip(move.position, words, strict=True))
     if move.vector is None:
         return move._replace(position=position)

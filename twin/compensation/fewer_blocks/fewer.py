@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from twin._common.errors import InputError
 from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
 from twin.compensation.fewer_blocks.distance import apart
-from twin.compensation.fewer_blocks.emit import Places, axis_words, tip_words
-from twin.compensation.fewer_blocks.fit import Fitter, Line, Piece, Tool
+from twin.compensation.fewer_blocks.emit import Places
+from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
 from twin.compensation.fewer_blocks.report import Shares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
 from twin.compensation.toolpath import Path
@@ -40,9 +40,7 @@ STEPS: Final = 16
 """Places a block at which a fitted curve is looked at."""
 
 
-@final
-@dataclass(frozen=True)
-class Figures:
+class Figures(NamedTuple):
     """What a run's curves and blocks took of the tolerance, the largest of its stretches.
 
     Attributes:
@@ -56,15 +54,6 @@ class Figures:
     fit_mm: float = 0.0
     chord_mm: float = 0.0
     path_mm: float = 0.0
-
-    def or_more(self, other: Figures) -> Figures:
-        """The larger of each."""
-        return Figures(
-            max(self.share_mm, other.share_mm),
-            max(self.fit_mm, other.fit_mm),
-            max(self.chord_mm, other.chord_mm),
-            max(self.path_mm, other.path_mm),
-        )
 
 
 @final
@@ -84,7 +73,7 @@ class Fitted:
     places: Places
     shares: Shares
     corners: int
-    pieces: tuple[Piece, ...]
+    pieces: tuple[CurvePiece, ...]
     figures: Figures
     why: str
 
@@ -163,7 +152,7 @@ class Fewer:
         if len(vertices) < 3:
             return self._as_it_is(run, shares, "it does not move the tool")
         ids = np.cumsum(moving)[1:] - 1
-        line = Line.of(vertices, tool)
+        line = Polyline.of(vertices, tool)
         allowed -= _coarseness(line, tool)
         if allowed <= 0.0:
             return self._as_it_is(run, shares, "its blocks are too far from straight at the tool")
@@ -171,7 +160,7 @@ class Fewer:
         words: list[np.ndarray] = []
         given = np.zeros(len(run.lines), dtype=int)
         changed = np.full(len(run.lines), self.printed)
-        pieces: list[Piece] = []
+        pieces: list[CurvePiece] = []
         figures = Figures()
         for number, (begin, end) in enumerate(pairwise(cuts)):
             blocks = np.flatnonzero((ids <= end) & ((ids > begin) | (number == 0)))
@@ -187,7 +176,7 @@ class Fewer:
             given[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
             changed[blocks] = True
             pieces += found[1]
-            figures = figures.or_more(found[2])
+            figures = Figures(*map(max, figures, found[2]))
         why = "" if pieces else "no fewer blocks keep to the tolerance"
         return Fitted(
             Places(run, np.concatenate(words), given, changed),
@@ -211,7 +200,7 @@ class Fewer:
 
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
-    ) -> tuple[np.ndarray, list[Piece], Figures] | None:
+    ) -> tuple[np.ndarray, list[CurvePiece], Figures] | None:
         """The fewest blocks and control points found for a stretch without corners: the blocks' ends, the curve, what they take."""
         best, least = None, np.inf
         for part in FIT:
@@ -220,7 +209,9 @@ class Fewer:
                 continue
             curve, at = Fitter(line, tool, part * allowed).curve(pieces, STEPS)
             # Blocks are straight in the words that come out.
-            straight, out = (partial(axis_words, self.space), self._tool(True, False)) if posted else (_same, tool)
+            straight, out = (
+                (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
+            )
             found = few_blocks(replace(line, words=straight(line.words)), straight(curve), at, out, allowed)
             cost = np.inf if found is None else len(found[0]) + _cost(pieces)
             if found is None or cost >= least:
@@ -229,18 +220,18 @@ class Fewer:
             dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
             chord = apart(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
             figures = Figures(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
-            best = (tip_words(self.space, found[0]) if posted else found[0]), pieces, figures
+            best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
             if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break
         return best
 
-    def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Line, list[Piece]]:
+    def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Polyline, list[CurvePiece]]:
         """The curve with the fewest control points, over the parameters."""
         powers: tuple[float, ...] = POWERS
         if len(words) > 2 * TRIAL:
-            costs = [_cost(Fitter(Line.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
+            costs = [_cost(Fitter(Polyline.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
             powers = (POWERS[int(np.argmin(costs))],)
-        lines = [Line.of(words, tool, power) for power in powers]
+        lines = [Polyline.of(words, tool, power) for power in powers]
         found = [(line, Fitter(line, tool, allowed).pieces()) for line in lines]
         return min(found, key=lambda one: _cost(one[1]))
 
@@ -259,7 +250,7 @@ class Fewer:
         return place
 
 
-def _coarseness(line: Line, tool: Tool) -> float:
+def _coarseness(line: Polyline, tool: Tool) -> float:
     """How far a line is from the polyline of the places it is looked at, mm: nothing where its blocks are straight at the tool."""
     middle = tool((line.dense[1:] + line.dense[:-1]) / 2.0)
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())
@@ -269,7 +260,7 @@ def _same(words: np.ndarray) -> np.ndarray:
     return words
 
 
-def _cost(pieces: list[Piece]) -> int:
+def _cost(pieces: list[CurvePiece]) -> int:
     return sum(piece.degree for piece in pieces)
 
 

@@ -16,7 +16,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.compensation.fewer_blocks.distance import lengths, to_line
+from twin.compensation.fewer_blocks.distance import apart, lengths
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
 Kind = Literal["polynomial", "trigonometric"]
@@ -64,7 +64,7 @@ def _values(basis: FGBernstein, count: int) -> np.ndarray:
 
 @final
 @dataclass(frozen=True)
-class Line:
+class Polyline:
     """A polyline with what is asked of it again and again.
 
     Attributes:
@@ -86,7 +86,7 @@ class Line:
     dense_tool: np.ndarray
 
     @classmethod
-    def of(cls, words: np.ndarray, tool: Tool, power: float = 1.0) -> Line:
+    def of(cls, words: np.ndarray, tool: Tool, power: float = 1.0) -> Polyline:
         """Of (n, axes) vertices, n ≥ 2, no two in a row alike at the tool.
 
         Args:
@@ -123,7 +123,7 @@ class Line:
 
 @final
 @dataclass(frozen=True)
-class Piece:
+class CurvePiece:
     """One fg-Bernstein curve between two vertices.
 
     Attributes:
@@ -160,20 +160,20 @@ class Fitter:
         allowed_mm: how far curve and polyline may be apart.
     """
 
-    def __init__(self, line: Line, tool: Tool, allowed_mm: float) -> None:
+    def __init__(self, line: Polyline, tool: Tool, allowed_mm: float) -> None:
         self.line = line
         self.tool = tool
         self.allowed = allowed_mm
         self.end = len(line.words) - 1
         self._reach: dict[tuple[str, int], int] = {}
 
-    def pieces(self) -> list[Piece]:
+    def pieces(self) -> list[CurvePiece]:
         """Curves one after the other over the whole stretch, with common tangents where they meet.
 
         From every joint each degree is taken as far as it stays within the tolerance; the one that takes most blocks a control
         point goes on, unless one that ends the stretch costs less than that and what would then be left.
         """
-        found: list[Piece] = []
+        found: list[CurvePiece] = []
         first, tangent, skip = 0, None, 0
         while first < self.end:
             best = self._best(first, tangent)
@@ -194,7 +194,7 @@ class Fitter:
             found[-2:] = [joined]
         return found
 
-    def curve(self, pieces: list[Piece], steps: int) -> tuple[np.ndarray, np.ndarray]:
+    def curve(self, pieces: list[CurvePiece], steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Words of the whole curve at ``steps`` or more steps a block, and the parameters they belong to."""
         words, at = [self.line.words[:1]], [self.line.at[:1]]
         for piece in pieces:
@@ -204,13 +204,13 @@ class Fitter:
             at.append(self.line.at[piece.first] + share * self._way(piece.first, piece.last))
         return np.concatenate(words), np.concatenate(at)
 
-    def _block(self, first: int) -> Piece:
+    def _block(self, first: int) -> CurvePiece:
         """A block as it is."""
-        return Piece(first, first + 1, _basis("polynomial", 1, 0.0), self.line.words[first : first + 2], 0.0)
+        return CurvePiece(first, first + 1, FGBernstein(1), self.line.words[first : first + 2], 0.0)
 
-    def _best(self, first: int, tangent: np.ndarray | None) -> Piece | None:
+    def _best(self, first: int, tangent: np.ndarray | None) -> CurvePiece | None:
         """The piece to go on with from a vertex; None if none stands for more blocks than it costs control points."""
-        candidates: list[Piece] = []
+        candidates: list[CurvePiece] = []
         for kind, degree in CANDIDATES:
             piece = self._farthest(first, kind, degree, tangent)
             if piece is None or (piece.blocks <= degree and piece.last < self.end):
@@ -225,14 +225,14 @@ class Fitter:
         if candidates[-1].last == self.end:
             candidates[-1] = self._lowest(first, tangent, most=candidates[-1].degree) or candidates[-1]
 
-        def cost(piece: Piece) -> float:
+        def cost(piece: CurvePiece) -> float:
             """Control points to the end, if it went on as this piece does."""
             left = self.end - piece.last
             return piece.degree + (max(left * piece.degree / piece.blocks, AT_LEAST) if left else 0.0)
 
         return min(candidates, key=cost)
 
-    def _leaving(self, piece: Piece) -> np.ndarray:
+    def _leaving(self, piece: CurvePiece) -> np.ndarray:
         """(axes,) derivative of the words by the parameter at a piece's end."""
         slope = piece.basis.derivative(piece.control, np.array([1.0]))[0]
         return np.asarray(slope / self._way(piece.first, piece.last))
@@ -240,7 +240,7 @@ class Fitter:
     def _way(self, first: int, last: int) -> float:
         return float(self.line.at[last] - self.line.at[first])
 
-    def _farthest(self, first: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> Piece | None:
+    def _farthest(self, first: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> CurvePiece | None:
         """The longest piece of a degree, looked for from how far the last one of that degree went."""
         most = self.end - first
         low, high, best = 0, most + 1, None
@@ -255,7 +255,7 @@ class Fitter:
         self._reach[kind, degree] = max(low, 1)
         return best
 
-    def _lowest(self, first: int, tangent: np.ndarray | None, *, most: int) -> Piece | None:
+    def _lowest(self, first: int, tangent: np.ndarray | None, *, most: int) -> CurvePiece | None:
         """A piece from a vertex to the end, of the lowest degree up to ``most`` that does, by bisection."""
         if most < 1:
             return None
@@ -268,13 +268,13 @@ class Fitter:
             low, best = (middle, best) if found is None else (low, found)
         return best
 
-    def _fit(self, first: int, last: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> Piece | None:
+    def _fit(self, first: int, last: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> CurvePiece | None:
         """The curve of a degree between two vertices, if it stays within the tolerance."""
         line = self.line
         half_angle = line.turning_rad(first, last) / 2.0 if kind == "trigonometric" else 0.0
         if kind == "trigonometric" and not LEAST_HALF_ANGLE_RAD < half_angle < MOST_HALF_ANGLE_RAD:
             return None
-        basis = _basis(kind, degree, half_angle)
+        basis = FGBernstein(degree, kind=kind, half_angle_rad=half_angle)
         ends = line.words[[first, last]]
         way = self._way(first, last)
         held, given = [0, degree], [ends[0], ends[1]]
@@ -301,16 +301,8 @@ class Fitter:
         curve = self.tool(_values(basis, count) @ control)
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
         meant, meant_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
-        off = float(to_line(curve, at, meant, meant_at, limit, limit).max())
-        if off <= limit:
-            off = max(off, float(to_line(meant, meant_at, curve, at, limit, limit).max()))
-        return Piece(first, last, basis, locked(control), off) if off <= self.allowed else None
-
-
-def _basis(kind: Kind, degree: int, half_angle_rad: float) -> FGBernstein:
-    if kind == "polynomial":
-        return FGBernstein(degree)
-    return FGBernstein(degree, kind=kind, half_angle_rad=half_angle_rad)
+        off = apart(curve, at, meant, meant_at, limit, limit)
+        return CurvePiece(first, last, basis, locked(control), off) if off <= self.allowed else None
 
 
 def _second(basis: FGBernstein, start: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -7,26 +7,28 @@ saves blocks, the blocks the rest. What comes out is read back and executed dens
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Final, final
+
+import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.bench import Bench, Options, Progress
+from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
-from twin.compensation.fewer_blocks.account import Job, Written, account
-from twin.compensation.fewer_blocks.emit import renumbered, shortened
+from twin.compensation.fewer_blocks.account import Job, account
+from twin.compensation.fewer_blocks.emit import Shortened, renumbered, shortened
 from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
-from twin.compensation.fewer_blocks.report import PathReport
-from twin.compensation.fewer_blocks.runs import find_runs
-from twin.compensation.pieces import CUTTER_LOCATION_INCREMENT
-from twin.compensation.toolpath import follow
+from twin.compensation.fewer_blocks.report import PathReport, Shares
+from twin.compensation.fewer_blocks.runs import Run, find_runs
+from twin.compensation.toolpath import Path, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Dialect, Move, Program
 
 DEFAULT_TOLERANCE_MM: Final = 0.01
 
@@ -94,84 +96,65 @@ class Refitter:
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
-        space, tcp = self.bench.space, self.bench.options.tcp
+        space = self.bench.space
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
-        increment = self.bench.increment.copy()
-        if dialect.name == "apt" and not posted:
-            increment[:3] = CUTTER_LOCATION_INCREMENT
+        increment = self.bench.printed_increment(dialect.name, posted=posted)
         fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
-        reading = dialect.moves(program, space.axes, tcp=tcp)
+        reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
-            raise InputError(
-                "no block that moves an axis to a known place", expected="a program with motion", file=program.source
-            )
+            raise motionless(program.source)
         runs = find_runs(program, path, space)
         fitted = []
         for i, run in enumerate(runs):
             say("fitting", 0.05 + 0.5 * i / len(runs))
             fitted.append(fewer.of(run, path))
         say("writing", 0.55)
-        members = {line for run in runs for line in run.lines}
-        loose = [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
-        short = shortened(
-            program,
-            dialect,
-            reading,
-            [one.places for one in fitted],
-            space,
-            increment,
-            tcp=tcp,
-            posted=posted,
-            others=loose if printed else (),
-        )
+        others = _others(path, runs) if printed else ()
+        places = [one.places for one in fitted]
+        short = shortened(program, dialect, reading, places, self.bench, posted=posted, others=others)
         shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
-        job = Job(program, dialect, reading, path, tuple(fitted), shares, fewer.lever, short)
-        written = self._written(job, written_in, say, posted=posted)
+        result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
+        text = short.program.text if result is None else result.text
+        if not posted:
+            text = renumbered(program, text, dialect)
         say("checking", 0.9)
-        report = account(self.bench, job, written, compensated=self.compensated, asked=self.asked)
+        job = Job(program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.asked)
+        report = account(fewer, job)
         say("done", 1.0)
-        return Refit(written.text, report)
+        return Refit(text, report)
 
-    def _written(self, job: Job, into: Dialect, say: Progress, *, posted: bool) -> Written:
-        """The text: compensated where that is asked for, posted where it is to be another language."""
-        if not self.compensated and not posted:
-            text = renumbered(job.program, job.short.program.text, job.dialect)
-            return Written(text, into, posted, None, {}, frozenset())
-        share = job.shares.compensation if self.compensated else job.shares.tolerance
+    def _result(
+        self, short: Shortened, dialect: Dialect, shares: Shares, say: Progress, *, into: Dialect | None
+    ) -> Compensation:
+        """The shortened program compensated where that is asked for, posted where it is to be another language."""
+        share = shares.compensation if self.compensated else shares.tolerance
         options = replace(self.bench.options, tolerance_mm=share * 1e-3)
-        result = Compensator(self.bench.machine, self.bench.calibration, options).compensate(
-            job.short.program,
-            job.short,
+        compensator = Compensator(self.bench.machine, self.bench.calibration, options)
+        return compensator.compensate(
+            short.program,
+            dialect,
             lambda stage, fraction: say(stage, 0.55 + 0.35 * fraction),
-            into=into if posted else None,
+            into=into,
+            reading=short.reading,
         )
-        text = result.text if posted else renumbered(job.program, result.text, job.dialect)
-        rewrites = {id(rewrite.move): rewrite for rewrite in result.rewrites}
-        report = result.report if self.compensated else None
-        return Written(text, into, posted, report, rewrites, _taken(result))
 
 
-def _taken(result: Compensation) -> frozenset[tuple[int, int]]:
-    """Line number and place within its block of every row that only takes up a reversal."""
-    seen: Counter[int] = Counter()
-    found = []
-    for line, taken in zip(result.lines.tolist(), result.taken.tolist(), strict=True):
-        if taken:
-            found.append((line, seen[line]))
-        seen[line] += 1
-    return frozenset(found)
+def _others(path: Path, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
+    """Moves that are in no run, and where they end."""
+    members = {line for run in runs for line in run.lines}
+    return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
 
 
 def refit(
-    program: str | Path,
+    program: str | FilePath,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
     options: Options | None = None,
     compensated: bool = True,
-    output: str | Path | None = None,
+    output: str | FilePath | None = None,
     feed: float | None = None,
     progress: Progress | None = None,
 ) -> Refit:
@@ -193,9 +176,9 @@ def refit(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
-    source = Path(program)
+    source = FilePath(program)
     points = is_points(source)
-    target = dialect_for(Path(output)) if output is not None else None
+    target = dialect_for(FilePath(output)) if output is not None else None
     if points:
         iso = next(dialect for dialect in DIALECTS if dialect.name == "iso")
         read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target or iso, feed)

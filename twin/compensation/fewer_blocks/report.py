@@ -1,19 +1,55 @@
-"""What became of a program's runs, and what of the tolerance each part used."""
+"""What became of a program's runs, what of the tolerance each part used, and what the uncertainty of the path is made of.
+
+Díaz Pérez et al. (2019), eq. 15: the error at a place of a trajectory is that of the system plus that of the trajectory's definition.
+Their table 2 combines standard uncertainties as ISO/TR 230-9 does: U = k √Σu², k = 2; an error known by its limits ±a counts as a/√3
+(JCGM 100:2008, 4.3.7).
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin.compensation.fewer_blocks.budget import COVERAGE_FACTOR, Contribution, combined
-from twin.compensation.report import NO_ERRORS, LineNote, Report, grouped
-from twin.display import UNKNOWN, bar, card, finite, note, pairs, several, table
+from twin._common.json_form import json_form
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts
+from twin.compensation.account import NO_ERRORS, LineNote, Report, grouped
+from twin.display import UNKNOWN, bar, card, note, pairs, several, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
 """Lines of a list that the text shows before it counts the rest; JSON has them all."""
+COVERAGE_FACTOR: Final = 2.0
+PARTS: Final = ("fit", "chord", "path", "machine", "total")
+"""What the tolerance is used for."""
+
+
+@final
+@dataclass(frozen=True)
+class UncertaintyContribution:
+    """One contribution to an uncertainty.
+
+    Attributes:
+        name: what it is.
+        standard_um: standard uncertainty (k = 1), µm; NaN where it is not known.
+        how: where the number comes from.
+    """
+
+    name: str
+    standard_um: float
+    how: str
+
+    @classmethod
+    def within(cls, name: str, limit_um: float, how: str) -> UncertaintyContribution:
+        """Of an error that lies anywhere within ± a limit."""
+        return cls(name, limit_um / sqrt(3.0), f"{how}: ± {limit_um:.3f} µm/√3")
+
+
+def combined(contributions: Sequence[UncertaintyContribution]) -> float:
+    """U = k √Σu² in µm; NaN where a contribution is not known."""
+    return COVERAGE_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
 
 
 @final
@@ -97,7 +133,7 @@ class PathReport:
     runs: tuple[RunReport, ...]
     not_met: tuple[LineNote, ...]
     notes: tuple[LineNote, ...]
-    contributions: tuple[Contribution, ...]
+    contributions: tuple[UncertaintyContribution, ...]
     compensation: Report | None
     compensation_asked: bool = False
 
@@ -124,16 +160,13 @@ class PathReport:
     @property
     def complete(self) -> bool:
         """Whether everything asked for was met (the exit status says so)."""
-        return not self.not_met and (
-            not self.compensation_asked if self.compensation is None else self.compensation.complete
-        )
+        compensated = not self.compensation_asked if self.compensation is None else self.compensation.complete
+        return compensated and not self.not_met
 
     @property
     def strictly_complete(self) -> bool:
         """Whether everything was met and corrected: rapids and the orientation, too."""
-        return not self.not_met and (
-            not self.compensation_asked if self.compensation is None else self.compensation.strictly_complete
-        )
+        return self.complete and (self.compensation is None or self.compensation.strictly_complete)
 
     @property
     def headline(self) -> str | None:
@@ -144,7 +177,12 @@ class PathReport:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
-        return {
+        uncertainty = {
+            "coverage_factor": COVERAGE_FACTOR,
+            "expanded_um": self.expanded_um,
+            "contributions": self.contributions,
+        }
+        found = {
             "schema": SCHEMA,
             "complete": self.complete,
             "strictly_complete": self.strictly_complete,
@@ -153,27 +191,21 @@ class PathReport:
             "machine": self.machine,
             "calibration": self.calibration,
             "illustrative": self.illustrative,
-            "warnings": to_json(self.warnings),
-            "shares_um": asdict(self.shares),
+            "warnings": self.warnings,
+            "shares_um": self.shares,
             "used_um": self.used(),
             "lever_mm": self.lever_mm,
             "angle_deg": self.angle_deg,
             "blocks": self.blocks,
             "blocks_out": self.blocks_out,
             "control_points": sum(run.control_points for run in self.runs),
-            "runs": [asdict(run) for run in self.runs],
-            "not_met": [asdict(note) for note in self.not_met],
-            "notes": [asdict(note) for note in self.notes],
-            "uncertainty": {
-                "coverage_factor": COVERAGE_FACTOR,
-                "expanded_um": finite(self.expanded_um),
-                "contributions": [
-                    {"name": one.name, "standard_um": finite(one.standard_um), "how": one.how}
-                    for one in self.contributions
-                ],
-            },
-            "compensation": None if self.compensation is None else self.compensation.to_dict(),
+            "runs": self.runs,
+            "not_met": self.not_met,
+            "notes": self.notes,
+            "uncertainty": uncertainty,
+            "compensation": self.compensation,
         }
+        return dict(json_form(found))
 
     def _repr_html_(self) -> str:
         used, shares = self.used(), self.shares
@@ -202,24 +234,25 @@ class PathReport:
 
     def used(self) -> dict[str, float]:
         """The most that each part took of the tolerance, over all runs, µm."""
-        parts = ("fit_um", "chord_um", "path_um", "machine_um", "total_um")
-        return {part.removesuffix("_um"): max((getattr(run, part) for run in self.runs), default=0.0) for part in parts}
+        return {part: max((getattr(run, f"{part}_um") for run in self.runs), default=0.0) for part in PARTS}
 
     def to_text(self) -> str:
         """The report as a machinist reads it."""
-        used, shares = self.used(), self.shares
+        used, shares, u = self.used(), self.shares, self.expanded_um
+        unknown = "unknown (the calibration has none), and"
         fitted = [run for run in self.runs if not run.why]
-        out = [f"{self.program} on {self.machine}" + ("" if self.headline is None else f": {self.headline}")]
+        headline = "" if self.headline is None else f": {self.headline}"
+        calibration = ["  not compensated: on the machine as drawn"]
         if self.compensation is not None:
-            out.append(f"  calibration   {self.calibration}")
-            out += [f"                {text}" for text in texts(self.warnings)]
-        else:
-            out.append("  not compensated: on the machine as drawn")
+            calibration = [f"  calibration   {self.calibration}"]
+            calibration += [f"                {text}" for text in texts(self.warnings)]
         fit_share = max((run.fit_share_um for run in self.runs), default=0.0)
         added = 0 if self.compensation is None else self.compensation.added
-        out += [
-            f"  blocks        {self.blocks} in {len(self.runs)} runs, now {self.blocks_out}"
-            + (f" (+{added} where compensation splits or takes up a reversal)" if added else ""),
+        more = f" (+{added} where compensation splits or takes up a reversal)" if added else ""
+        out = [
+            f"{self.program} on {self.machine}{headline}",
+            *calibration,
+            f"  blocks        {self.blocks} in {len(self.runs)} runs, now {self.blocks_out}{more}",
             f"  curves        {sum(run.control_points for run in fitted)} control points for "
             f"{sum(run.blocks for run in fitted)} blocks in {len(fitted)} runs, {sum(run.corners for run in self.runs)} corners kept",
             f"  rotary words  {self.angle_deg:.4f}°: the tolerance at {self.lever_mm:g} mm from the tip",
@@ -231,9 +264,9 @@ class PathReport:
             f"    compensation between the ends, rounding   {shares.compensation + shares.rounding:8.3f} {used['machine']:8.3f}",
             f"    executed path from the input's            {shares.tolerance:8.3f} {used['total']:8.3f}",
             "",
-            self._uncertainty(),
+            f"  uncertainty at a place of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} made of (k = 1)",
+            *(f"    {one.name:<44}{_um(one.standard_um)}  {one.how}" for one in self.contributions),
         ]
-        out += [f"    {one.name:<44}{_um(one.standard_um)}  {one.how}" for one in self.contributions]
         kept = tuple(
             LineNote(run.first_line, f"{run.blocks} blocks to line {run.last_line}: {run.why}")
             for run in self.runs
@@ -252,12 +285,6 @@ class PathReport:
                 if len(lines) > SHOWN:
                     out.append(f"    … and {len(lines) - SHOWN} more (all in the JSON report)")
         return "\n".join(out) + "\n"
-
-    def _uncertainty(self) -> str:
-        expanded = self.expanded_um
-        if expanded != expanded:
-            return "  uncertainty at a place of the path: unknown (the calibration has none), and made of (k = 1)"
-        return f"  uncertainty at a place of the path: U (k = 2) {expanded:.2f} µm, made of (k = 1)"
 
 
 def _um(value: float) -> str:

@@ -13,8 +13,8 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.fewer_blocks.fit import PARTS, Line
-from twin.compensation.toolpath import Motion, Path, WordSpace
+from twin.compensation.fewer_blocks.fit import PARTS, Polyline
+from twin.compensation.toolpath import Path, PathMotion, WordSpace
 from twin.nc.blocks import Kind, Program
 from twin.nc.plain import iso_plain, plain_language
 
@@ -92,7 +92,7 @@ def find_runs(program: Program, path: Path, space: WordSpace) -> list[Run]:
     return runs
 
 
-def corners(line: Line, allowed_mm: float) -> list[int]:
+def corners(line: Polyline, allowed_mm: float) -> list[int]:
     """Vertices of a run at which a curve ends and another begins, its two ends among them.
 
     A vertex is a corner if the smooth path from the middle of one block to the middle of the next would pass it by more than the
@@ -116,13 +116,13 @@ def corners(line: Line, allowed_mm: float) -> list[int]:
     return [0, *(np.flatnonzero(found) + 1).tolist(), len(size)]
 
 
-def _straight(motion: Motion) -> bool:
+def _straight(motion: PathMotion) -> bool:
     """Whether a block goes straight from a known place, and only there."""
     move = motion.move
     return move.kind is Kind.LINEAR and not move.machine and move.normal is None and motion.interpolated
 
 
-def _follows(before: Motion, motion: Motion) -> bool:
+def _follows(before: PathMotion, motion: PathMotion) -> bool:
     """Whether a block goes on where the one before ended, in the same words."""
     same = before.move.tcp == motion.move.tcp and (before.move.vector is None) == (motion.move.vector is None)
     return same and bool(np.array_equal(before.end, motion.start))

@@ -9,9 +9,9 @@ import numpy as np
 
 from twin.compensation.backlash import LostMotion
 from twin.compensation.fewer_blocks.distance import apart, lengths
-from twin.compensation.toolpath import WordSpace, along, follow
+from twin.compensation.toolpath import PathMotion, WordSpace, follow
 from twin.kinematics.forward import Kinematics
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Program, Reading
 
 PLACES: Final = 7
 """Places a block at which it is looked at: no multiple of those that fit and chords looked at."""
@@ -48,44 +48,33 @@ class Executed:
 
 
 def execute_words(
-    program: Program,
-    dialect: Dialect,
-    space: WordSpace,
-    real: Kinematics,
-    *,
-    tcp: bool,
-    dense: np.ndarray | None = None,
+    program: Program, reading: Reading, space: WordSpace, real: Kinematics, dense: np.ndarray
 ) -> Executed:
     """Run a program as its control would, straight in words.
 
     Args:
         program: as read.
-        dialect: its language.
+        reading: what it says.
         space: the machine's words.
         real: the machine, with the errors it has.
-        tcp: as of `Dialect.moves`.
-        dense: (moves,) which are looked at from where they begin, not only at their ends; all if None.
+        dense: (moves,) which are looked at from where they begin, not only at their ends.
     """
-    reading = dialect.moves(program, space.axes, tcp=tcp)
     path = follow(program, reading, space)
-    index = {id(move): i for i, move in enumerate(reading.moves)}
-    words, block, of, modes = [], [], [], []
-    for i, motion in enumerate(path.motions):
-        move = index[id(motion.move)]
-        share = np.array([1.0])
-        if motion.interpolated and (dense is None or dense[move]):
-            size = np.abs(motion.end - motion.start)
-            steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, PLACES)
-            share = np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
-        words.append(along(motion, share) if np.isfinite(motion.start).all() else motion.end[None])
-        block += [move] * len(words[-1])
-        of += [i] * len(words[-1])
-        modes += [motion.move.tcp] * len(words[-1])
-    every = np.concatenate(words)
-    commands = space.commands(every, np.array(modes))
-    sides = LostMotion(real.calibration).sides(path, np.array(of), commands)
+    moves = path.columns.move
+    motions = zip(path.motions, dense[moves].tolist(), strict=True)
+    words, of = path.dense([_fractions(motion) if looked_at else np.array([1.0]) for motion, looked_at in motions])
+    commands = space.commands(words, path.columns.tcp[of])
+    sides = LostMotion(real.calibration).sides(path, of, commands)
     point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
-    return Executed(np.array(block), every, point)
+    return Executed(moves[of], words, point)
+
+
+def _fractions(motion: PathMotion) -> np.ndarray:
+    if not motion.interpolated:
+        return np.array([1.0])
+    size = np.abs(motion.end - motion.start)
+    steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, PLACES)
+    return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
 
 
 def apart_mm(

@@ -19,7 +19,7 @@ to largest of the repeats):
 back and accounted for; 109 times as long as copying the same bytes. Plain language, APT, drilling cycles and calibrations with
 reversals are still held in memory. `twin.compensate_file(…)` is the same from a script. Where the calibration has a covariance,
 U of a long program is worked out at some block ends and interpolated between them, within 1 %
-(`twin/compensation/interpolation.py`).
+(`twin/compensation/account/interpolation.py`).
 
 **Measurements.** 100,000 points: `identify` 46 s and 1.2 GB, `diagnose` 40 s and 1.2 GB (the command, with table and page, 46
 s). A calibration that is itself uncertain takes `diagnose` longer: in 188 numbers 79 s and 1.9 GB, in 350 numbers 102 s and 2.4

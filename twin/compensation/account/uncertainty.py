@@ -7,65 +7,25 @@ probability Φ(U/2u): 84 % if what is uncertain lies along the correction, 92 % 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, final, overload
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, final
 
 import numpy as np
 
-from twin.display import finite, rounded
+from twin._common.json_form import json_form
+from twin.compensation.account.tally import Tally
+from twin.display import readable, rounded
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 
+BELOW: Final = np.dtype([("line", int), ("correction", float), ("expanded", float)])
 NAMED = 8
 """Names without uncertainty that the text shows before it counts the rest; JSON has them all."""
 
 
 @final
 @dataclass(frozen=True)
-class Below:
-    """A block whose correction is no larger than its uncertainty, RMS over the ends of its pieces."""
-
-    line: int
-    correction: float
-    expanded: float
-
-
-@final
-class Belows(Sequence[Below]):
-    """Blocks whose correction is no larger than its uncertainty, in columns: they may be all of a long program.
-
-    Args:
-        line: (n,) program lines.
-        correction: (n,) of each.
-        expanded: (n,) U of each.
-    """
-
-    def __init__(self, line: np.ndarray, correction: np.ndarray, expanded: np.ndarray) -> None:
-        self._columns = (line, correction, expanded)
-
-    def __len__(self) -> int:
-        return len(self._columns[0])
-
-    @overload
-    def __getitem__(self, index: int) -> Below: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Below]: ...
-    def __getitem__(self, index: int | slice) -> Below | list[Below]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        line, correction, expanded = (column[index] for column in self._columns)
-        return Below(int(line), float(correction), float(expanded))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and list(self) == list(other)
-
-    def __hash__(self) -> int:
-        return hash(tuple(self))
-
-
-@final
-@dataclass(frozen=True)
-class Correction:
+class ToolCorrection:
     """What was corrected at the block ends, of the tool point or of the tool axis.
 
     Attributes:
@@ -77,7 +37,8 @@ class Correction:
         expanded_rms: U over the program; NaN if unknown.
         expanded_max, expanded_max_line: the largest.
         standard_rms: standard uncertainties (k = 1) along or about x, y, z of the work frame, RMS over the program.
-        below: blocks whose correction is no larger than its own U.
+        below: blocks whose correction is no larger than its own U: ``line``, ``correction`` and ``expanded`` of each, RMS over the ends
+            of its pieces.
         known: whether anything that was corrected has an uncertainty.
         without_uncertainty: what of it has none: if some has, U is a lower bound.
     """
@@ -93,7 +54,7 @@ class Correction:
     expanded_max: float
     expanded_max_line: int
     standard_rms: tuple[float, float, float]
-    below: Sequence[Below]
+    below: np.recarray = field(compare=False)
     known: bool
     without_uncertainty: tuple[str, ...]
 
@@ -114,7 +75,7 @@ class Correction:
     @property
     def headline(self) -> str:
         """The one sentence about it."""
-        sign = "µm" if self.unit == "um" else "µrad"
+        sign = readable(self.unit)
         if not self.known:
             return f"{self.rms:.1f} {sign} RMS at the block ends, its uncertainty unknown"
         size, expanded = rounded(self.rms, self.expanded_rms)
@@ -128,7 +89,7 @@ class Correction:
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where it is not known."""
         end = f"_{self.unit}"
-        return {
+        found = {
             "known": self.known,
             "complete": self.known and not self.without_uncertainty,
             "shown": self.shown,
@@ -137,34 +98,32 @@ class Correction:
             "correction_rms" + end: self.rms,
             "correction_max" + end: self.max,
             "correction_max_line": self.max_line,
-            "expanded_at_correction_max" + end: finite(self.max_expanded),
-            "expanded_rms" + end: finite(self.expanded_rms),
-            "expanded_max" + end: finite(self.expanded_max),
+            "expanded_at_correction_max" + end: self.max_expanded,
+            "expanded_rms" + end: self.expanded_rms,
+            "expanded_max" + end: self.expanded_max,
             "expanded_max_line": self.expanded_max_line if self.known else None,
-            "standard_rms" + end: [finite(value) for value in self.standard_rms],
+            "standard_rms" + end: self.standard_rms,
             "below": [
-                {"line": one.line, "correction" + end: one.correction, "expanded" + end: one.expanded}
-                for one in self.below
+                dict(zip(("line", "correction" + end, "expanded" + end), one, strict=True))
+                for one in self.below.tolist()
             ],
-            "without_uncertainty": list(self.without_uncertainty),
+            "without_uncertainty": self.without_uncertainty,
         }
+        return dict(json_form(found))
 
     def to_text(self, shown: int) -> list[str]:
         """Lines of the report below the headline; at most ``shown`` of a list."""
         if not self.known:
             return []
-        sign = "µm" if self.unit == "um" else "µrad"
+        sign = readable(self.unit)
         size, expanded = rounded(self.max, self.max_expanded)
         along = "along" if self.unit == "um" else "about"
-        standard = ", ".join(
-            f"{axis} {rounded(value, value)[1]}" for axis, value in zip("xyz", self.standard_rms, strict=True)
-        )
-        widest = rounded(self.expanded_max, self.expanded_max)[1]
+        x, y, z, widest = (rounded(value, value)[1] for value in (*self.standard_rms, self.expanded_max))
         out = [
             f"    {self.of:<12}largest {size} ± {expanded} {sign} (line {self.max_line}); largest U {widest} {sign} "
-            f"(line {self.expanded_max_line}); u (k = 1) {along} {standard} {sign}"
+            f"(line {self.expanded_max_line}); u (k = 1) {along} x {x}, y {y}, z {z} {sign}"
         ]
-        if self.below:
+        if len(self.below):
             out.append(
                 f"    {self.of}: correction no larger than its own uncertainty in {len(self.below)} of {self.blocks} blocks; "
                 "not shown to be improved:"
@@ -179,7 +138,7 @@ class Correction:
 
 @final
 class CorrectionTally:
-    """A `Correction` in the making: block ends come a stretch of program at a time, those of one block together.
+    """A `ToolCorrection` in the making: block ends come a stretch of program at a time, those of one block together.
 
     Args:
         of: ``tool point`` or ``tool axis``.
@@ -188,22 +147,14 @@ class CorrectionTally:
 
     def __init__(self, of: str, unit: str) -> None:
         self._of, self._unit = of, unit
-        self._ends = self._blocks = 0
-        self._squares, self._standard = np.zeros(2), np.zeros(3)
-        self._largest = (-1.0, 0.0, 0)
-        self._widest = (-np.inf, 0)
-        self._below: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._tally = Tally(2, 5)
+        self._blocks = 0
+        self._below: list[np.recarray] = []
         self._known = False
         self._without: tuple[str, ...] = ()
 
     def add(
-        self,
-        lines: np.ndarray,
-        blocks: np.ndarray,
-        size: np.ndarray,
-        expanded: np.ndarray,
-        standard: np.ndarray,
-        tool: ToolUncertainty,
+        self, lines: np.ndarray, blocks: np.ndarray, size: np.ndarray, known: np.ndarray, tool: ToolUncertainty
     ) -> None:
         """Take some ends.
 
@@ -211,46 +162,41 @@ class CorrectionTally:
             lines: (n,) program lines.
             blocks: (n,) which block each end belongs to, ascending.
             size: (n,) length of the correction, n > 0.
-            expanded: (n,) its U.
-            standard: (n, 3) standard uncertainties.
-            tool: where these come from; NaN where it knows nothing.
+            known: (n, 4) its U, and standard uncertainties; NaN where ``tool`` knows nothing.
+            tool: where these come from.
         """
+        expanded, standard = known[:, 0], known[:, 1:]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))
-        of_block = np.sqrt(np.add.reduceat(size**2, first) / count)
-        u_of_block = np.sqrt(np.add.reduceat(expanded**2, first) / count)
+        of_block, u_of_block = (np.sqrt(np.add.reduceat(one**2, first) / count) for one in (size, expanded))
         below = of_block <= u_of_block
-        self._below.append((lines[first[below]], of_block[below], u_of_block[below]))
-        largest, widest = int(np.argmax(size)), int(np.argmax(expanded))
-        if size[largest] > self._largest[0]:
-            self._largest = float(size[largest]), float(expanded[largest]), int(lines[largest])
-        if not self._ends or expanded[widest] > self._widest[0]:
-            self._widest = float(expanded[widest]), int(lines[widest])
-        self._ends += len(size)
+        columns = [lines[first[below]], of_block[below], u_of_block[below]]
+        self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
+        squares = np.array([np.sum(size**2), np.sum(expanded**2), *np.sum(standard**2, axis=0)])
+        self._tally.add(np.stack([size, expanded]), squares, lines)
         self._blocks += len(first)
-        self._squares += [np.sum(size**2), np.sum(expanded**2)]
-        self._standard += np.sum(standard**2, axis=0)
         self._known, self._without = bool(tool.parameters), tool.without_uncertainty
 
-    def correction(self) -> Correction | None:
+    def correction(self) -> ToolCorrection | None:
         """Of all that was added; None of nothing."""
-        if not self._ends:
+        if not self._tally.count:
             return None
-        rms, expanded_rms = np.sqrt(self._squares / self._ends).tolist()
-        x, y, z = np.sqrt(self._standard / self._ends).tolist()
-        return Correction(
+        rms, expanded_rms, x, y, z = self._tally.rms
+        (size, expanded), (_, widest) = self._tally.largest.tolist()
+        line, widest_line = self._tally.lines.tolist()
+        return ToolCorrection(
             of=self._of,
             unit=self._unit,
             blocks=self._blocks,
             rms=rms,
-            max=self._largest[0],
-            max_expanded=self._largest[1],
-            max_line=self._largest[2],
+            max=size,
+            max_expanded=expanded,
+            max_line=line,
             expanded_rms=expanded_rms,
-            expanded_max=self._widest[0],
-            expanded_max_line=self._widest[1],
+            expanded_max=widest,
+            expanded_max_line=widest_line,
             standard_rms=(x, y, z),
-            below=Belows(*(np.concatenate(columns) for columns in zip(*self._below, strict=True))),
+            below=np.concatenate(self._below).view(np.recarray),
             known=self._known,
             without_uncertainty=self._without,
         )
@@ -261,10 +207,10 @@ class CorrectionTally:
 class Corrections:
     """Of point and axis; None where the scope does not correct it."""
 
-    point: Correction | None
-    axis: Correction | None
+    point: ToolCorrection | None
+    axis: ToolCorrection | None
 
-    def __iter__(self) -> Iterator[Correction]:
+    def __iter__(self) -> Iterator[ToolCorrection]:
         """Those there are."""
         return (one for one in (self.point, self.axis) if one is not None)
 
@@ -280,9 +226,4 @@ class Corrections:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "definition": DEFINITION,
-            "unknown": self.unknown,
-            "point": None if self.point is None else self.point.to_dict(),
-            "axis": None if self.axis is None else self.axis.to_dict(),
-        }
+        return {"definition": DEFINITION, "unknown": self.unknown, **json_form(self)}

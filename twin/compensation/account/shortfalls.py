@@ -8,11 +8,10 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
-from twin.display import several
+from twin.display import readable, several
 
 SHOWN: Final = 8
 """Line numbers that a text shows before it counts the rest; JSON has them all."""
-SIGNS: Final = {"um": "µm", "urad": "µrad", "mm": "mm", "deg": "°"}
 
 Kind = Literal["range", "orientation", "tolerance"]
 
@@ -44,7 +43,7 @@ class Shortfall:
     @property
     def text(self) -> str:
         """In one line, for a person."""
-        size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {SIGNS[self.unit]}"
+        size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {readable(self.unit)}"
         return f"{several(len(self.lines), 'block')} ({line_numbers(self.lines)}): {self.reason}; worst {size} (line {self.worst_line})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,11 +58,22 @@ class Shortfall:
         }
 
 
-class _Entry(NamedTuple):
-    lines: list[np.ndarray]
-    missed: list[np.ndarray]
-    worst: float
-    worst_line: int
+class Found(NamedTuple):
+    """Blocks that could not be corrected for one reason.
+
+    Attributes:
+        kind, reason, unit: as of `Shortfall`.
+        lines: (n,) line numbers.
+        sizes: (n,) how far off each is, in ``unit``.
+        missed: (n,) whether the exit status counts it.
+    """
+
+    kind: Kind
+    reason: str
+    unit: str
+    lines: np.ndarray
+    sizes: np.ndarray
+    missed: np.ndarray
 
 
 @final
@@ -71,37 +81,27 @@ class ShortfallTally:
     """Shortfalls in the making: blocks come a stretch of program at a time."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[Kind, str, str], _Entry] = {}
+        self._found: dict[tuple[Kind, str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+        self._worst: dict[tuple[Kind, str, str], tuple[float, int]] = {}
 
-    def add(self, kind: Kind, reason: str, unit: str, lines: np.ndarray, sizes: np.ndarray, missed: np.ndarray) -> None:
-        """Add blocks.
-
-        Args:
-            kind: as of `Shortfall`.
-            reason: likewise.
-            unit: likewise.
-            lines: (n,) line numbers.
-            sizes: (n,) how far off each is, in ``unit``.
-            missed: (n,) whether the exit status counts it.
-        """
-        if not lines.size:
+    def add(self, found: Found) -> None:
+        """Add blocks."""
+        if not found.lines.size:
             return
-        at = int(np.argmax(sizes))
-        before = self._found.get((kind, reason, unit), _Entry([], [], -np.inf, 0))
-        worst = (float(sizes[at]), int(lines[at])) if sizes[at] > before.worst else (before.worst, before.worst_line)
-        self._found[kind, reason, unit] = _Entry([*before.lines, lines], [*before.missed, lines[missed]], *worst)
+        key = found.kind, found.reason, found.unit
+        self._found.setdefault(key, []).append((found.lines, found.lines[found.missed]))
+        at = int(np.argmax(found.sizes))
+        if key not in self._worst or found.sizes[at] > self._worst[key][0]:
+            self._worst[key] = float(found.sizes[at]), int(found.lines[at])
 
     def shortfalls(self) -> tuple[Shortfall, ...]:
         """Return all of them, those with most blocks first."""
-        found = [
-            Shortfall(kind, reason, _unique(entry.lines), _unique(entry.missed), entry.worst_line, entry.worst, unit)
-            for (kind, reason, unit), entry in self._found.items()
-        ]
+        found = []
+        for (kind, reason, unit), parts in self._found.items():
+            lines, missed = (tuple(np.unique(np.concatenate(part)).tolist()) for part in zip(*parts, strict=True))
+            worst, worst_line = self._worst[kind, reason, unit]
+            found.append(Shortfall(kind, reason, lines, missed, worst_line, worst, unit))
         return tuple(sorted(found, key=lambda one: -len(one.lines)))
-
-
-def _unique(lines: list[np.ndarray]) -> tuple[int, ...]:
-    return tuple(np.unique(np.concatenate(lines)).tolist())
 
 
 def line_numbers(lines: Sequence[int]) -> str:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
-import numpy as np
-
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts, to_json
-from twin._common.units import URAD
-from twin.compensation.comparison import Compared
-from twin.compensation.correction import Corrections
-from twin.compensation.shortfalls import SHOWN, Shortfall, line_numbers
-from twin.display import bar, card, note, pairs, several, table
+from twin._common.json_form import json_form
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts
+from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
+from twin.compensation.account.tally import Tally
+from twin.compensation.account.uncertainty import Corrections
+from twin.display import bar, card, note, pairs, readable, several, table
 from twin.machine.conditions import TIME
-from twin.numerics.spatial import tilt
 from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA = "twin.compensation/1"
 NO_ERRORS = "NOTHING CORRECTED: the calibration has no error motion in scope, so no position is changed"
+IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
 
 
 @final
@@ -31,10 +29,10 @@ class Deviation:
     Attributes:
         rms_um, max_um: distance at the functional point.
         rms_urad, max_urad: angle of the tool axis.
-        tilt_rms_urad, tilt_max_urad: how it leans about x and about y of the tool frame, largest by amount
-            (`twin.kinematics.forward.Poses.tilt_urad`).
         worst_line: program line of the largest distance.
         points: how many poses.
+        tilt_rms_urad, tilt_max_urad: how it leans about x and about y of the tool frame, largest by amount
+            (`twin.kinematics.forward.Poses.tilt_urad`).
     """
 
     rms_um: float
@@ -43,46 +41,16 @@ class Deviation:
     max_urad: float
     worst_line: int
     points: int
-    tilt_rms_urad: tuple[float, float] = (0.0, 0.0)
-    tilt_max_urad: tuple[float, float] = (0.0, 0.0)
+    tilt_rms_urad: tuple[float, float]
+    tilt_max_urad: tuple[float, float]
 
-
-@final
-class DeviationTally:
-    """A `Deviation` in the making: poses come a stretch of program at a time."""
-
-    def __init__(self) -> None:
-        self._points = self._worst_line = 0
-        self._squares = np.zeros(4)
-        self._largest = np.zeros(4)
-
-    def add(self, found: Compared, lines: np.ndarray) -> None:
-        """Take some poses; ``lines`` (n,) says which program line each belongs to."""
-        distance = found.distance_mm * 1e3
-        if not distance.size:
-            return
-        size = np.stack([distance, found.angle_rad * 1e6, *np.abs(tilt(found.leaning).T / URAD)])
-        largest = int(np.argmax(distance))
-        if not self._points or distance[largest] > self._largest[0]:
-            self._worst_line = int(lines[largest])
-        self._points += len(distance)
-        self._squares += np.einsum("ij,ij->i", size, size)
-        self._largest = np.maximum(self._largest, size.max(axis=1))
-
-    def deviation(self) -> Deviation:
-        """Of all that was added."""
-        rms = np.sqrt(self._squares / max(self._points, 1)).tolist()
-        largest = self._largest.tolist()
-        return Deviation(
-            rms_um=rms[0],
-            max_um=largest[0],
-            rms_urad=rms[1],
-            max_urad=largest[1],
-            worst_line=self._worst_line,
-            points=self._points,
-            tilt_rms_urad=(rms[2], rms[3]),
-            tilt_max_urad=(largest[2], largest[3]),
-        )
+    @classmethod
+    def of(cls, tally: Tally) -> Deviation:
+        """Of distances, angles, and both tilts."""
+        rms, angle_rms, x_rms, y_rms = tally.rms
+        largest, angle, x, y = tally.largest.diagonal().tolist()
+        line = int(tally.lines[0])
+        return cls(rms, largest, angle_rms, angle, line, tally.count, (x_rms, y_rms), (x, y))
 
 
 @final
@@ -185,13 +153,14 @@ class Report:
     """A compensation's account of itself; every field is in the JSON under its name.
 
     Attributes:
+        largest_correction: by axis, in mm or degrees, and that unit.
         rounding_um: largest distance that rounding to the least increment leaves at a block's end.
         solver_um: largest distance the solver leaves there.
         not_corrected: blocks that could not be corrected, or not within the tolerance, by reason.
-        cutting: how many moves cut: all but rapids.
-        idle: whether there is nothing to correct: no error motion of the calibration is in scope.
         notes: lines passed through as written, and assumptions.
         uncertainty: of the correction, from the calibration's covariance.
+        cutting: how many moves cut: all but rapids.
+        idle: whether there is nothing to correct: no error motion of the calibration is in scope.
         conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
         reversals: by axis; the side each axis comes from follows from the program.
         control: what the control corrects by itself; None where the calibration says nothing of it.
@@ -267,126 +236,107 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
-        data = asdict(self)
-        data["largest_correction"] = {
-            name: {"value": value, "unit": unit} for name, (value, unit) in self.largest_correction.items()
-        }
-        data["uncertainty"] = self.uncertainty.to_dict()
-        data["illustrative"] = self.illustrative
-        data["warnings"] = to_json(self.warnings)
-        data["not_corrected"] = [one.to_dict() for one in self.not_corrected]
+        largest = self.largest_correction.items()
         return {
             "schema": SCHEMA,
             "complete": self.complete,
             "strictly_complete": self.strictly_complete,
             "headline": self.headline,
-            **data,
+            **json_form(self),
+            "largest_correction": {name: {"value": value, "unit": unit} for name, (value, unit) in largest},
+            "illustrative": self.illustrative,
         }
+
+    @property
+    def _errors(self) -> tuple[tuple[str, Deviation], tuple[str, Deviation]]:
+        return ("before", self.before), ("after, as predicted", self.after)
+
+    @property
+    def _how(self) -> str:
+        return f"{self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm"
+
+    @property
+    def _largest_moves(self) -> str:
+        return ", ".join(
+            f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
+            for name, (value, unit) in self.largest_correction.items()
+        )
 
     def _repr_html_(self) -> str:
         worst = max(self.before.max_um, self.after.max_um, 1e-9)
+        headers = (
+            f"error at the tool over {self.before.points:,} poses",
+            *("RMS, µm", "largest, µm", "line", "axis RMS, µrad", ""),
+        )
         errors = [
             (
                 words,
-                f"{d.rms_um:.2f}",
-                f"{d.max_um:.2f}",
-                f"{d.worst_line}",
-                f"{d.rms_urad:.1f}",
-                bar(d.rms_um / worst, loud=loud),
+                *(f"{one.rms_um:.2f}", f"{one.max_um:.2f}", f"{one.worst_line}", f"{one.rms_urad:.1f}"),
+                bar(one.rms_um / worst, loud=one is self.before),
             )
-            for words, d, loud in (("before", self.before, True), ("after, as predicted", self.after, False))
+            for words, one in self._errors
         ]
-        done = {True: "corrected", False: "not in scope", None: ""}
+        by_class = ("ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", "")
         classes = [
             (
                 one.name,
-                f"{one.before_rms_um:.2f}",
-                f"{one.before_max_um:.2f}",
-                done[one.corrected],
+                *(f"{one.before_rms_um:.2f}", f"{one.before_max_um:.2f}", IN_SCOPE[one.corrected]),
                 bar(one.before_rms_um / worst, loud=True),
             )
             for one in self.classes
         ]
-        largest = ", ".join(
-            f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
-            for name, (value, unit) in self.largest_correction.items()
-        )
+        blocks = f"{self.rewritten:,} rewritten, {self.split:,} split (+{self.added:,} blocks)"
         rows = [
             ("calibration", self.calibration_source if self.calibration == "none" else self.calibration),
             *((one.label, one.headline) for one in self.uncertainty),
             ("", self.uncertainty.unknown or ""),
             ("control", "" if self.control is None else self.control.sentence),
-            ("method", f"{self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm"),
-            (
-                "program",
-                f"{several(self.moves, 'move')}: {self.rewritten:,} rewritten, {self.split:,} split (+{self.added:,} blocks)",
-            ),
-            ("largest move of an axis", largest),
+            ("method", self._how),
+            ("program", f"{several(self.moves, 'move')}: {blocks}"),
+            ("largest move of an axis", self._largest_moves),
             ("rounding leaves", f"up to {self.rounding_um:.2f} µm at a block's end"),
         ]
-        notes = [note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected]
-        notes += [note(text) for text in grouped(self.notes)]
-        headers = (
-            f"error at the tool over {self.before.points:,} poses",
-            "RMS, µm",
-            "largest, µm",
-            "line",
-            "axis RMS, µrad",
-            "",
-        )
-        by_class = ("ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", "")
         parts = (
             note(self.headline, loud=not self.complete),
             table(headers, errors, right=range(1, 5)),
             pairs(rows),
             table(by_class, classes, right=(1, 2)),
-            *notes,
+            *(note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected),
+            *(note(text) for text in grouped(self.notes)),
         )
         title = f"{Path(self.program).name} on {self.machine}, compensated"
         return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
 
     def to_text(self) -> str:
         """The report as a machinist reads it."""
+        unknown = self.uncertainty.unknown
+        tilts = [f"{' / '.join(f'{about:.1f}' for about in one.tilt_rms_urad)}" for _, one in self._errors]
         out = [
             f"{self.program} on {self.machine}: {self.headline}",
             f"  calibration   {self.calibration}",
-        ]
-        out += [f"                {text}" for text in texts(self.warnings)]
-        out += [f"  {one.label:<14}{one.headline}" for one in self.uncertainty]
-        out += [] if self.uncertainty.unknown is None else [f"  {self.uncertainty.unknown}"]
-        out += [
+            *(f"                {text}" for text in texts(self.warnings)),
+            *(f"  {one.label:<14}{one.headline}" for one in self.uncertainty),
+            *([] if unknown is None else [f"  {unknown}"]),
             *([] if self.control is None else [f"  control       {self.control.sentence}"]),
-            f"  method        {self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm",
+            f"  method        {self._how}",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
             f"{self.split} split where {self.tolerance_um:g} µm between ends asked for it (+{self.added} blocks)",
             *self._channels_text(),
-            "  largest move  "
-            + ", ".join(
-                f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
-                for name, (value, unit) in self.largest_correction.items()
-            ),
+            f"  largest move  {self._largest_moves}",
             "",
             f"  error at the tool over {self.before.points} poses   RMS        max      tool axis RMS   max",
-            f"    before               {_um(self.before.rms_um)} {_um(self.before.max_um)} "
-            f"(line {self.before.worst_line})   {self.before.rms_urad:8.1f} {self.before.max_urad:8.1f} µrad",
-            f"    after, as predicted  {_um(self.after.rms_um)} {_um(self.after.max_um)} "
-            f"(line {self.after.worst_line})   {self.after.rms_urad:8.1f} {self.after.max_urad:8.1f} µrad",
-            f"    the tool axis's tilt about x / y of the tool, RMS: before {_tilt(self.before)}, after {_tilt(self.after)} µrad",
+            *(
+                f"    {words:<19}  {_um(one.rms_um)} {_um(one.max_um)} "
+                f"(line {one.worst_line})   {one.rms_urad:8.1f} {one.max_urad:8.1f} µrad"
+                for words, one in self._errors
+            ),
+            f"    the tool axis's tilt about x / y of the tool, RMS: before {tilts[0]}, after {tilts[1]} µrad",
             f"    rounding leaves up to {self.rounding_um:.3f} µm at a block's end, the solver {self.solver_um:.1e} µm",
             *self._uncertainty_text(),
             "",
             "  by class (ISO/TR 16907)   before RMS     max        left",
+            *self._classes_text(),
         ]
-        corrected = "corrected" if not self.not_corrected else "corrected, but for the blocks below"
-        for share in self.classes:
-            left = (
-                ""
-                if share.left_rms_um is None and not share.corrected
-                else corrected
-                if share.corrected
-                else f"{_um(share.left_rms_um or 0.0)} (not in scope)"
-            )
-            out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
         lists = (("not corrected", [one.text for one in self.not_corrected]), ("notes", grouped(self.notes)))
         for title, lines in lists:
             if lines:
@@ -395,17 +345,14 @@ class Report:
 
     def _channels_text(self) -> list[str]:
         """What the effects that need more than positions were given."""
-        out = []
         given = [
             f"{value:g} s on the clock of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
             for name, value in self.conditions.items()
         ]
-        if given:
-            out.append(f"  taken at      {', '.join(given)}, over the whole program")
+        out = [f"  taken at      {', '.join(given)}, over the whole program"] if given else []
         for one in self.reversals:
-            size = f"{one.axis} {one.size:.1f} {'µm' if one.unit == 'um' else 'µrad'}"
-            done = f"taken up by extra moves at {one.taken_up} turns of {one.axis}"
-            out.append(f"  reversal      {size}: {done if one.corrected else 'not in scope'}")
+            done = f"taken up by extra moves at {one.taken_up} turns of {one.axis}" if one.corrected else "not in scope"
+            out.append(f"  reversal      {one.axis} {one.size:.1f} {readable(one.unit)}: {done}")
         return out
 
     def _uncertainty_text(self) -> list[str]:
@@ -416,10 +363,14 @@ class Report:
         out = ["", f"  {DEFINITION}; not in it: rounding, repeatability, temperature"]
         return out + [line for one in known for line in one.to_text(SHOWN)]
 
-
-def _tilt(deviation: Deviation) -> str:
-    about_x, about_y = deviation.tilt_rms_urad
-    return f"{about_x:.1f} / {about_y:.1f}"
+    def _classes_text(self) -> list[str]:
+        corrected = "corrected" if not self.not_corrected else "corrected, but for the blocks below"
+        out = []
+        for one in self.classes:
+            kept = "" if one.left_rms_um is None else f"{_um(one.left_rms_um)} (not in scope)"
+            left = corrected if one.corrected else kept
+            out.append(f"    {one.name:<22}{_um(one.before_rms_um)} {_um(one.before_max_um)}  {left}")
+        return out
 
 
 def _um(value: float) -> str:

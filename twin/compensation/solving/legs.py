@@ -14,7 +14,8 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.bench import Bench
-from twin.compensation.toolpath import Motion, along
+from twin.compensation.solving.rows import counted
+from twin.compensation.toolpath import PathMotion
 
 STEP_DEG: Final = 2.0
 """How finely an arc or a turn of the tool is searched for turning points, degrees."""
@@ -61,10 +62,8 @@ class Legs:
 
     def ends(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of all pieces of some legs: leg, and the fraction of the motion at which the piece ends."""
-        counts = self.count[legs]
-        of = np.repeat(legs, counts)
-        within = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
-        share = within / np.repeat(counts, counts)
+        of, number = counted(legs, self.count[legs])
+        share = (number + 1) / self.count[of]
         return of, np.where(share == 1.0, self.end[of], self.at(of, share))
 
     def at(self, legs: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -73,7 +72,7 @@ class Legs:
 
 
 def turning_points(
-    bench: Bench, motions: Sequence[Motion], which: np.ndarray, axes: Sequence[int]
+    bench: Bench, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where axes turn round inside motions.
 
@@ -91,8 +90,7 @@ def turning_points(
     if not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
-    of = np.repeat(curved, counts + 1)
-    index = np.arange(len(of)) - np.repeat(np.cumsum(counts + 1) - counts - 1, counts + 1)
+    of, index = counted(curved, counts + 1)
     grid = index / np.repeat(counts, counts + 1)
     found_of, found_at = [], []
     velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > STANDING, np.sign(v), 0.0)
@@ -111,41 +109,40 @@ def turning_points(
     return _apart(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
 
 
-def _can_turn(motion: Motion) -> bool:
+def _can_turn(motion: PathMotion) -> bool:
     return motion.move.arc is not None or (motion.move.tcp and bool(np.any(motion.start[3:] != motion.end[3:])))
 
 
-def _steps(motion: Motion) -> int:
+def _steps(motion: PathMotion) -> int:
     turned = float(np.abs(motion.end[3:] - motion.start[3:]).max(initial=0.0)) if motion.move.tcp else 0.0
     arc = 0.0 if motion.move.arc is None else abs(np.degrees(motion.move.arc.angle_rad))
     return max(4, int(np.ceil(max(turned, arc) / STEP_DEG)))
 
 
-def _commands(bench: Bench, motions: Sequence[Motion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """(n, axes) at fractions of motions, these in order."""
+def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """(n, axes) difference of commands just behind and just before fractions of motions, these in order."""
     bounds = np.append(np.flatnonzero(np.diff(of, prepend=-1)), len(of))
-    words = np.concatenate([along(motions[of[i]], fraction[i:j]) for i, j in pairwise(bounds)])
-    return bench.space.commands(words, np.array([motions[i].move.tcp for i in of]))
+    tcp = np.array([motions[i].move.tcp for i in of])
 
+    def commands(at: np.ndarray) -> np.ndarray:
+        words = np.concatenate([motions[of[i]].along(at[i:j]) for i, j in pairwise(bounds)])
+        return bench.space.commands(words, tcp)
 
-def _velocity(bench: Bench, motions: Sequence[Motion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """(n, axes) difference of commands just behind and just before a fraction."""
     before, behind = np.clip(fraction - BEHIND, 0.0, 1.0), np.clip(fraction + BEHIND, 0.0, 1.0)
-    return _commands(bench, motions, of, behind) - _commands(bench, motions, of, before)
+    return commands(behind) - commands(before)
 
 
-def _apart(bench: Bench, motions: Sequence[Motion], of: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    order = np.lexsort((at, of))
-    of, at = of[order], at[order]
-    kept_of, kept_at = [], []
-    for first, behind in pairwise([*np.flatnonzero(np.diff(of, prepend=-1)), len(of)]):
-        motion, places = of[first], at[first:behind]
-        words = along(motions[motion], np.array([0.0, *places, 1.0]))
+def _apart(
+    bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those in order, without any that words cannot tell from the one before or from an end of its motion."""
+    kept: list[tuple[int, float]] = []
+    for motion in np.unique(of).tolist():
+        places = np.sort(at[of == motion])
+        words = motions[motion].along(np.array([0.0, *places, 1.0]))
         last = words[0]
-        for place, here in zip(places, words[1:-1], strict=True):
-            apart = [np.any(np.abs(here - there) >= 2.0 * bench.increment) for there in (last, words[-1])]
-            if all(apart):
-                kept_of.append(motion)
-                kept_at.append(place)
+        for place, here in zip(places.tolist(), words[1:-1], strict=True):
+            if all(np.any(np.abs(here - there) >= 2.0 * bench.increment) for there in (last, words[-1])):
+                kept.append((motion, place))
                 last = here
-    return np.array(kept_of, dtype=int), np.array(kept_at)
+    return np.array([one[0] for one in kept], dtype=int), np.array([one[1] for one in kept], dtype=float)

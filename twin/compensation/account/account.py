@@ -1,0 +1,307 @@
+"""Checked program → report: the written program re-simulated densely beside the original, stretch by stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import every
+from twin._common.units import URAD
+from twin.compensation.account.interpolation import interpolated
+from twin.compensation.account.notes import of_channels, of_reversals, of_setup, of_sides
+from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
+from twin.compensation.account.sample import Sample, Seen
+from twin.compensation.account.shortfalls import ShortfallTally
+from twin.compensation.account.tally import Tally
+from twin.compensation.account.uncertainty import Corrections, CorrectionTally
+from twin.compensation.account.uncorrected import uncorrected
+from twin.compensation.bench import Bench, CorrectionAim
+from twin.compensation.comparison import Commands, ComparedPoses
+from twin.compensation.solving import Corrected
+from twin.compensation.solving.rows import Rows
+from twin.kinematics.forward import angle_between_rad
+from twin.nc.blocks import Notice
+from twin.numerics.spatial import tilt
+from twin.uncertainty.at_tool import ToolUncertainty
+
+ENDS: Final = 16_384
+"""Whose uncertainty is taken at once: 36 numbers for every end."""
+STRAIGHT_MM: Final = 1.0
+STRAIGHT_DEG: Final = 0.3
+"""How far from a straight line axes may be for their uncertainty to be taken along it: over so little, that of a curve changes by less
+than a hundredth but at the very ends of its domain."""
+SAME_SIDE: Final = 0.01
+"""The same of the sides that axes come from, +1 and −1."""
+
+
+@final
+class CompensationAccount:
+    """The account of one compensated program.
+
+    Args:
+        bench: machine, calibration, options.
+        aim: what was corrected.
+        source: the program's name.
+    """
+
+    def __init__(self, bench: Bench, aim: CorrectionAim, source: str) -> None:
+        self._bench, self._aim, self._source = bench, aim, source
+        self._before, self._after = Tally(4, 4), Tally(4, 4)
+        self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
+        self._sample = Sample()
+        self._shortfalls = ShortfallTally()
+        self._left_um = {"rounding": 0.0, "solver": 0.0}
+        self._largest = np.zeros(len(bench.machine.axes))
+        self._motions = self._split = self._added = self._rewritten = self._cutting = 0
+        self._idle = self._any_tcp = False
+        self._all_tcp = True
+        self._reversals = np.zeros(len(bench.machine.axes), dtype=int)
+        self._of_sides: list[LineNote] = []
+
+    def add(self, corrected: Corrected) -> None:
+        """Re-simulate densely what was written of a stretch, beside what was there before."""
+        pieces, rows, context = corrected.pieces, corrected.own, corrected.context
+        self._idle = pieces.idle
+        for seen in self._seen(corrected):
+            self._compare(seen, corrected.lines, self._motions - context)
+        left_um = self._left_at_ends(rows)
+        corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
+        self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
+        count = pieces.count(corrected.rows)[context:]
+        self._cutting += int(np.count_nonzero(~pieces.path.columns.rapid[context:]))
+        self._split += int(np.count_nonzero(count > 1))
+        self._added += int(np.sum(count - 1))
+        self._rewritten += corrected.rewritten
+        self._all_tcp &= bool(pieces.tcp[context:].all())
+        self._any_tcp |= bool(pieces.tcp[context:].any())
+        self._correct(rows, corrected.lines)
+        if not self._idle:
+            for found in uncorrected(corrected, left_um):
+                self._shortfalls.add(found)
+        axes = self._bench.lost.axes
+        self._reversals[axes] += np.count_nonzero(rows.turned[rows.taken][:, axes], axis=0)
+        self._of_sides += of_sides(corrected)
+        self._motions += len(pieces.start) - context
+
+    def report(self, *, lines: int, moves: int, notices: Sequence[Notice]) -> Report:
+        """The account of all of it.
+
+        Args:
+            lines: how many lines the program has.
+            moves: how many moves.
+            notices: of whoever read it.
+        """
+        bench, options = self._bench, self._bench.options
+        notes = (
+            *of_setup(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
+            *of_channels(bench),
+            *self._of_sides,
+            *(LineNote(notice.line + 1, notice.text) for notice in notices),
+        )
+        unused = options.conditions.unused(bench.calibration)
+        left = self._shortfalls.shortfalls()
+        return Report(
+            program=self._source,
+            machine=bench.machine.name,
+            calibration=str(bench.calibration.path or "none"),
+            calibration_source=bench.calibration.source,
+            warnings=bench.calibration.warnings,
+            method=options.method,
+            scope="as in the thesis" if options.method == "thesis" else str(self._aim.scope),
+            tool_length_mm=bench.full.tool_length_mm,
+            tolerance_um=options.tolerance_mm * 1e3,
+            lines=lines,
+            moves=moves,
+            rewritten=self._rewritten,
+            split=self._split,
+            added=self._added,
+            largest_correction={
+                axis.name: (float(most), axis.unit)
+                for axis, most in zip(bench.machine.axes, self._largest, strict=True)
+            },
+            before=Deviation.of(self._before),
+            after=Deviation.of(self._after),
+            rounding_um=self._left_um["rounding"],
+            solver_um=self._left_um["solver"],
+            classes=tuple(self._classes(whole=not left)),
+            not_corrected=left,
+            notes=notes,
+            uncertainty=Corrections(self._point.correction(), self._axis.correction()),
+            cutting=self._cutting,
+            idle=self._idle,
+            conditions={name: value for name, value in options.conditions.channels.items() if name not in unused},
+            reversals=tuple(of_reversals(bench, self._aim, self._reversals)),
+            control=self._of_control(),
+        )
+
+    # --- what is added -----------------------------------------------------------------------------------------------
+
+    def _seen(self, corrected: Corrected) -> Iterator[Seen]:
+        """Ends of pieces, then the dense points inside those of some legs."""
+        pieces, between, rows = corrected.pieces, corrected.between, corrected.own
+        legs = pieces.legs.motion
+        dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
+        ways = between.ways(corrected.rows, corrected.rows.printed, as_run=True)
+        # Written unchanged: its arcs are arcs.
+        ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
+        sided = bool(self._bench.lost.axes)
+        if not sided:
+            yield Seen(rows.motion, *ends, counts=~rows.taken)
+        for portion in [dense] if sided else between.portions(dense):
+            samples = between.samples(portion)
+            meant = between.meant(samples)
+            given = meant if pieces.idle else between.given(samples, ways)
+            motion = legs[samples.leg][samples.piece]
+            if sided:
+                fraction = np.concatenate([rows.fraction, between.fractions(samples)])
+                yield self._sided(corrected, ends, (meant, given), np.concatenate([rows.motion, motion]), fraction)
+            else:
+                yield Seen(motion, meant, given)
+
+    def _sided(
+        self,
+        corrected: Corrected,
+        ends: tuple[Commands, Commands],
+        inside: tuple[Commands, Commands],
+        motion: np.ndarray,
+        fraction: np.ndarray,
+    ) -> Seen:
+        """Ends and dense points with the sides axes come from, which depend on all that was before.
+
+        Args:
+            corrected: the program.
+            ends: commands as meant and as given at the ends.
+            inside: the same at the dense points.
+            motion: (n,) which motion those of both are on.
+            fraction: (n,) where on it.
+        """
+        taken = np.zeros(len(motion), dtype=bool)
+        taken[: len(corrected.own.taken)] = corrected.own.taken
+        order = np.lexsort((taken, fraction, motion))
+        commands, sides = [], []
+        for end, between in zip(ends, inside, strict=True):
+            both = np.concatenate([end.written(), between.written()])
+            side = np.zeros(both.shape)
+            side[order] = self._bench.lost.sides(corrected.pieces.path, motion[order], both[order])
+            commands.append(Commands(both))
+            sides.append(side)
+        # A move that takes up a reversal has no place of its own to be at.
+        return Seen(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
+
+    def _compare(self, seen: Seen, lines: np.ndarray, first: int) -> None:
+        """Re-simulate places, as meant and as given; of motions their ``lines``, and the number of the ``first``."""
+        before = self._bench.compared.poses(seen.meant, seen.meant, seen.meant_from)
+        after = self._bench.compared.poses(seen.meant, seen.given, seen.given_from)
+        keep = before.known & after.known
+        if seen.counts is not None:
+            keep &= seen.counts
+        of = lines[seen.motion]
+        if not keep.all():
+            before, after, of = before.where(keep), after.where(keep), of[keep]
+        for tally, found in ((self._before, before), (self._after, after)):
+            _add(tally, found, of)
+        self._sample.add(first, seen, keep)
+
+    def _left_at_ends(self, rows: Rows) -> dict[str, np.ndarray]:
+        """(rows,) how far the point is off at ends: by ``rounding``, and by the ``solver``."""
+        good = ~rows.untouched & ~rows.clamped
+        left_um = {}
+        for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
+            distance = self._aim.compared.distance_mm(Commands(rows.nominal), Commands(given), rows.approach)
+            left_um[name] = distance * 1e3
+            self._left_um[name] = max(self._left_um[name], float(left_um[name][good].max(initial=0.0)))
+        return left_um
+
+    def _correct(self, rows: Rows, lines: np.ndarray) -> None:
+        """How far the tool was moved at the block ends, and how well the calibration knows that it had to be.
+
+        By the machine as drawn from the meant commands to the given ones; the calibration's uncertainty, of what is in scope, at
+        the meant ones: there and at the given ones it is the same to a thousandth.
+        """
+        aim = self._aim
+        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is accounted for by itself
+        moved = self._bench.corrected_by.poses(Commands(rows.nominal), Commands(given))
+        keep = ~rows.untouched & ~rows.taken & moved.known
+        keep &= every(~self._bench.full.outside_domain(rows.nominal))
+        if not np.any(keep):
+            return
+        if not keep.all():
+            rows, moved = rows.where(keep), moved.where(keep)
+        of = lines[rows.motion]
+        at_point = None
+        if not aim.point.calibration.empty:
+            at_point = _known(aim.at_point, rows)
+            self._point.add(of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
+        turned = ~rows.singular  # the others are listed as what cannot be corrected
+        asked = aim.scope.orientation and self._bench.thesis is None
+        if asked and aim.at_axis is not None and np.any(turned):
+            known = at_point if at_point is not None and aim.at_axis is aim.at_point else _known(aim.at_axis, rows)
+            size = moved.angle_rad[turned] * 1e6
+            self._axis.add(of[turned], rows.motion[turned], size, known[turned, 1], aim.at_axis)
+
+    # --- what is made of it ------------------------------------------------------------------------------------------
+
+    def _of_control(self) -> ControlNote | None:
+        """What the control does by itself at the poses the classes are told apart at."""
+        section, alone = self._bench.calibration.control, self._bench.control_alone
+        if section is None:
+            return None
+        files = tuple(entry.file.name for entry in section.tables)
+        if alone is None:
+            return ControlNote(section.errors_are, files, (), None, None, section.caution)
+        before, before_from, _, _ = self._sample.poses()
+        moved = alone.forward(before, before_from).point_mm - self._bench.space.nominal.forward(before).point_mm
+        share = np.linalg.norm(moved, axis=1) * 1e3
+        axes = tuple(dict.fromkeys(table.axis.name for table in self._bench.calibration.corrections))
+        return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
+
+    def _classes(self, *, whole: bool) -> Iterator[ClassShare]:
+        """The shares of the classes; ``whole`` where every block is corrected."""
+        before, before_from, after, after_from = self._sample.poses()
+        nominal = self._bench.space.nominal
+        meant, reached = nominal.forward(before), nominal.forward(after)
+        for name, alone in self._aim.by_class.items():
+            alone_before = alone.forward(before, before_from)
+            share = np.linalg.norm(alone_before.point_mm - meant.point_mm, axis=1) * 1e3
+            turn = angle_between_rad(alone_before.axis, meant.axis) * 1e6
+            corrected = None if self._bench.thesis is not None else name in self._aim.scope.classes
+            left = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
+            yield ClassShare(
+                name=name,
+                corrected=corrected,
+                before_rms_um=_rms(share),
+                before_max_um=float(share.max(initial=0.0)),
+                before_max_urad=float(turn.max(initial=0.0)),
+                left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and whole else None,
+            )
+
+
+def _add(tally: Tally, found: ComparedPoses, lines: np.ndarray) -> None:
+    """Distances (µm), angles and tilts (µrad) of some poses to a tally."""
+    tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
+    size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])
+    tally.add(size, np.einsum("ij,ij->i", size, size), lines)
+
+
+def _known(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
+    """(rows, 2, 4) U of the point and its standard uncertainties, µm; of the axis and the rotation, µrad; NaN if nothing is known."""
+    if not tool.parameters:
+        return np.full((len(rows.motion), 2, 4), np.nan)
+
+    def some(which: np.ndarray) -> np.ndarray:
+        found = tool.at(rows.nominal[which], rows.approach[which])
+        point = np.column_stack([found.expanded_um, found.standard_um])
+        return np.stack([point, np.column_stack([found.axis_expanded_urad, found.standard_urad])], axis=1)
+
+    def values(which: np.ndarray) -> np.ndarray:
+        return np.concatenate([some(which[first : first + ENDS]) for first in range(0, len(which), ENDS)])
+
+    axes = tool.kinematics.machine.axes
+    near = [STRAIGHT_MM if axis.linear else STRAIGHT_DEG for axis in axes]
+    return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

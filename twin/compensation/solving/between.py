@@ -1,0 +1,236 @@
+"""Between the ends of pieces: what the machine does there, densely, beside what was meant."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from twin._common.arrays import every
+from twin.compensation.comparison import Commands
+from twin.compensation.solving.pieces import Pieces
+from twin.compensation.solving.rows import SAME, Rows, Ways, counted, even_cuts, spacings
+
+SAMPLES_A_PIECE: Final = 5
+"""Interior points at which every piece is re-simulated; more where it is long."""
+POSES: Final = 100_000
+"""Points checked at once, which bounds the memory it takes."""
+
+
+class Samples(NamedTuple):
+    """Dense points inside the pieces of legs.
+
+    Attributes:
+        leg: (pieces,) which leg each piece is of.
+        number: (pieces,) which piece of it.
+        piece: (n,) which of the pieces each point is in.
+        within: (n,) at which fraction of it.
+    """
+
+    leg: np.ndarray
+    number: np.ndarray
+    piece: np.ndarray
+    within: np.ndarray
+
+
+@final
+class Between:
+    """Looks at a program, or a stretch of it, between the ends of its pieces.
+
+    Args:
+        pieces: cut.
+    """
+
+    def __init__(self, pieces: Pieces) -> None:
+        self._pieces, self._space = pieces, pieces.space
+        self._known_mm = np.full(len(pieces.legs.motion), np.nan)
+
+    def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
+        """What was found inside some legs no longer holds."""
+        self._known_mm[legs] = np.nan
+
+    def left(self, rows: Rows) -> np.ndarray:
+        """(motions,) largest distance (mm) as of `largest` that is left inside each motion, 0 where there is no path to keep to."""
+        motion = self._pieces.legs.motion
+        legs = np.flatnonzero(self._pieces.interpolated[motion])
+        unknown = legs[np.isnan(self._known_mm[legs])]
+        if unknown.size:
+            self.largest(unknown, rows)
+        return self._by_motion(legs, self._known_mm[legs])
+
+    def left_as_run(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
+        """(n,) the same of some motions, from where the axes really stand when each begins."""
+        legs = np.flatnonzero(np.isin(self._pieces.legs.motion, motions))
+        return self._by_motion(legs, self._distances(legs, rows, as_run=True))[motions]
+
+    def _by_motion(self, legs: np.ndarray, of_legs: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(self._pieces.start))
+        np.maximum.at(found, self._pieces.legs.motion[legs], of_legs)
+        return found
+
+    def largest(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
+        """(legs,) largest distance (mm) of the reached point from the meant one between the ends of each leg's pieces.
+
+        Linear words are taken before rounding, so that splitting is not asked to cure rounding.
+        """
+        self._known_mm[legs] = self._distances(legs, rows, as_run=False)
+        return self._known_mm[legs]
+
+    def _distances(self, legs: np.ndarray, rows: Rows, *, as_run: bool) -> np.ndarray:
+        words = self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
+        ways = self.ways(rows, words, as_run=as_run)
+        parts = [self._portion(part, rows, ways) for part in self.portions(legs)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
+        samples, aim = self.samples(legs), self._pieces.aim
+        sides = self._sides(samples, rows, ways) if aim.point.directed else None
+        distance = aim.compared.distance_mm(self.meant(samples), self.given(samples, ways), sides)
+        # A leg that another stands for has no piece, and no point.
+        points = self._each(legs) * self._pieces.legs.count[legs]
+        worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
+        return np.where(points > 0, worst, 0.0)
+
+    def _sides(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
+        """(n, axes) sides that axes come from inside pieces."""
+        row = _rows_of(samples, ways)
+        sides = rows.approach[row[samples.piece]]
+        for axis in set(self._pieces.aim.lost.axes) & set(self._pieces.bench.machine.rotary):
+            # A rotary axis may be part of the way through its play at either end. One that turned unseen is through.
+            last = np.maximum(row - 1, 0)
+            unseen = rows.turned[row, axis] & ~rows.taken[last]
+            before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
+            sides[:, axis] = before + samples.within * (sides[:, axis] - before)
+        return np.asarray(sides)
+
+    # --- dense points ------------------------------------------------------------------------------------------------
+
+    def portions(self, legs: np.ndarray) -> list[np.ndarray]:
+        """Legs in portions of no more than some `POSES` samples, about as many in each."""
+        return np.split(legs, even_cuts(self._each(legs) * self._pieces.legs.count[legs], POSES)) if legs.size else []
+
+    def samples(self, legs: np.ndarray) -> Samples:
+        """Dense points inside the pieces of legs of interpolated motions."""
+        pieces = self._pieces.legs.count[legs]
+        leg, number = counted(legs, pieces)
+        points = np.repeat(self._each(legs), pieces)
+        piece, point = counted(np.arange(len(leg)), points)
+        return Samples(leg, number, piece, (point + 0.5) / points[piece])
+
+    def _each(self, legs: np.ndarray) -> np.ndarray:
+        """(legs,) how many dense points every piece of each leg has."""
+        all_legs = self._pieces.legs
+        share = all_legs.end[legs] - all_legs.begin[legs]
+        points = np.ceil(self._spacings[all_legs.motion[legs]] * share / np.maximum(all_legs.count[legs], 1))
+        return np.maximum(SAMPLES_A_PIECE, points).astype(int)
+
+    @cached_property
+    def _spacings(self) -> np.ndarray:
+        """(motions,) how many of the largest distances between samples each is long."""
+        return spacings(self._pieces.start, self._pieces.end)
+
+    def fractions(self, samples: Samples) -> np.ndarray:
+        """(n,) of the motion that each point is at."""
+        first, last = self._fractions(samples)
+        return np.asarray(first[samples.piece] + samples.within * (last - first)[samples.piece])
+
+    def _fractions(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """(pieces,) and (pieces,) of the motion that each piece begins and ends at."""
+        share = 1.0 / self._pieces.legs.count[samples.leg]
+        begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
+        return begin, end
+
+    def meant(self, samples: Samples) -> Commands:
+        """Commands that the control makes of the program as it came."""
+        motion = self._pieces.legs.motion[samples.leg]
+        first, last = self._fractions(samples)
+        if np.all(self._pieces.straight[motion]):
+            begin, way = (words.take(motion, axis=0) for words in self._pieces.ways)
+            if np.any(first != 0.0) or np.any(last != 1.0):
+                begin, way = begin + first[:, None] * way, (last - first)[:, None] * way
+            return self._on_lines(begin, way, samples, self._pieces.tcp[motion])
+        of = motion[samples.piece]
+        words = self._pieces.words_at(of, self.fractions(samples))
+        return Commands(self._space.commands(words, self._pieces.tcp[of]))
+
+    def given(self, samples: Samples, ways: Ways) -> Commands:
+        """Commands where pieces go those ways."""
+        row = _rows_of(samples, ways)
+        tcp = self._pieces.tcp_out[self._pieces.legs.motion[samples.leg]]
+        return self._on_lines(ways.begin.take(row, axis=0), ways.way.take(row, axis=0), samples, tcp)
+
+    def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
+        """Points on straight lines in (pieces, axes) words; ``tcp``: (pieces,)."""
+        if not np.any(tcp):
+            way = way[:, np.argsort(self._space.order)]
+            return Commands(self._space.commands(begin, tcp), way, samples.piece, samples.within)
+        words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
+        return Commands(self._space.commands(words, tcp[samples.piece]))
+
+    # --- where pieces go ---------------------------------------------------------------------------------------------
+
+    def ways(self, rows: Rows, given: np.ndarray, *, as_run: bool = False) -> Ways:
+        """The way of each piece, its end being ``given`` in words.
+
+        A motion that starts from a place left as written really starts there (``as_run``); for splitting it is taken to
+        start compensated, since no splitting cures its first end.
+        """
+        first = np.append(True, rows.motion[1:] != rows.motion[:-1])
+        begin = np.concatenate([given[:1], given[:-1]])
+        begin[first] = self._begin(rows, given, as_run=as_run)[rows.motion[first]]
+        ends = np.flatnonzero(~rows.taken)
+        first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self._pieces.legs.motion)))
+        return Ways(begin, given - begin, ends, first_of_leg)
+
+    def begins_off(self, rows: Rows) -> np.ndarray:
+        """(motions,) whether each begins where the axes were left uncorrected: by the motion before, or by a line between them."""
+        off = np.zeros(len(self._pieces.start), dtype=bool)
+        off[1:] = (rows.untouched | rows.clamped)[self._ends_of(rows)[:-1]] | ~self._follows[1:]
+        return off & self._pieces.interpolated
+
+    def _ends_of(self, rows: Rows) -> np.ndarray:
+        """(motions,) the last row of each."""
+        return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
+
+    def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
+        """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
+        pieces = self._pieces
+        begin = np.full_like(pieces.start, np.nan)
+        begin[1:] = given[self._ends_of(rows)[:-1]]
+        apart = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
+        if apart.size:
+            sides = rows.approach[np.searchsorted(rows.motion, apart)]
+            rows = pieces.solve(np.searchsorted(pieces.legs.motion, apart), np.zeros(len(apart)), sides)
+            commands = self._standing(apart, rows.nominal, begin) if as_run else rows.exact
+            begin[apart] = self._space.words(commands, pieces.tcp_out[apart])
+        return begin
+
+    def _standing(self, apart: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
+        """(n, axes) commands where some motions begin: axes that a line between left as written moved stand where that says.
+
+        Args:
+            apart: (n,) the motions.
+            nominal: (n, axes) where they were meant to begin.
+            begin: (motions, axes) words that the motion before each ends in.
+        """
+        standing = np.array(nominal)
+        after = apart > 0
+        before = apart[after] - 1
+        meant = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
+        reached = self._space.commands(begin[apart[after]], self._pieces.tcp_out[before])
+        standing[after] = np.where(np.abs(meant - nominal[after]) < SAME, reached, nominal[after])
+        return standing
+
+    @cached_property
+    def _follows(self) -> np.ndarray:
+        """(motions,) whether each begins where the one before ends, in words of the same mode."""
+        start, end, tcp = self._pieces.start, self._pieces.end, self._pieces.tcp
+        follows = np.zeros(len(start), dtype=bool)
+        follows[1:] = (tcp[1:] == tcp[:-1]) & every(start[1:] == end[:-1])
+        return follows
+
+
+def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
+    """(pieces,) the row each piece ends in."""
+    return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])

@@ -1,0 +1,217 @@
+"""Tool path → correction: a program, or a stretch of it, cut into pieces, and the commands for their ends.
+
+Nominal pose → commands that reach it → rotary words at their least increment → linear axes solved again for what was rounded
+→ linear words at theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import every
+from twin.compensation.bench import Bench, CorrectionAim, vector_decimals
+from twin.compensation.solving.legs import Legs, turning_points
+from twin.compensation.solving.rows import Rows
+from twin.compensation.toolpath import Path
+from twin.kinematics.forward import Poses, angle_between_rad
+from twin.kinematics.inverse import SLACK
+from twin.nc.blocks import Dialect
+
+ORIENTED_RAD: Final = 1e-9
+"""Less is the solver's own noise."""
+
+
+@final
+class Pieces:
+    """One program, or a stretch of it, cut into pieces.
+
+    Args:
+        bench: machine, calibration, options.
+        path: the program as motions.
+        aim: what is corrected.
+        dialect: its language.
+        source: its name, for messages.
+        posted: whether axis words come out whatever went in (cutter locations written for a control).
+
+    Attributes:
+        idle: whether no error motion is in scope: arcs stay arcs, and the program is written as it came.
+        increment: (axes,) least increments of the words that come out.
+        vector_decimals: decimals of a tool vector that comes out.
+        legs: the motions, cut where an axis with a reversal in scope turns round inside, and how many pieces each is in.
+        tcp: (motions,) whether the words that went in are tool-tip coordinates.
+        tcp_out: (motions,) whether those that come out are.
+        start, end: (motions, axes) words as meant.
+        straight: (motions,) whether it is no arc.
+        by_vector: (motions,) whether a tool vector comes out.
+        interpolated: (motions,) whether the control follows a line or arc from a known start.
+    """
+
+    def __init__(
+        self, bench: Bench, path: Path, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
+    ) -> None:
+        self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
+        self.space = bench.space
+        self.idle = aim.idle and not posted
+        self.increment = bench.printed_increment(dialect.name, posted=posted)
+        self.vector_decimals = vector_decimals(dialect.name)
+        columns = path.columns
+        self.tcp, self.start, self.end = columns.tcp, columns.start, columns.end
+        self.tcp_out = self.tcp & (not posted)
+        self.straight = np.ones(len(columns), dtype=bool)
+        self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
+        self.by_vector = np.zeros(len(columns), dtype=bool)
+        self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
+        self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
+        # From outside the range there is no meant path to keep to; such a start is reported with its own block.
+        self.interpolated &= ~bench.outside(self.space.commands(self.start, self.tcp))
+        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.lost.axes)
+        self.legs = Legs.of(len(columns), turning)
+        if not self.idle:
+            whole = np.ones(len(columns), dtype=int)
+            for i in np.flatnonzero(~self.straight).tolist():
+                whole[i] = path.motions[i].chords(bench.options.tolerance_mm)
+            share = self.legs.end - self.legs.begin
+            self.legs.count = np.maximum(np.ceil(whole[self.legs.motion] * share), 1).astype(int)
+
+    @cached_property
+    def ways(self) -> tuple[np.ndarray, np.ndarray]:
+        """(motions, axes) words each motion is meant to start from, its end where they are not known, and how far it goes."""
+        begin = np.where(np.isfinite(self.start), self.start, self.end)
+        return begin, self.end - begin
+
+    def words_at(self, of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+        """(n, axes) meant words at fractions of motions."""
+        begin, way = self.ways
+        words = begin.take(of, axis=0) + fraction[:, None] * way.take(of, axis=0)
+        whole = np.flatnonzero(fraction == 1.0)
+        words[whole] = self.end.take(of[whole], axis=0)
+        if not self.straight.all():
+            for motion in np.unique(of[~self.straight[of]]):
+                rows = of == motion
+                words[rows] = self.path.motions[motion].along(fraction[rows])
+        return words
+
+    def count(self, rows: Rows) -> np.ndarray:
+        """(motions,) how many blocks each motion becomes."""
+        return np.bincount(rows.motion, minlength=len(self.start))
+
+    def left_as_written(self, rows: Rows) -> np.ndarray:
+        """(motions,) whether any end of each is left as written."""
+        found = np.zeros(len(self.start), dtype=bool)
+        found[rows.motion[rows.untouched]] = True
+        return found
+
+    # --- the commands for ends of pieces -----------------------------------------------------------------------------
+
+    def ends(self, legs: np.ndarray) -> Rows:
+        """Solve for the ends of all pieces of some legs."""
+        return self.solve(*self.legs.ends(legs))
+
+    def solve(self, leg: np.ndarray, fraction: np.ndarray, approach: np.ndarray | None = None) -> Rows:
+        """Solve at fractions of the motions of legs.
+
+        Args:
+            leg: (n,) the legs.
+            fraction: (n,) of their motions.
+            approach: (n, axes) sides that axes come from; not known if None.
+        """
+        limits = self.bench.limits
+        of = self.legs.motion[leg]
+        sides = np.zeros((len(of), len(limits))) if approach is None else approach
+        words = self.words_at(of, fraction)
+        nominal = self.space.commands(words, self.tcp[of])
+        untouched = self.bench.outside(nominal)
+        safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
+        target = self.space.nominal.forward(safe)
+        vectors, orientation_left = np.full((len(of), 3), np.nan), np.zeros(len(of))
+        if self.bench.thesis is not None:
+            exact = self.bench.thesis.commands(safe)
+        else:
+            commands, orientation_left = self.oriented(target, safe, sides)
+            commands, vectors = self._rotary_as_printed(commands, of)
+            exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
+        no, nowhere = np.zeros(len(of), dtype=bool), np.zeros(sides.shape)
+        rows = Rows(
+            leg=leg,
+            motion=of,
+            taken=no,
+            approach=sides,
+            turned=nowhere.astype(bool),
+            beyond=nowhere,
+            fraction=fraction,
+            words=words,
+            nominal=nominal,
+            target_mm=target.point_mm,
+            target_rotation=target.rotation,
+            exact=exact,
+            commands=exact,
+            printed=words,
+            vectors=vectors,
+            orientation_left=orientation_left,
+            singular=orientation_left > 0.0,
+            clamped=no,
+            untouched=untouched,
+        )
+        return self.printed(rows)
+
+    def oriented(self, target: Poses, start: np.ndarray, sides: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """(n, axes) start with the rotary axes where they repair the orientation, and (n,) radians that are left of it.
+
+        The rotary axes do so wherever they can, even if a linear axis has not the travel that the point would need.
+        """
+        commands = np.array(start)
+        inverse, real = self.aim.orientation_inverse, self.aim.orientation
+        if inverse is None or real is None:
+            return commands, np.zeros(len(start))
+        solution = inverse.solve(target, start, approach=sides)
+        rotary = list(self.bench.machine.rotary)
+        low, high = self.bench.limits[rotary].T
+        turned = solution.positions[:, rotary]
+        able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
+        commands[np.ix_(able, rotary)] = turned[able]
+        left = np.where(solution.orientation_residual_rad > ORIENTED_RAD, solution.orientation_residual_rad, 0.0)
+        unable = np.flatnonzero(~able)
+        if unable.size:
+            reached = real.forward(commands[unable], None if sides is None else sides[unable])
+            left[unable] = angle_between_rad(reached.axis, target.axis[unable])
+        return commands, left
+
+    def printed(self, rows: Rows) -> Rows:
+        """Rows with what ``exact`` comes to in words at their increments."""
+        limits, increment = self.bench.limits, self.increment
+        wanted = rows.exact + rows.beyond
+        clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
+        clamped = ~every(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
+        tcp_out = self.tcp_out[rows.motion]
+        out = self.space.words(clipped, tcp_out)
+        printed = np.round(out / increment) * increment
+        free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
+        printed[free] = out[free]
+        left = rows.untouched
+        printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
+        return replace(
+            rows, printed=printed, commands=self.space.commands(printed, tcp_out), clamped=clamped & ~rows.untouched
+        )
+
+    def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotary axes where the printed words will put them; tool vectors where the program gives those."""
+        rotary, space = list(self.bench.machine.rotary), self.space
+        commands = np.array(commands)
+        offset, increment = space.offset[3:], self.increment[3:]
+        vectors = np.full((len(of), 3), np.nan)
+        plain = ~self.by_vector[of]
+        words = commands[:, rotary] - offset
+        commands[np.ix_(plain, rotary)] = (np.round(words / increment) * increment + offset)[plain]
+        rows = np.flatnonzero(~plain)
+        if rows.size:
+            vectors[rows] = np.round(space.nominal.forward(commands[rows]).axis, self.vector_decimals)
+            unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
+            for row, solutions in zip(rows, space.branches.all(unit), strict=True):
+                found = space.branches.nearest(solutions, commands[row, rotary])
+                if found is not None:
+                    commands[row, rotary] = found
+        return commands, vectors

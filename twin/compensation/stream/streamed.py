@@ -1,0 +1,177 @@
+"""Programs of any length: compensated part by part, from file to file, in bounded memory.
+
+Each part is read, solved, written, read back, compared with what was meant, and accounted for, as a whole program is
+(`twin.compensation.compensator`), with all modal state carried on. What one part needs of the one before it is its last motion: that
+is where the first block of the next one begins. Text comes and goes in stretches, several to a part.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from itertools import chain
+from pathlib import Path
+from time import monotonic
+from typing import BinaryIO, Final, final
+
+import numpy as np
+
+from twin.compensation.account import CompensationAccount, Report
+from twin.compensation.bench import Bench, Progress
+from twin.compensation.checked import motionless
+from twin.compensation.solving import Corrected, Pieces, corrected, replacing
+from twin.compensation.solving.between import SAMPLES_A_PIECE
+from twin.compensation.solving.rows import even_cuts, spacings
+from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
+from twin.compensation.stream.writer import ISO, PartWriter
+from twin.compensation.toolpath import Path as ToolPath
+from twin.nc.bulk import NewPositions
+
+POSES: Final = 12 * PART_LINES
+"""Solved and checked at once before any block is split: six of each of the short blocks in the longest part. Of longer blocks fewer
+are."""
+AHEAD: Final = 1
+"""Parts that are read while an earlier one is being solved."""
+
+
+Solved = tuple[NewPositions, Sequence[Corrected]]
+"""A part as solved: what replaces its moves, and what the account is made of."""
+
+
+@final
+class Streamed:
+    """One ISO program, from file to file.
+
+    Args:
+        bench: machine, calibration, options; a calibration without reversals, since the side an axis comes from is not settled
+            before its next turn, which may be any number of blocks away.
+        source: the program.
+        progress: called with a stage and the fraction done.
+
+    Raises:
+        InputError: the program cannot be read.
+    """
+
+    def __init__(self, bench: Bench, source: Path, progress: Progress) -> None:
+        self._bench = bench
+        self._source = ProgramFile(source)
+        self._say = progress
+        self._account: CompensationAccount | None = None
+
+    def run(self, out: BinaryIO) -> Report | None:
+        """Compensate.
+
+        Args:
+            out: takes the program.
+
+        Returns:
+            The account; None if the program has what only can be done in one piece: a drilling cycle.
+
+        Raises:
+            InputError: the program cannot be read, or something in it must not pass uncompensated. Of several such things
+                that in the first stretch that has one.
+            OutputError: what was written does not say what was meant.
+        """
+        for turns in (None, True):
+            _empty(out)
+            self._account = None
+            reader = PartReader(self._bench, self._source, turns)
+            writer = PartWriter(self._bench, self._source, out)
+            began = monotonic()
+            with closing(self._solved(reader)) as parts:
+                for part, new in parts:
+                    writer.write(part, new)
+                    rate = writer.moves / max(monotonic() - began, 1e-3)
+                    self._say(f"{writer.moves:,} blocks, {rate:,.0f}/s", 0.99 * writer.bytes / self._source.size)
+            if reader.failed is not None:
+                raise reader.failed
+            if reader.drills:
+                return None
+            if not reader.changed:
+                break
+        if self._account is None:
+            raise motionless(str(self._source.path))
+        writer.finish()
+        report = self._account.report(lines=reader.lines, moves=writer.moves, notices=reader.notices)
+        if not report.rewritten:
+            _empty(out)
+            for data in self._source.stretches():
+                out.write(data)
+        self._say("done", 1.0)
+        return report
+
+    def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, NewPositions], None, None]:
+        """Parts and what replaces their moves; it ends early where the reader does.
+
+        Reading and writing, solving, and accounting each go through the parts in order, on threads of their own.
+        """
+        waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
+        accounted: Future[None] | None = None
+        with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
+            try:
+                for part in chain(reader.parts(), (None,)):
+                    if reader.changed or reader.drills:
+                        return
+                    if part is not None:
+                        solved = solving.submit(self._solve, part)
+                        waiting.append((part, solved, accounting.submit(self._add, solved)))
+                    while waiting and (len(waiting) > AHEAD or part is None):
+                        first, solved, account = waiting.popleft()
+                        new, _ = solved.result()
+                        if accounted is not None:
+                            accounted.result()  # no more than one behind: what it takes is memory
+                        accounted = account
+                        yield first, new
+                if accounted is not None:
+                    accounted.result()
+            finally:
+                solving.shutdown(cancel_futures=True)
+                accounting.shutdown(cancel_futures=True)
+
+    def _solve(self, part: ProgramPart) -> Solved:
+        """What replaces the moves of a part.
+
+        Raises:
+            InputError: a position that the calibration does not cover.
+        """
+        cuts: list[Corrected] = []
+        if len(part.motions) > part.context and part.aim is not None:
+            begin = part.context
+            for end in _ends(part, self._bench.options.tolerance_mm):
+                context = min(begin, 1)
+                motions = part.motions.part(begin - context, end)
+                path = ToolPath(motions, motions)
+                pieces = Pieces(self._bench, path, part.aim, ISO, source=str(self._source.path))
+                cuts.append(corrected(pieces, _silent, context=context))
+                begin = end
+        return replacing(cuts, part.moves, len(self._bench.space.axes.names)), cuts
+
+    def _add(self, solved: Future[Solved]) -> None:
+        """Account for a part."""
+        for cut in solved.result()[1]:
+            if self._account is None:
+                self._account = CompensationAccount(self._bench, cut.pieces.aim, str(self._source.path))
+            self._account.add(cut)
+
+
+def _empty(out: BinaryIO) -> None:
+    out.seek(0)
+    out.truncate()
+
+
+def _silent(stage: str, fraction: float) -> None:
+    """Stages of one stretch are not worth telling."""
+
+
+def _ends(part: ProgramPart, tolerance_mm: float) -> list[int]:
+    """Where to cut the motions of a part so that each cut has no more than some `POSES` to check before any block is split."""
+    motions = part.motions
+    long = spacings(motions.start, motions.end)
+    poses = 1.0 + np.maximum(SAMPLES_A_PIECE, np.where(np.isfinite(long), long, 0.0))
+    for i, move in motions.special.items():
+        if move.arc is not None and np.isfinite(motions.start[i]).all():
+            poses[i] *= motions[i].chords(tolerance_mm)
+    cuts = [part.context + cut for cut in even_cuts(poses[part.context :], POSES) if cut]
+    return [*cuts, len(motions)]

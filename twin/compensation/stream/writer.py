@@ -1,0 +1,94 @@
+"""A program of any length written, stretch by stretch, and read back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import BinaryIO, Final, final
+
+from twin._common.errors import InputError
+from twin._common.provenance import program_comments
+from twin.compensation.bench import Bench
+from twin.compensation.checked import check, unreadable
+from twin.compensation.stream.parts import ProgramFile, ProgramPart, Read
+from twin.nc.bulk import NewPositions
+from twin.nc.header import HEAD_LINES
+from twin.nc.iso import Iso
+from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
+
+ISO: Final = Iso()
+
+
+@final
+class PartWriter:
+    """Writes a program, part by part.
+
+    Args:
+        bench: machine, calibration, options.
+        source: the program as it came.
+        out: takes what comes out.
+
+    Attributes:
+        moves: how many were written.
+        bytes: how much was read of what was written.
+    """
+
+    def __init__(self, bench: Bench, source: ProgramFile, out: BinaryIO) -> None:
+        self._bench, self._axes, self._name = bench, bench.space.axes, str(source.path)
+        self._begins = source.begins()
+        self._out = out
+        self._checker = IsoReader(self._name, self._axes, tcp=bench.options.tcp)
+        self._rewriter: IsoRewriter | None = None
+        self._held: list[bytes] = []
+        self._head: bytes | None = b""
+        self._lines = self.moves = self.bytes = 0
+
+    def write(self, part: ProgramPart, new: NewPositions) -> None:
+        """Write a part, and read back what was written.
+
+        Raises:
+            OutputError: it does not say what was meant.
+        """
+        first = 0
+        for read in part.read:
+            own = slice(first, first + len(read.moves))
+            idle = part.aim is not None and part.aim.idle
+            self._write(read, replace(new, first=new.first[own], count=new.count[own]), idle=idle)
+            first = own.stop
+
+    def _write(self, read: Read, new: NewPositions, *, idle: bool) -> None:
+        stretch, moves = read
+        if self._rewriter is None and not len(moves):
+            self._held.append(stretch.scan.data)  # the first move tells who does the kinematics in front of it
+            return
+        if self._rewriter is None:
+            newline, style = self._begins
+            self._rewriter = IsoRewriter(self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]))
+            if self._held:
+                stretch = Stretch(b"".join(self._held) + stretch.scan.data, 0, self._axes.names)
+                self._held = []
+        data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
+        written = Stretch(data, self._lines, self._axes.names)
+        try:
+            again = self._checker.read(written)
+        except InputError as error:
+            raise unreadable(self._name, error) from error
+        self._lines += len(written)
+        check(self._name, moves.line + 1, new, again.position)
+        self._put(data, last=False)
+        self.moves += len(moves)
+        self.bytes += len(stretch.scan.data)
+
+    def _put(self, data: bytes, *, last: bool) -> None:
+        """Write, the first lines not before all of them are there: then with the comments at the head of the program."""
+        if self._head is None:
+            self._out.write(data)
+            return
+        self._head += data
+        if last or self._lines >= HEAD_LINES:
+            comments = program_comments(self._bench.calibration.warnings)
+            self._out.write(ISO.commented(self._head.decode("latin-1"), comments).encode("latin-1"))
+            self._head = None
+
+    def finish(self) -> None:
+        """Write what waits for more lines."""
+        self._put(b"", last=True)

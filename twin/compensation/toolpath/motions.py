@@ -1,0 +1,176 @@
+"""A program as motions: moves whose ends are known, one by one or in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final, overload
+
+import numpy as np
+
+from twin.nc.blocks import Kind, Move, Notice
+
+COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end")
+"""Arrays of `MotionColumns`."""
+
+
+@final
+@dataclass(frozen=True)
+class PathMotion:
+    """One move with its ends known, in words of its own mode.
+
+    Attributes:
+        move: the move as read.
+        start: (axes,) words where it starts; NaN where the program has not said yet.
+        end: (axes,) words where it ends; rotary words also where the program gave a tool vector.
+    """
+
+    move: Move
+    start: np.ndarray
+    end: np.ndarray
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether the control follows a line or arc here (a rapid's path is the control's own affair)."""
+        return self.move.kind is not Kind.RAPID and bool(np.isfinite(self.start).all())
+
+    def along(self, fractions: np.ndarray) -> np.ndarray:
+        """(k, axes) words at fractions (0…1]: straight, or on the arc, rotary words and pitch in proportion."""
+        words = self.start + fractions[:, None] * (self.end - self.start)
+        arc = self.move.arc
+        if arc is not None:
+            plane = list(arc.plane[:2])
+            # A centre printed to the increment leaves start and end radius unlike: go from one to the other.
+            first, last = self.start[plane] - arc.centre_mm, self.end[plane] - arc.centre_mm
+            radius = np.hypot(*first) + fractions * (np.hypot(*last) - np.hypot(*first))
+            begin, finish = np.arctan2(first[1], first[0]), np.arctan2(last[1], last[0])
+            sweep = arc.angle_rad + np.mod(finish - begin - arc.angle_rad + np.pi, 2 * np.pi) - np.pi
+            angle = begin + fractions * sweep
+            words[:, plane] = np.add(arc.centre_mm, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+            words[fractions == 1.0] = self.end
+        return np.asarray(words)
+
+    def chords(self, tolerance_mm: float) -> int:
+        """How many chords stay within a tolerance of it: 1 for a line."""
+        arc = self.move.arc
+        if arc is None:
+            return 1
+        radius = float(np.hypot(*(self.start[list(arc.plane[:2])] - arc.centre_mm)))
+        step = np.pi / 2 if radius <= tolerance_mm else 2.0 * np.arccos(1.0 - tolerance_mm / radius)
+        return max(1, int(np.ceil(abs(arc.angle_rad) / step)))
+
+
+@final
+@dataclass(frozen=True)
+class MotionColumns(Sequence[PathMotion]):
+    """Motions in columns; a motion is made where somebody asks for it.
+
+    Attributes:
+        move: (n,) index of each one's move among those it was followed with.
+        line: (n,) index of its line.
+        rapid: (n,) whether it is a rapid.
+        tcp: (n,) whether its words are tool-tip coordinates.
+        start, end: (n, axes) as of `PathMotion`.
+        special: by index, the moves with more to them: arcs and tool vectors.
+    """
+
+    move: np.ndarray
+    line: np.ndarray
+    rapid: np.ndarray
+    tcp: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    special: dict[int, Move]
+
+    @classmethod
+    def of(cls, motions: dict[int, PathMotion], width: int) -> MotionColumns:
+        """Of motions by the index of their move; ``width``: how many axes."""
+        moves = [motion.move for motion in motions.values()]
+        return cls(
+            np.array([*motions], dtype=int),
+            np.array([one.line for one in moves], dtype=int),
+            np.array([one.kind is Kind.RAPID for one in moves], dtype=bool),
+            np.array([one.tcp for one in moves], dtype=bool),
+            np.array([motion.start for motion in motions.values()]).reshape(-1, width),
+            np.array([motion.end for motion in motions.values()]).reshape(-1, width),
+            {i: one for i, one in enumerate(moves) if one.arc is not None or one.vector is not None},
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[MotionColumns]) -> MotionColumns:
+        """One or more, one behind the other."""
+        begins = np.cumsum([0, *map(len, parts)]).tolist()
+        special = {at + i: move for at, part in zip(begins, parts, strict=False) for i, move in part.special.items()}
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        return cls(special=special, **columns)
+
+    def part(self, begin: int, end: int) -> MotionColumns:
+        """Some of them, one behind the other."""
+        special = {i - begin: move for i, move in self.special.items() if begin <= i < end}
+        return MotionColumns(special=special, **{name: getattr(self, name)[begin:end] for name in COLUMNS})
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @overload
+    def __getitem__(self, index: int) -> PathMotion: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[PathMotion]: ...
+    def __getitem__(self, index: int | slice) -> PathMotion | list[PathMotion]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        move = self.special.get(index)
+        if move is None:
+            kind = Kind.RAPID if self.rapid[index] else Kind.LINEAR
+            end = tuple(self.end[index].tolist())
+            move = Move(int(self.line[index]), kind, bool(self.tcp[index]), end, frozenset())
+        return PathMotion(move, self.start[index], self.end[index])
+
+
+@final
+@dataclass(frozen=True)
+class Passage:
+    """Axes moved between two motions by a line that is left as written.
+
+    Attributes:
+        before: index of the motion that comes next.
+        commands: (axes,) where the moved axes go, mm and degrees, command order; NaN where that is not known.
+        moved: (axes,) which they are.
+    """
+
+    before: int
+    commands: np.ndarray
+    moved: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class Path:
+    """A program as motions.
+
+    Attributes:
+        motions: those with every position known.
+        columns: the same in columns.
+        passed: notices on lines that move but are left as written, and on what was assumed.
+        passages: what those lines, and lines that leave an axis in a place unknown, do to the axes.
+    """
+
+    motions: Sequence[PathMotion]
+    columns: MotionColumns
+    passed: tuple[Notice, ...] = ()
+    passages: tuple[Passage, ...] = ()
+
+    def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Words at fractions of all motions; those whose start is not known are looked at where they end.
+
+        Args:
+            fractions: of each motion.
+
+        Returns:
+            (n, axes) words, and (n,) the index of the motion each belongs to.
+        """
+        words = [
+            motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
+            for motion, share in zip(self.motions, fractions, strict=True)
+        ]
+        return np.concatenate(words), np.repeat(np.arange(len(words)), [len(one) for one in words])

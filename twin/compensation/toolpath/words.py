@@ -1,0 +1,193 @@
+"""Words and commands: what a program's numbers mean to the axes of one machine.
+
+*Words* are a program's numbers made absolute (order `AxisWords.names`: x, y, z, then rotary axes). *Commands* are axis
+coordinates (command order). In mode ``axis`` words are commands less the work offset; in mode ``tcp`` the first three are the tool
+tip in the work frame and the control finds the commands by the nominal inverse. Between blocks the control moves straight in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from twin._common.arrays import every
+from twin._common.errors import InputError
+from twin.display import card, pairs
+from twin.kinematics.branches import Branches
+from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.inverse import Inverse
+from twin.machine.calibration import Calibration
+from twin.machine.effects.empirical import check_ranges
+from twin.machine.machine import Machine
+from twin.nc.blocks import AxisWords, Move
+
+
+@final
+@dataclass(frozen=True)
+class Setup:
+    """How the workpiece is set up.
+
+    Attributes:
+        work_offset: added to axis words, by axis name, mm and degrees.
+        work_origin_mm: where the program's zero is in the work frame, for tool-tip coordinates.
+        start_deg: where rotary axes stand before the program says so; 0 where not given.
+    """
+
+    work_offset: Mapping[str, float] = field(default_factory=dict)
+    work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start_deg: Mapping[str, float] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        x, y, z = self.work_origin_mm
+        offsets = ", ".join(f"{name} {value:g}" for name, value in self.work_offset.items())
+        rows = [
+            ("added to axis words (mm, °)", offsets or "nothing"),
+            ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
+            ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
+        ]
+        return card("Setup", pairs(rows)).text
+
+
+def axis_words(machine: Machine) -> AxisWords:
+    """The words of a machine's programs: its linear axes in the order x, y, z of the work frame.
+
+    Raises:
+        InputError: the machine is not one that runs programs.
+    """
+    machine.check_programs()
+    data = machine.model.createData()
+    pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
+    to_work = data.oMf[machine.work_frame].rotation.T
+    order: dict[int, str] = {}
+    for i in machine.linear:
+        axis = machine.axes[i]
+        frame = next(frame for frame in machine.frames if frame.axis == axis.name and frame.role == "motion")
+        motion = to_work @ data.oMi[frame.joint].rotation @ np.array(axis.direction)
+        motion = -motion if axis.side == "work" else motion
+        along = int(np.argmax(motion))
+        if motion[along] < 1.0 - 1e-9:
+            raise InputError(
+                f"axis {axis.name} does not move the tool along x, y or z",
+                expected="linear axes along the work frame",
+                file=machine.path,
+            )
+        order[along] = axis.name
+    if sorted(order) != [0, 1, 2]:
+        raise InputError(
+            "not three linear axes across each other",
+            expected="a five-axis machine, to run programs",
+            file=machine.path,
+        )
+    return AxisWords(
+        linear=tuple(order[i] for i in range(3)),
+        rotary=tuple(machine.axes[i].name for i in machine.rotary),
+        increment={axis.name: axis.increment for axis in machine.axes},
+        tcp_on=machine.tcp_on,
+        tcp_off=machine.tcp_off,
+    )
+
+
+def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
+    """Whether any of a program's moves turns the tool: names a rotary axis or gives a vector."""
+    rotary = set(axes.rotary)
+    return any(move.vector is not None or move.named & rotary for move in moves)
+
+
+@final
+class WordSpace:
+    """Words to commands and back, for one machine, tool length and setup.
+
+    Args:
+        machine: the machine.
+        setup: offsets.
+        tool_length_mm: the tool.
+
+    Attributes:
+        axes: the axis words.
+        nominal: the machine without errors.
+        order: (axes,) column of the commands each word is.
+    """
+
+    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
+        self.machine = machine
+        self.axes = axis_words(machine)
+        self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
+        self.inverse = Inverse(self.nominal)
+        self.order = np.array([machine.names.index(name) for name in self.axes.names])
+        self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
+        self.origin = np.array(setup.work_origin_mm)
+        self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
+
+    @cached_property
+    def branches(self) -> Branches:
+        """Rotary positions for tool vectors."""
+        return Branches(self.nominal)
+
+    def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """(n, axes) commands the control makes of (n, axes) words; ``tcp`` (n,) says in which mode each stands."""
+        shifted = words + self.offset
+        if np.any(tcp):
+            rows = np.flatnonzero(tcp & np.isfinite(words).all(axis=1))
+            start = np.zeros((len(rows), len(self.order)))
+            start[:, self.order[3:]] = shifted[rows, 3:]
+            reached = self.nominal.forward(start)
+            target = Poses(words[rows, :3] + self.origin, reached.rotation)
+            shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
+        if np.all(self.order == np.arange(len(self.order))):
+            return np.asarray(shifted)
+        commands = np.empty_like(shifted)
+        commands[:, self.order] = shifted
+        return commands
+
+    def switched(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
+        """(n, axes) words in the mode that ``tcp`` says, of (n, axes) words in the other one."""
+        into = np.full(len(words), tcp)
+        return self.words(self.commands(words, ~into), into)
+
+    def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """(n, axes) words that make the control give (n, axes) commands."""
+        words = commands[:, self.order] - self.offset
+        rows = np.flatnonzero(tcp & np.isfinite(commands).all(axis=1))
+        if rows.size:
+            words[rows, :3] = self.nominal.forward(commands[rows]).point_mm - self.origin
+        return words
+
+
+def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
+    """(n,) whether commands (mm, degrees) leave an axis's range; NaN does."""
+    limits = machine.limits / machine.scale[:, None]
+    slack = 1e-9
+    return ~every((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
+
+
+def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
+    """A position the axis has and its curves or an empirical effect do not know is an error, not an extrapolation.
+
+    Args:
+        real: the machine with its calibration.
+        source: the program's name, for the message.
+        lines: (n,) program line number of each command.
+        commands: (n, axes) mm and degrees; those out of range are somebody else's to report.
+
+    Raises:
+        InputError: with line, value and domain.
+    """
+    inside = ~outside_range(real.machine, commands)
+    outside = real.calibration.outside_domains(commands) & inside[:, None]
+    if np.any(outside):
+        row, column = np.argwhere(outside)[0]
+        lo, hi = real.calibration.domains()[column]
+        axis = real.machine.axes[column]
+        raise InputError(
+            f"{axis.name} outside the domain of its error motions in {real.calibration.path or 'the calibration'}",
+            expected=f"{lo:g} to {hi:g} {axis.unit}",
+            file=source,
+            line=int(lines[row]),
+            value=f"{axis.name} {commands[row, column]:.6g}",
+        )
+    check_ranges(real.calibration.empirical, real.calibration.state(commands[inside]), lines[inside], source)
