@@ -21,13 +21,14 @@ from threadpoolctl import threadpool_limits
 from twin._common.arrays import locked
 from twin._common.errors import InputError, nearest
 from twin.diagnosis.candidates.candidate import Candidate, Cell
-from twin.diagnosis.candidates.catalogue import catalogue
+from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.problem.problem import TOLD_APART, Problem
 from twin.identification.fitting import fitting
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
+from twin.machine.conditions import TIME
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, LaserTracker
 from twin.measurement.simulate import simulate
@@ -238,13 +239,12 @@ def _beside(kit: Kit, after: Measurements) -> Kit:
 
 def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
     """The states in which two causes differ: cold and later, one sensor warm at a time; only those that one of them feels."""
-    sensors = []
+    sensors: list[str] = []
+    drifts = False
     for one in causes:
-        if one.effect == "thermal_expansion":
-            sensors.append(one.where)
-        if one.effect == "thermal_growth":
-            sensors.append(one.where.partition(" by ")[2])
-    drifts = any(one.effect == "thermal_drift" for one in causes)
+        needed = () if one.effect not in SPECIFICATIONS else SPECIFICATIONS[one.effect].channels(one.where)
+        sensors += [name[2:-5] for name in needed if name.startswith("T_")]
+        drifts = drifts or TIME in needed
     if not sensors and not drifts:
         return ALWAYS
     names = tuple(dict.fromkeys(sensors))

@@ -42,7 +42,7 @@ FRAME_SHIFT: Final = Specification(
     ),
     evidence=lambda of: f"the instrument's frame was re-aligned from {of.where} on",
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="station", once=True),
+    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
 )
 TARGET_SHIFT: Final = Specification(
     name="target_shift",
@@ -52,7 +52,7 @@ TARGET_SHIFT: Final = Specification(
     advice=Advice("Who measured: how that target is held.", REST, NOTHING),
     evidence=lambda of: f"target {of.where} sits elsewhere than before",
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="target", once=True),
+    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
 )
 
 

@@ -27,7 +27,7 @@ STATION_DRIFT: Final = Specification(
     evidence=lambda of: f"station {of.where} creeps while it measures{course(of)}",
     bent=("time_constant",),
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station", once=True),
+    drawn=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
 )
 
 

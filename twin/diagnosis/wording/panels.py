@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
+from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.result import Answer, Cause
 from twin.diagnosis.wording.words import column, plain, side
-from twin.machine.effects import Effect, split_name
-from twin.machine.effects.names import motion
-from twin.machine.machine import DIRECTIONS
+from twin.machine.effects import Effect
+from twin.machine.effects.names import axis_of, motion
+from twin.machine.effects.specification import Drawing
+from twin.machine.effects.waves import APPROACH
+from twin.machine.machine import DIRECTIONS, Machine
 from twin.measurement.table import state_of
 
 STOPS: Final = 24
@@ -24,10 +27,6 @@ ALIKE: Final = 0.9
 """Rank correlation of two columns beyond which one picture is enough."""
 SHOWN: Final = 0.2
 """Share of what the clearest column explains below which another is not drawn."""
-BY_STATE: Final = ("frame_shift", "target_shift", "station_drift", "refraction_scale", "read_back", "following_error")
-"""Causes of several components that show against one column."""
-SPREAD: Final = ("cross_axis", "thermal_expansion", "gravity_compliance")
-"""Causes that depend on more than the column they are drawn against."""
 SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
 """Names of the sides that an axis comes from."""
 COVERAGE: Final = 1.96
@@ -175,7 +174,7 @@ def cause_panels(found: Answer, cause: Cause) -> list[Panel]:
     if not np.any(rows):
         return []
     title = plain(cause.effect, cause.where)
-    if cause.effect not in BY_STATE:
+    if not drawing_of(cause).by_state:
         return [_as_said(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
     says, left = directed(found, cause.pattern_um), directed(found, found.after_um)
     x = _against(found, cause)[0]
@@ -187,9 +186,11 @@ def _concerned(found: Answer, cause: Cause) -> np.ndarray:
     """(n,) readings a cause does something to, or would in another round."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
     rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
-    if cause.effect in ("frame_shift", "station_drift"):
-        return np.isin(found.data.station, found.data.station[rows])
-    return np.isin(found.data.target, found.data.target[rows]) if cause.effect == "target_shift" else rows
+    shared = drawing_of(cause).shared
+    if not shared:
+        return rows
+    names = found.data.station if shared == "station" else found.data.target
+    return np.isin(names, names[rows])
 
 
 def _as_said(title: str, says: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
@@ -272,15 +273,15 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
     frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
     name = f"E_{DIRECTIONS[component]}{mark}{frame}"
     unit = "µm" if component < 3 else "µrad"
-    base = cause.effect in ("thermal_drift", "thermal_growth")
-    label = f"shift of the tool side along {cause.where[0].lower()}" if base else f"{motion(name)}, {name}"
+    drawn = drawing_of(cause)
+    label = f"shift of the tool side along {cause.where[0].lower()}" if drawn.of_base else f"{motion(name)}, {name}"
     panels = []
     for x in _against(found, cause):
         at = x.values[rows]
         if np.ptp(at) == 0.0:
             continue
         series = tuple(
-            Series(told, at[of], read[of], weight[of], values[rows][of], cause.effect not in SPREAD)
+            Series(told, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
             for told, of in ((told, of[rows]) for told, of in _split(found, cause))
             if np.count_nonzero(of) >= FEWEST
         )
@@ -288,79 +289,71 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
     return panels
 
 
+def drawing_of(cause: Cause) -> Drawing:
+    """How a cause is drawn."""
+    return SPECIFICATIONS[cause.effect].drawn
+
+
 def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Readings that a cause treats differently, named: by side of approach, or by where another axis stands."""
     data, machine = found.data, found.calibration.machine
-    if cause.effect in ("reversal", "reversal_curve"):
-        sides = data.approach[:, machine.names.index(cause.where)]
+    by = drawing_of(cause).split(cause.where)
+    if by.startswith(APPROACH):
+        sides = data.approach[:, machine.names.index(by.removeprefix(APPROACH))]
         return [("from +", sides > 0), ("from −", sides < 0)]
-    if cause.effect == "cross_axis" and split_name(cause.where.split(" ")[0])[0] < 3:
-        other = cause.where.split(" by ")[1]
-    elif cause.effect == "thermal_expansion":
-        other = cause.where
-    else:
+    if not by:
         return [("", np.ones(len(data), dtype=bool))]
-    q = np.asarray(data.positions[:, machine.names.index(other)])
+    q = np.asarray(data.positions[:, machine.names.index(by)])
     low, high = float(q.min()), float(q.max())
     edges = np.linspace(low, high, 4)
     of = np.clip(np.searchsorted(edges, q, side="right") - 1, 0, 2)
-    unit = machine.by_name[other].unit
-    return [(f"{other} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
+    unit = machine.by_name[by].unit
+    return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
 
 
 def _against(found: Answer, cause: Cause) -> list[Scale]:
     """What a cause is drawn against: what it depends on."""
-    scales, machine = scales_of(found), found.calibration.machine
-    effect, where = cause.effect, cause.where
-    of_axis = {axis.name: scales[f"{axis.name}_{axis.unit}"] for axis in machine.axes}
-    if effect in ("frame_shift", "target_shift"):
-        return [scales["round"]]
-    if effect in ("thermal_drift", "station_drift") and "time_s" in scales:
-        return [scales["time_s"]]
-    if effect == "thermal_growth":
-        return [scales[f"T_{where.split(' by ')[1]}_degC"]]
-    if effect == "thermal_expansion":
-        return [scales[f"T_{where}_degC"]]
-    if effect == "refraction_scale":
+    machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
+    if drawn.size_of:
+        return [_sized(found, where, drawn.size_of)]
+    scales = scales_of(found)
+    wanted = () if drawn.columns is None else _named(drawn.columns(where), machine)
+    if known := [scales[name] for name in wanted if name in scales]:
+        return known
+    axes = [name for part in where.split(" ") if (name := axis_of(part)) in machine.by_name]
+    if drawn.beyond and axes:
+        axes = [*(axis.name for axis in machine.axes if not axis.linear and axis.name != axes[0]), axes[0]]
+    own = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
+    period = drawn.period({q.name: q.value for q in cause.parameters})
+    if period and axes:
+        unit = "mm" if machine.by_name[axes[0]].linear else "°"
+        return [_folded(own[0], axes[0], period, unit)]
+    return own
+
+
+def _sized(found: Answer, where: str, size_of: str) -> Scale:
+    """What is no column of the table: the distance from the instrument, or how far a report is from its command."""
+    if size_of == "distance":
         distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
-        return [Scale("distance from the instrument [m]", 1e-3 * distance)]
-    if effect in ("read_back", "following_error"):
-        i = machine.names.index(where)
-        off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
-        unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
-        return [Scale(f"{where} as reported less as commanded [{unit}]", off * scale)]
-    if effect == "pitch_error":
-        period = next(q.value for q in cause.parameters if q.name == "period")
-        return [_folded(of_axis[where], where, period, "mm")]
-    names = [name for part in where.split(" ") for name in _axes_of(part, machine.names)]
-    if effect == "cross_axis":
-        # A shift grows with both axes, and is drawn against its own for three places of the other; a tilt with the other alone.
-        names = names[:1] if split_name(where.split(" ")[0])[0] < 3 else names[1:]
-    if effect == "harmonic" and names:
-        order = next((q.value for q in cause.parameters if q.name == "order"), 1.0)
-        return [_folded(of_axis[names[0]], names[0], 360.0 / order, "°")]
-    if effect == "axis_location" and names:
-        # What it does to a point shows as the axes beyond turn it.
-        names = [*(axis.name for axis in machine.axes if not axis.linear and axis.name != names[0]), names[0]]
-    return [of_axis[name] for name in dict.fromkeys(names)][:2] or list(of_axis.values())[:2]
+        return Scale("distance from the instrument [m]", 1e-3 * distance)
+    machine = found.calibration.machine
+    i = machine.names.index(where)
+    off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
+    unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
+    return Scale(f"{where} as reported less as commanded [{unit}]", off * scale)
 
 
 def _columns_of(found: Answer, cause: Cause) -> list[str]:
     """Names of the columns a cause goes with."""
-    scales = scales_of(found)
-    if cause.effect == "reversal":
-        return [f"approach_{cause.where}"]
-    if cause.effect == "reversal_curve":
-        axis = found.calibration.machine.by_name[cause.where]
-        return [f"approach_{cause.where}", f"{axis.name}_{axis.unit}"]
+    if also := drawing_of(cause).also(cause.where):
+        return _named(also, found.calibration.machine)
     labels = [scale.label for scale in _against(found, cause)]
-    return [name for name, scale in scales.items() if scale.label in labels]
+    return [name for name, scale in scales_of(found).items() if scale.label in labels]
 
 
-def _axes_of(part: str, names: Sequence[str]) -> list[str]:
-    if part.startswith("E_"):
-        return [split_name(part)[2]] if split_name(part)[2] in names else []
-    return [part] if part in names else []
+def _named(names: Iterable[str], machine: Machine) -> list[str]:
+    """Columns of the table: positions of axes by their names, others as they are."""
+    return [f"{name}_{machine.by_name[name].unit}" if name in machine.by_name else name for name in names]
 
 
 def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:

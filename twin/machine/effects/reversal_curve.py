@@ -95,5 +95,5 @@ REVERSAL_CURVE: Final = Specification(
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
     curve=True,
     more_of="reversal",
-    drawn=Drawing(split=lambda where: f"approach_{where}", also=places.approach),
+    drawn=Drawing(split=lambda where: f"approach_{where}", also=lambda where: (f"approach_{where}", where)),
 )

@@ -78,10 +78,11 @@ class Drawing:
     """How a cause is drawn.
 
     Attributes:
-        columns: place → columns of the table that it is drawn against, those that are there; of all axes the place names if None.
+        columns: place → columns of the table, or axes, that it is drawn against, as far as they are there; the axes the place names
+            if None.
         period: numbers of the cause → period that the position is folded into, mm or degrees; 0 for none.
-        split: place → column by which the readings are drawn apart: ``approach_X``, or a position in three parts.
-        also: place → columns that the cause goes with beside those it is drawn against.
+        split: place → what the readings are drawn apart by: ``approach_X``, or an axis, in three parts; empty for nothing.
+        also: place → columns of the table, or axes, that the cause goes with, if not those it is drawn against.
         size_of: what stands on the horizontal axis where it is no column: the distance from the instrument, or how far the report of
             the control is from the command.
         by_state: whether shifts of the targets are drawn against what it depends on, not against what the cause says of them.
@@ -89,7 +90,6 @@ class Drawing:
         shared: the column in which readings have a name in common with those that the cause changes: ``station`` or ``target``.
         of_base: whether it shifts the tool side along a direction of the base.
         beyond: whether it shows as the rotary axes beyond its own turn.
-        once: whether it happens once, or over time: its line in the list says when.
     """
 
     columns: Callable[[str], tuple[str, ...]] | None = None
@@ -102,7 +102,6 @@ class Drawing:
     shared: Literal["", "station", "target"] = ""
     of_base: bool = False
     beyond: bool = False
-    once: bool = False
 
 
 @final

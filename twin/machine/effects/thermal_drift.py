@@ -156,5 +156,5 @@ THERMAL_DRIFT: Final = Specification(
     bent=("time_constant",),
     kept=_kept,
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("time_s",), of_base=True, once=True),
+    drawn=Drawing(columns=lambda where: ("time_s",), of_base=True),
 )

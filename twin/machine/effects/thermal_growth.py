@@ -74,6 +74,7 @@ THERMAL_GROWTH: Final = Specification(
     largest={"um/K": 500.0},
     places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
     open_places=True,
+    channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC",),
     expected=lambda machine: "X, Y or Z of the base by <sensor>",
     make=_made,
     forms=_forms,
