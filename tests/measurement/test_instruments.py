@@ -15,6 +15,7 @@ from twin.measurement.instruments import (
     refractive_index,
 )
 from twin.measurement.instruments.refraction import length_scale
+from twin.measurement.instruments.tracker import AT960_ABSOLUTE
 
 POINTS = np.array([[2.0, 0.0, 0.0], [1.0, -1.5, 0.5], [0.3, 0.2, -2.2]])
 
@@ -46,7 +47,7 @@ def test_the_at960_of_the_data_sheet() -> None:
     """At two metres: half of 0.4 + 0.6 µm along the beam, half of 15 + 12 µm across it; ±10 µm absolute."""
     covariance = LaserTracker().covariance(POINTS[:1])[0]
     assert np.sqrt(np.diag(covariance)) * 1e6 == pytest.approx([0.5, 13.5, 13.5])
-    absolute = LaserTracker(absolute=True).covariance(POINTS[:1])[0]
+    absolute = AT960_ABSOLUTE.covariance(POINTS[:1])[0]
     assert np.sqrt(absolute[0, 0]) * 1e6 == pytest.approx(5.0)
 
 

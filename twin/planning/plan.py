@@ -14,7 +14,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError, nearest
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.candidates import candidates, levels_for, safe_poses, setting_of
@@ -140,7 +140,7 @@ def judge(
         machine,
         placed,
         setting,
-        LaserTracker() if instrument is None else instrument,
+        INSTRUMENTS[0] if instrument is None else instrument,
         Calibration.default(machine) if expected is None else expected,
         known=known,
         tool_length_mm=tool_length_mm,

@@ -27,7 +27,7 @@ from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.instruments import Instrument, usual
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.candidates import candidates, safe_poses, setting_of
@@ -328,11 +328,11 @@ def _told_already(
     doubt: int,
 ) -> np.ndarray:
     """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
-    reader = instrument if isinstance(instrument, LaserTracker) else LaserTracker()
     lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
+    reader = instrument if lengths_only or not instrument.lengths_only else usual(lengths_only=False)
     kept, setup = fitting(machine, after, lengths_only=lengths_only)
     problem = Problem(
-        Network(machine, kept, instrument if lengths_only else reader, Unknowns(machine, [], []), calibration),
+        Network(machine, kept, reader, Unknowns(machine, [], []), calibration),
         setup,
         calibration,
     )

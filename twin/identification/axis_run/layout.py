@@ -155,7 +155,7 @@ class AxisLayout:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of a table of its readings."""
-        return tuple(f"beam_{name}_mm" for name in self.beams.beams)
+        return self.beams.specification.columns
 
     def travel(self, positions_mm: np.ndarray) -> np.ndarray:
         """(n, 3) nominal travel from the reference position, metres."""

@@ -6,8 +6,6 @@ Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the l
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,7 @@ from twin._common.files import write_whole
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside
-from twin.measurement.table import comments_of, says_simulated
+from twin.measurement.columns import comments_of, csv_text, printed, says_simulated
 
 FEWEST_BEAMS: Final = 6
 """Beams without which six motions are not fixed."""
@@ -66,19 +64,14 @@ class Readings:
 
     def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
         """The table as text; reading it gives the same readings."""
-        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": _printed(self.position_mm)}
-        columns |= {name: _printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": printed(self.position_mm)}
+        columns |= {name: printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
         columns["round"] = list(self.round)
         if np.any(self.approach):
             columns["approach"] = [str(int(value)) for value in self.approach]
         if np.isfinite(self.time_s).any():
-            columns["time_s"] = _printed(self.time_s)
-        text = io.StringIO()
-        text.write(comments_of(comment, simulated=self.simulated))
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-        return text.getvalue()
+            columns["time_s"] = printed(self.time_s)
+        return csv_text(columns, comments_of(comment, simulated=self.simulated))
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
         """Write the table, whole or not at all."""
@@ -159,7 +152,3 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
         notices=table.notices,
         simulated=table.simulated,
     )
-
-
-def _printed(values: np.ndarray) -> list[str]:
-    return ["" if np.isnan(value) else repr(float(value)) for value in values]
