@@ -155,7 +155,11 @@ def test_only_the_plots_need_matplotlib() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    importing = [path.name for path in (ROOT / "twin" / "evaluation").glob("*.py") if "matplotlib" in imports(path)]
+    importing = [
+        path.name
+        for path in (ROOT / "twin" / "measurement" / "evaluation").glob("*.py")
+        if "matplotlib" in imports(path)
+    ]
     assert importing == ["plots.py"]
 
 

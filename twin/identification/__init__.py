@@ -60,6 +60,7 @@ temperature, no rounding.
 """
 
 from twin.identification.identify import identify
-from twin.identification.result import Identification, Unidentified
+from twin.identification.result import Identification
+from twin.identification.unidentified import Unidentified
 
 __all__ = ["Identification", "Unidentified", "identify"]

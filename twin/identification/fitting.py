@@ -64,11 +64,10 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
         likely = _one_change(machine, data, 1.0, np.inf, lengths_only)
         if len(likely) != 1:
             raise
-        raise InputError(
+        raise data.error(
             f"the commands do not fit the measured motion: {likely[0][1]}",
             expected=f"commands that the readings follow on {machine.name}",
-            file=data.source,
-            line=int(data.lines[0]),
+            row=0,
         ) from None
     limit = miss_limit(data, miss)
     bad = miss > limit
@@ -77,11 +76,10 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
     likely = _one_change(machine, data, share, ratio, lengths_only) if share > ASKED or ratio > DOUBTED else []
     if likely or share > SWAPPED or (ratio > UNRELATED and motion > SEEN):
         worst = int(np.argmax(miss))
-        raise InputError(
+        raise data.error(
             f"the commands do not fit the measured motion: {min(likely)[1] if likely else _where(machine, data, miss, limit)}",
             expected=f"commands that the readings follow within {min(limit, motion) / MM:.2g} mm on {machine.name}",
-            file=data.source,
-            line=int(data.lines[worst]),
+            row=worst,
             value=f"{miss[worst] / MM:.3g} mm off",
         )
     if not np.any(bad):

@@ -21,8 +21,9 @@ from scipy.linalg.lapack import dpstrf
 
 from twin._common.arrays import locked
 from twin._common.threads import side_by_side
-from twin.identification.network import Network, pieces_of
-from twin.identification.solve import Solution, free_directions
+from twin.identification.network import Network
+from twin.identification.robust import Start
+from twin.identification.solve import Solution
 from twin.identification.unknowns import CurveSpace
 from twin.measurement.table import Measurements
 
@@ -99,16 +100,15 @@ class Choice:
     readings: int
 
 
-def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Folds, whole: Sequence[str] = ()) -> Choice:
+def choose(network: Network, start: Start, whole: Sequence[str] = ()) -> Choice:
     """The model that predicts held-out readings best.
 
     Args:
         network: data and the largest model.
-        solution: its estimate.
-        weight: (n,) of each point.
-        folds: what is held out together.
+        start: a robust estimate of it.
         whole: curves that keep all their functions.
     """
+    solution, weight, folds = start.solution, start.weight, Folds.of(network.data)
     normal, count = _cells(network, solution, weight, folds)
     full = _folds(network, solution, normal, folds)
     readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
@@ -261,15 +261,14 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
                 normal[cell] += rows @ rows.T
         return normal
 
-    normal = np.sum(side_by_side(pieces_of(network), summed), axis=0)
+    normal = np.sum(side_by_side(network.shares, summed), axis=0)
     normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
     return normal, count.reshape(folds.rounds, folds.poses + 1)
 
 
 def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
-    machine = len(network.unknowns)
-    free = free_directions(network.unknowns.datum, machine, len(solution.setup))
+    free = solution.free
     origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
     total, variance = normal.sum(axis=(0, 1)), solution.noise**2
     found = []

@@ -20,6 +20,7 @@ from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.spread import Misfit, misfit
 from twin.identification.table import TableTilt
+from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.datum import MEANING
@@ -40,20 +41,6 @@ POOR_PREDICTION = 2.0
 """Held-out RMS over that of the fit beyond which a fit says nothing of other places: three quarters of each reading went into it."""
 THESIS_FUNCTIONS = 9
 """Functions of the thesis's degree 8."""
-
-
-@final
-@dataclass(frozen=True)
-class Unidentified:
-    """Something these data cannot tell.
-
-    Attributes:
-        name: ISO 230-1 name.
-        reason: why, and what would change it.
-    """
-
-    name: str
-    reason: str
 
 
 @final
@@ -129,36 +116,6 @@ class Identification:
             whitened=locked(whitened),
             misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
         )
-
-    def predicted_mm(self, data: Measurements) -> np.ndarray:
-        """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
-
-        Args:
-            data: measurements this estimate has not seen.
-
-        Raises:
-            KeyError: a station or target that this estimate does not know.
-        """
-        order = self.setup
-        stations = [order.stations.index(name) for name in dict.fromkeys(data.station) if name in order.stations]
-        targets = [order.targets.index(name) for name in dict.fromkeys(data.target) if name in order.targets]
-        for name in (*dict.fromkeys(data.station), *dict.fromkeys(data.target)):
-            if name not in order.stations and name not in order.targets:
-                raise KeyError(name)
-        setup = SetUp(
-            tuple(order.stations[i] for i in stations),
-            order.rotation[stations],
-            order.origin[stations],
-            order.dead[stations],
-            tuple(order.targets[i] for i in targets),
-            order.place[targets],
-            order.station_known[stations],
-            order.target_known[targets],
-            order.lengths_only,
-        )
-        other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
-        left = other.difference(self.solution.theta, setup, np.arange(len(data)))
-        return locked(np.where(other.read, left / MM, np.nan))
 
     def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
         """An error motion and its standard uncertainty.

@@ -360,12 +360,13 @@ def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
 
 
 def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
-    """Axes next to a carrier of which every target's place is given."""
+    """Axes next to a carrier of which every target's place and every station's pose is given."""
     found = []
     for side in CARRIERS:
-        of = data.carrier == side
+        of, stations = data.carrier == side, data.station_carrier == side
         axes = [axis.name for axis in machine.axes if axis.side == side]
-        if np.any(of) and np.all(np.isfinite(data.place_mm[of])) and axes:
+        given = np.all(np.isfinite(data.place_mm[of])) and np.all(np.isfinite(data.station_pose[stations]))
+        if np.any(of | stations) and given and axes:
             frame = machine.tool_frame if side == "tool" else machine.work_frame
             chain = machine.model.supports[machine.model.frames[frame].parentJoint].tolist()
             joints = dict(zip(machine.names, machine.axis_joints, strict=True))

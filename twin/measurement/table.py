@@ -157,7 +157,13 @@ class Measurements:
         return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
 
     def error(
-        self, what: str, *, expected: str, row: int | None = None, value: object = None, nearest: str | None = None
+        self,
+        what: str,
+        *,
+        expected: str,
+        row: int | np.integer[Any] | None = None,
+        value: object = None,
+        nearest: str | None = None,
     ) -> InputError:
         """Return an error about this table, with its file and the line of a row; see `InputError`."""
         line = None if row is None else int(self.lines[row])
