@@ -11,7 +11,7 @@ import numpy as np
 from twin.identification.inputs import Placed
 from twin.identification.network import Network
 from twin.identification.solve import Solution, solve
-from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, offset_unseen, spaces_for
+from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.numerics.curves import FOURIER, POWER, Basis
 from twin.numerics.observability import UNSEEN, Determinability
@@ -45,7 +45,7 @@ class Determined:
     tried: Unknowns
 
 
-def families(machine: Machine, placed: Placed, wanted: Wanted) -> list[dict[str, Basis]]:
+def _families(machine: Machine, placed: Placed, wanted: Wanted) -> list[dict[str, Basis]]:
     """The bases worth trying: powers for travels, harmonics for full turns, either for part of a turn."""
     first: dict[str, Basis] = {axis.name: FOURIER if axis.lower is None else POWER for axis in machine.axes}
     other: dict[str, Basis] = {axis.name: POWER if axis.linear else FOURIER for axis in machine.axes}
@@ -58,56 +58,46 @@ def families(machine: Machine, placed: Placed, wanted: Wanted) -> list[dict[str,
     return [first, other] if moved else [first]
 
 
-def determined(
-    machine: Machine, placed: Placed, bases: dict[str, Basis], wanted: Wanted, covariance: np.ndarray | None
-) -> Determined:
-    """The unknowns that the data determine of the machine as drawn; the others go first, so that they do not compete.
+def determined(machine: Machine, placed: Placed, wanted: Wanted, covariance: np.ndarray | None) -> list[Determined]:
+    """The unknowns that the data determine of the machine as drawn, one model for each family of bases worth trying.
 
     Args:
         machine: the machine.
         placed: rows, instrument and set-up.
-        bases: family by axis name.
         wanted: whether an error of that name is sought.
         covariance: (n, 3, 3) of the readings, m²; that stated if None.
 
     Raises:
         InputError: no axis moved.
     """
+    families = _families(machine, placed, wanted)
+    return [_determined(machine, placed, bases, wanted, covariance) for bases in families]
+
+
+def _determined(
+    machine: Machine, placed: Placed, bases: dict[str, Basis], wanted: Wanted, covariance: np.ndarray | None
+) -> Determined:
+    """For one family of bases; what the data cannot tell goes first, so that it does not compete."""
     data, setup = placed.data, placed.setup
-    spaces, constants = spaces_for(machine, data.positions, bases=bases, most=MOST, wanted=wanted)
-    if not spaces and not constants:
+    every = Unknowns.largest(machine, data, bases=bases, most=MOST, wanted=wanted)
+    if not every.entities:
         raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
 
     def network(unknowns: Unknowns) -> Network:
         return Network(machine, data, placed.instrument, unknowns, covariance=covariance)
 
-    told, offsets = axes_told(machine, data), None
     while True:
-        every = Unknowns(machine, spaces, constants, told, offsets)
         whole = network(every)
         drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
-        unseen = offset_unseen(every, drawn.spectrum.unseen)
-        if unseen is None:
+        without = every.without_unseen_offset(drawn.spectrum.unseen)
+        if without is every:
             break
-        offsets = [name for name in every.offsets if name != unseen]
+        every = without
     kept, left_out, together = _seen(every, drawn)
     columns = [every.index[column] for column in kept.columns] + list(range(len(every), drawn.triangle.shape[1]))
     seen = drawn.told(every, int(np.count_nonzero(np.isfinite(data.point_mm))))
     fitted = whole if kept is every else network(kept)
     return Determined(fitted, drawn.triangle[:, columns], tuple(left_out), tuple(together), seen, every)
-
-
-def lowest_unseen(unknowns: Unknowns, name: str, unseen: np.ndarray) -> bool:
-    """Whether even the lowest order of a curve, or a constant itself, is unseen.
-
-    Args:
-        unknowns: the machine's.
-        name: of a curve, squareness or location.
-        unseen: (columns,) which unknowns are.
-    """
-    columns = unknowns.of(name)
-    lowest = next((len(c.groups()[0]) for c in unknowns.curves if c.name == name), 1)
-    return bool(np.any(unseen[columns[:lowest]]))
 
 
 def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], list[str]]:
@@ -122,7 +112,7 @@ def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], 
     silent = solution.spectrum.silent[:count]
     shared = silent @ silent.T
     entity = np.array([column.entity for column in unknowns.columns])
-    lost = [name for name in unknowns.entities if lowest_unseen(unknowns, name, unseen)]
+    lost = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]
     rank = solution.rank_of(range(count), unknowns.datum)
     dropped: list[str] = []
     together: list[str] = []
@@ -133,23 +123,7 @@ def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], 
         left = np.flatnonzero(~np.isin(entity, [*dropped, *group]))
         safe = set(group) <= set(lost) and solution.rank_of(left.tolist(), unknowns.datum) == rank
         (dropped if safe else together).extend(one for one in group if one not in dropped and one not in together)
-    curves = [
-        curve if curve.name in together else _cut(curve, unseen[unknowns.of(curve.name)])
-        for curve in unknowns.curves
-        if curve.name not in dropped
-    ]
-    constants = [name for name in unknowns.constants if name not in dropped]
-    same = len(constants) == len(unknowns.constants) and list(unknowns.curves) == curves
-    fewer = Unknowns(unknowns.machine, curves, constants, unknowns.told, unknowns.offsets)
-    return (unknowns if same else fewer), dropped, together
-
-
-def _cut(curve: CurveSpace, unseen: np.ndarray) -> CurveSpace:
-    """A curve below its first order that is unseen."""
-    if not np.any(unseen):
-        return curve
-    kept = [0, *(group[-1] + 1 for group in curve.groups() if group[-1] - curve.first < np.argmax(unseen))]
-    return CurveSpace(curve.name, curve.basis, curve.domain, curve.first, kept[-1])
+    return unknowns.fewer(unseen, dropped, together), dropped, together
 
 
 def _group(name: str, entity: np.ndarray, shared: np.ndarray) -> list[str]:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import locked
 from twin._common.units import MM
-from twin.identification.determined import Determined, Wanted, determined, families
+from twin.identification.determined import Determined, Wanted, determined
 from twin.identification.inputs import Placed, prepared
 from twin.identification.orders import Choice, choose
 from twin.identification.outliers import explained, model_is_wrong
@@ -69,11 +69,7 @@ def identify(
         placed = prepared(machine, data, instrument)
         scatter = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
         say("choosing the curves", 0.1)
-        models = [
-            _model(determined(machine, placed, bases, wanted, scatter), placed)
-            for bases in families(machine, placed, wanted)
-        ]
-        model = _best(models)
+        model = _best([_model(one, placed) for one in determined(machine, placed, wanted, scatter)])
         say("estimating", 0.75)
         precision = prior_precision(model.determined.network, model.start)
         estimate = without_outliers(model.determined.network, model.start, precision)

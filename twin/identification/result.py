@@ -11,6 +11,7 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.distributions import normal_isf
+from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
 from twin._common.units import MM
 from twin.display import card, note, pairs, table
@@ -159,14 +160,13 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """The report as JSON (``schema: twin.identification/1``)."""
-        fit = self.misfit
-        table = TableTilt.of(self.calibration)
+        fit, order, table = self.misfit, self.setup, TableTilt.of(self.calibration)
         stations = {}
-        for i, name in enumerate(self.setup.stations):
-            stations[name] = {"origin_mm": _list(self.setup.origin[i] / MM), "known": bool(self.setup.station_known[i])}
-            if self.setup.lengths_only:
-                stations[name]["dead_path_mm"] = float(self.setup.dead[i] / MM)
-        return {
+        for i, name in enumerate(order.stations):
+            stations[name] = {"origin_mm": order.origin[i] / MM, "known": order.station_known[i]}
+            if order.lengths_only:
+                stations[name]["dead_path_mm"] = order.dead[i] / MM
+        found = {
             "schema": SCHEMA,
             "machine": self.calibration.machine.name,
             "datum": self.calibration.datum,
@@ -175,43 +175,37 @@ class Identification:
             "verdict": self.verdict,
             "uncertainty": self.spread,
             "errors": self.rows(),
-            "table": None
-            if table is None
-            else {
-                "at_deg": dict(table.at),
-                "fused_urad": _list(table.fused_urad),
-                "u_urad": [_number(float(v)) for v in table.u_urad],
-                "missing": list(table.missing),
-            },
+            "table": table,
             "not_identifiable": [
                 {"name": one.name, "reason": one.reason, "prior": self.held_by_prior.get(one.name)}
                 for one in self.unidentified
             ],
             "stations": stations,
             "targets": {
-                name: {"place_mm": _list(self.setup.place[i] / MM), "known": bool(self.setup.target_known[i])}
-                for i, name in enumerate(self.setup.targets)
+                name: {"place_mm": order.place[i] / MM, "known": order.target_known[i]}
+                for i, name in enumerate(order.targets)
             },
             "misfit": {
                 "rms_um": self.rms_um,
                 "rms_all_um": self.rms_all_um,
                 "chi2": fit.chi2,
                 "dof": fit.dof,
-                "reduced_chi2": _number(fit.reduced),
-                "p_value": _number(fit.p_value),
-                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": _number(fit.pure_reduced)},
-                "lack_of_fit_p_value": _number(fit.lack_p_value),
+                "reduced_chi2": fit.reduced,
+                "p_value": fit.p_value,
+                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": fit.pure_reduced},
+                "lack_of_fit_p_value": fit.lack_p_value,
             },
             "orders": {
                 "held_out_rms": self.choice.held_out,
-                "uniform": {str(size): value for size, value in self.choice.uniform.items()},
+                "uniform": self.choice.uniform,
                 "readings_held_out": self.choice.readings,
             },
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
-            "notices": list(self.notices),
+            "notices": self.notices,
             "converged": self.converged,
             "warnings": to_json(self.calibration.warnings),
         }
+        return dict(json_form(found))
 
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
@@ -254,7 +248,7 @@ class Identification:
         if fit.pure_dof:
             lines.append(
                 f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
-                + ("cannot be tested" if _number(fit.lack_p_value) is None else f"p = {fit.lack_p_value:.2g}")
+                + ("cannot be tested" if np.isnan(fit.lack_p_value) else f"p = {fit.lack_p_value:.2g}")
             )
         lines += [self.verdict, "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
@@ -374,15 +368,7 @@ def _nearest(scores: Mapping[int, float], size: int) -> float | None:
     return scores[max(fitting)] if fitting and max(fitting) >= size - 1 else None
 
 
-def _list(values: np.ndarray) -> list[float]:
-    return [float(v) for v in values]
-
-
 def _fit_text(fit: Misfit) -> str:
     if fit.dof <= 0:
         return "no degrees of freedom are left to judge the fit by"
     return f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
-
-
-def _number(value: float) -> float | None:
-    return None if value != value else value

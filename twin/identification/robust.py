@@ -66,7 +66,7 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Start:
         solution = _further(network, solution, weight, found.noise)
         if pulled:
             # From where a prior held it, one step more than to a still one: readings without noise give the errors to the last digits.
-            solution = solve(network, solution.theta, solution.setup, weight, moved=solution.moved, steps=1)
+            solution = solve(network, solution.theta, solution.setup, weight, steps=1)
         found = _judged(network, solution)
     weight = (~found.bad).astype(float)
     return Start(_further(network, solution, weight, found.noise), weight)
@@ -77,7 +77,7 @@ def _judged(network: Network, solution: Solution) -> Judged:
 
 
 def _further(network: Network, solution: Solution, weight: np.ndarray, noise: float) -> Solution:
-    return solve(network, solution.theta, solution.setup, weight, noise=noise, moved=solution.moved)
+    return solve(network, solution.theta, solution.setup, weight, noise=noise)
 
 
 def without_outliers(network: Network, start: Start, precision: np.ndarray) -> Estimate:
@@ -100,7 +100,6 @@ def without_outliers(network: Network, start: Start, precision: np.ndarray) -> E
             precision=precision,
             noise=solution.noise,
             triangle=triangle,
-            moved=solution.moved,
         )
         triangle = None
         found = _judged(network, solution)

@@ -49,6 +49,7 @@ class SetUp:
         station_known, target_known: what the data say themselves.
         lengths_only: whether the stations read lengths and nothing else, so that how they are turned does not show.
         free_start: whether these lengths count from an unknown zero.
+        shift: (unknowns,) how far `moved` has taken each number from where it was placed first, metres and radians; None for nowhere.
     """
 
     stations: tuple[str, ...]
@@ -61,6 +62,7 @@ class SetUp:
     target_known: np.ndarray
     lengths_only: bool
     free_start: bool = True
+    shift: np.ndarray | None = None
 
     @classmethod
     def told(cls, data: Measurements, *, lengths_only: bool) -> SetUp:
@@ -131,9 +133,9 @@ class SetUp:
                 rotation[i] = rotation[i] @ rotation_exp(step[at])
             else:
                 shifted[kind][i : i + 1] += step[at]
-        return replace(
-            self, rotation=rotation, origin=shifted["origin"], dead=shifted["dead path"], place=shifted["place"]
-        )
+        shift = step if self.shift is None else self.shift + step
+        origin, dead, place = shifted.values()
+        return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, shift=shift)
 
 
 def _first_rows(names: np.ndarray) -> tuple[tuple[str, ...], list[int]]:

@@ -72,7 +72,6 @@ class Solution:
         steps: how many were taken.
         noise: size of the whitened residuals that the prior was weighed against; one where the model fits.
         precision: (columns,) of the machine's unknowns about zero beside the weak prior, one over µm² or µrad².
-        moved: (set-up's unknowns,) how far each is from its prior place, metres and radians.
         free: (p, f) orthonormal directions that keep the datum.
     """
 
@@ -85,7 +84,6 @@ class Solution:
     steps: int
     noise: float
     precision: np.ndarray
-    moved: np.ndarray
     free: np.ndarray
 
     @cached_property
@@ -184,7 +182,6 @@ def solve(
     noise: float = 1.0,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
-    moved: np.ndarray | None = None,
 ) -> Solution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
@@ -198,10 +195,9 @@ def solve(
         noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.
         triangle: factor of [J | r] at the start, for whoever has it; found if None.
-        moved: (set-up's unknowns,) how far the set-up is from its prior place already (`Solution.moved`); not at all if None.
     """
     problem = _Problem.of(network, setup, noise, precision)
-    here = _Place(theta, setup, np.zeros(len(setup)) if moved is None else moved)
+    here = _Place(theta, setup)
     weakest = FIRM_STEP if precision is not None else WEAKEST
     taken, halved, before, last = 0, 0, np.inf, here
     wanted: list[np.ndarray] = []
@@ -240,21 +236,21 @@ def solve(
 @final
 @dataclass(frozen=True)
 class _Place:
-    """Where a search stands: the machine's unknowns, the set-up, and how far its numbers are from where they began."""
+    """Where a search stands: the machine's unknowns and the set-up."""
 
     theta: np.ndarray
     setup: SetUp
-    moved: np.ndarray
 
     @property
     def off(self) -> np.ndarray:
         """(p,) how far every unknown is from its prior place."""
-        return np.concatenate([self.theta, self.moved])
+        shift = np.zeros(len(self.setup)) if self.setup.shift is None else self.setup.shift
+        return np.concatenate([self.theta, shift])
 
     def after(self, step: np.ndarray) -> _Place:
         """After a step of all unknowns."""
         machine = len(self.theta)
-        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]), self.moved + step[machine:])
+        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]))
 
 
 @final
@@ -328,7 +324,6 @@ class _Problem:
             steps=taken,
             noise=self.noise,
             precision=self.precision,
-            moved=locked(here.moved),
             free=self.free,
         )
         share = np.sum((triangle[:, :-1] * self.scale @ found.basis) ** 2 / found.stiffness)

@@ -309,7 +309,7 @@ def _by_lengths(told: SetUp, lengths: _Lengths) -> FirstSetUp:
         setup, change, misfit = lengths.step(setup)
         if change < 1e-9:
             break
-    return FirstSetUp(setup, misfit)
+    return FirstSetUp(replace(setup, shift=None), misfit)
 
 
 def _multilateration(p: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, float]:

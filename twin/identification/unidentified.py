@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.identification.determined import Determined, Wanted, lowest_unseen
+from twin.identification.determined import Determined, Wanted
 from twin.identification.setup import SetUp
 from twin.identification.solve import Solution
 from twin.identification.unknowns import Unknowns
@@ -38,7 +38,7 @@ def held_by_prior(model: Determined, solution: Solution) -> list[str]:
     """Names of the errors in the estimate that the readings, with their noise, determine no better than was known before."""
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > UNSEEN
-    return [name for name in unknowns.entities if name in model.together or lowest_unseen(unknowns, name, unseen)]
+    return [name for name in unknowns.entities if name in model.together or unknowns.lowest_unseen(name, unseen)]
 
 
 def unidentified(

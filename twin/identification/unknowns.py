@@ -96,6 +96,13 @@ class CurveSpace:
             return [(k,) for k in range(self.first, self.count)]
         return [tuple(k for k in (n, n + 1) if k < self.count) for n in range(max(self.first, 1), self.count, 2)]
 
+    def below(self, unseen: np.ndarray) -> CurveSpace:
+        """The space below the first order of which a function is among the (count − first,) that are unseen."""
+        if not np.any(unseen):
+            return self
+        kept = [0, *(group[-1] + 1 for group in self.groups() if group[-1] - self.first < np.argmax(unseen))]
+        return CurveSpace(self.name, self.basis, self.domain, self.first, kept[-1])
+
     def _raw(self, q: np.ndarray, count: int) -> np.ndarray:
         return np.stack(self.basis.functions(q, self.domain, count), axis=1)
 
@@ -161,6 +168,14 @@ class Unknowns:
         )
         self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
 
+    @classmethod
+    def largest(
+        cls, machine: Machine, data: Measurements, *, bases: dict[str, Basis], most: int, wanted: Callable[[str], bool]
+    ) -> Unknowns:
+        """All unknowns that a table's positions can determine; arguments as of `spaces_for`."""
+        spaces, constants = spaces_for(machine, data.positions, bases=bases, most=most, wanted=wanted)
+        return cls(machine, spaces, constants, axes_told(machine, data))
+
     def __len__(self) -> int:
         return len(self.columns)
 
@@ -172,6 +187,37 @@ class Unknowns:
     def entities(self) -> tuple[str, ...]:
         """Every curve, squareness and location sought."""
         return (*(curve.name for curve in self.curves), *self.constants)
+
+    def lowest_unseen(self, name: str, unseen: np.ndarray) -> bool:
+        """Whether even the lowest order of a curve, or a constant itself, is among the (columns,) that are unseen."""
+        lowest = next((len(c.groups()[0]) for c in self.curves if c.name == name), 1)
+        return bool(np.any(unseen[self.of(name)[:lowest]]))
+
+    def without_unseen_offset(self, unseen: np.ndarray) -> Unknowns:
+        """These without the constant of a curve that the data determine least; the same object if they determine all of them."""
+        name = offset_unseen(self, unseen)
+        if name is None:
+            return self
+        offsets = [one for one in self.offsets if one != name]
+        return Unknowns(self.machine, self.curves, self.constants, self.told, offsets)
+
+    def fewer(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
+        """These without some errors, and each curve below its first order that is unseen; the same object if nothing is left out.
+
+        Args:
+            unseen: (columns,) which are.
+            dropped: names of the errors left out.
+            whole: names of the curves that keep all orders.
+        """
+        curves = [
+            curve if curve.name in whole else curve.below(unseen[self.of(curve.name)])
+            for curve in self.curves
+            if curve.name not in dropped
+        ]
+        constants = [name for name in self.constants if name not in dropped]
+        if len(constants) == len(self.constants) and list(self.curves) == curves:
+            return self
+        return Unknowns(self.machine, curves, constants, self.told, self.offsets)
 
     def shapes(self, positions: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
         """What a unit (µm or µrad) of each column does to the error frames.

@@ -7,9 +7,9 @@ Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -140,15 +140,9 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
     if not np.any(keep):
         raise InputError(f"no usable row: {notes[0].text}", expected="readings", file=table.source, line=notes[0].line)
-    return Readings(
-        source=table.source,
-        lines=locked(table.lines[keep]),
-        position_mm=locked(table.position_mm[keep]),
-        change_mm=locked(table.change_mm[keep]),
-        round=locked(table.round[keep]),
-        approach=locked(table.approach[keep]),
-        time_s=locked(table.time_s[keep]),
-        set_aside=notes,
-        notices=table.notices,
-        simulated=table.simulated,
-    )
+    rows: dict[str, Any] = {
+        field.name: locked(getattr(table, field.name)[keep])
+        for field in fields(table)
+        if isinstance(getattr(table, field.name), np.ndarray)
+    }
+    return replace(table, **rows, set_aside=notes)
