@@ -57,6 +57,17 @@ of the tool point over the volume with the place of the largest. `compensate` pr
 correction is no larger than its own U and does not call them improved; in JSON all of it is under `uncertainty`. Where a
 calibration gives no covariance, U is unknown, never zero. U covers the calibration's own numbers only: no repeatability, no
 temperature, no rounding.
+
+**The stages**, in `twin.identification.identify`; each takes the values before it and returns one.
+
+1. `inputs.prepared`: measurements → `Placed`: rows that fit their commands, the instrument, and stations and targets to start from.
+2. `determined.determined`: → `Determined`: the unknowns that the data determine, one model for each family of curves.
+3. `robust.robust_start`: → `Start`: an estimate that a few wrong points do not pull.
+4. `orders.choose`: → `Choice`: how many functions of each curve the held-out readings support.
+5. `priors.prior_precision`: → how firmly each function is held about zero.
+6. `robust.without_outliers`: → `Estimate`: least squares (`solve.solve`) without the outliers.
+7. `spread.covariance_of`: → its covariance.
+8. → `Identification`: the calibration, what is not identifiable, and the residuals of the calibration.
 """
 
 from twin.identification.identify import identify

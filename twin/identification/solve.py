@@ -188,10 +188,9 @@ def solve(
     Args:
         network: data and model.
         theta: machine's unknowns to start from, µm and µrad.
-        setup: stations and targets to start from.
+        setup: stations and targets to start from; how far they are from their prior places is in it (`SetUp.shift`).
         weight: (n,) of each point.
-        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.priors`); none
-            if None.
+        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad²; none if None.
         noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.
         triangle: factor of [J | r] at the start, for whoever has it; found if None.

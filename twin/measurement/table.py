@@ -171,13 +171,13 @@ class Measurements:
 
     def select(self, rows: np.ndarray) -> Measurements:
         """Some rows (indices or a mask), everything else as it is."""
-        picked: dict[str, Any] = {
-            field.name: locked(getattr(self, field.name)[rows])
-            for field in fields(self)
-            if isinstance(getattr(self, field.name), np.ndarray)
-        }
+        picked: dict[str, Any] = {name: locked(values[rows]) for name, values in self.arrays().items()}
         temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
         return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
+
+    def arrays(self) -> dict[str, Any]:
+        """Every field that is an array of rows, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)}
 
     def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
         """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
@@ -284,9 +284,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         raise InputError("no measurements", expected="at least one table")
     first = tables[0]
     merged: dict[str, Any] = {
-        field.name: locked(np.concatenate([getattr(table, field.name) for table in tables]))
-        for field in fields(first)
-        if isinstance(getattr(first, field.name), np.ndarray)
+        name: locked(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
     }
     names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
     temperatures = {
