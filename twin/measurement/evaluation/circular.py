@@ -157,8 +157,7 @@ def error_motion(
             "less than a turn", expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°", value=float(gaps.max())
         )
     mean = measured.mean(axis=0)
-    constant, first = _fourier(angle, mean, 1)
-    (once,) = first
+    constant, (once,) = _fourier(angle, mean, 1)
     wave = once.cos * np.cos(angle * DEG) + once.sin * np.sin(angle * DEG)
     centre = constant + (np.zeros_like(wave) if kind == "axial" else wave)
     total, synchronous, residual = measured - centre, mean - centre, mean - constant - wave
