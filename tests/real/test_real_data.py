@@ -15,7 +15,7 @@ from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.result import COVERAGE
-from twin.identification.solve import Solution, solve
+from twin.identification.solve import FitSolution, solve
 from twin.identification.spread import Spread, covariance_of
 from twin.identification.start import first_setup
 from twin.identification.unknowns import CurveSpace, Unknowns
@@ -76,7 +76,7 @@ def found(robot: Robot) -> Identification:
     return geometric(robot.machine, robot.data.select(halves(robot)[0]))
 
 
-def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, Solution]:
+def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Stations, targets and some of the machine's unknowns, least squares."""
     network = Network(machine, data, LaserTracker(), unknowns)
     setup, _ = first_setup(machine, data, lengths_only=False)

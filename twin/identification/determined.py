@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.identification.inputs import Placed
 from twin.identification.network import Network
-from twin.identification.solve import Solution, solve
+from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.numerics.curves import FOURIER, POWER, Basis
@@ -100,7 +100,7 @@ def _determined(
     return Determined(fitted, drawn.triangle[:, columns], tuple(left_out), tuple(together), seen, every)
 
 
-def _seen(unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, list[str], list[str]]:
+def _seen(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, list[str], list[str]]:
     """The unknowns of the fit, the names of those left out of it, and of those in it that only show together.
 
     An error that only stations, targets and others like it take up is left out: nothing else then changes. Errors that take each

@@ -17,7 +17,7 @@ from twin.identification.orders import Choice, choose
 from twin.identification.outliers import explained, model_is_wrong
 from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, residuals_of
-from twin.identification.robust import Estimate, Start, robust_start, without_outliers
+from twin.identification.robust import FinalEstimate, Start, robust_start, without_outliers
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
 from twin.machine.machine import Machine
@@ -94,7 +94,7 @@ def _best(models: list[_Model]) -> _Model:
 
 
 def _result(
-    model: _Model, estimate: Estimate, covariance: np.ndarray, spread: Spread, wanted: Wanted
+    model: _Model, estimate: FinalEstimate, covariance: np.ndarray, spread: Spread, wanted: Wanted
 ) -> Identification:
     network, (solution, rows) = model.determined.network, estimate
     data, unknowns, machine, used = network.data, network.unknowns, network.machine, ~rows.bad

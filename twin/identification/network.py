@@ -33,7 +33,7 @@ WHOLE: Final = 8192
 
 @final
 @dataclass(frozen=True)
-class Piece:
+class WhitenedRows:
     """Some points: their rows in the data, and (unknowns + 1, k, 3) whitened derivatives by each unknown, residuals last.
 
     Zero where nothing was read.
@@ -156,7 +156,7 @@ class Network:
                     found[:, at] += value * values[rows]
         return found
 
-    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[Piece]:
+    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
         """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
         return (self.piece(theta, setup, rows) for rows in self.shares)
 
@@ -231,7 +231,7 @@ class Network:
             by_place=by_base @ carried.rotation,
         )
 
-    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
         """Residuals and derivatives of some points."""
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
@@ -243,7 +243,7 @@ class Network:
             for at, values in shapes:
                 column += by_error[at] * values[rows, None]
         self.by_setup(view, setup, columns[machine:-1].transpose(1, 2, 0))
-        return Piece(rows, columns)
+        return WhitenedRows(rows, columns)
 
     def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
         """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""

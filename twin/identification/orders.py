@@ -23,7 +23,7 @@ from twin._common.arrays import locked
 from twin._common.threads import side_by_side
 from twin.identification.network import Network
 from twin.identification.robust import Start
-from twin.identification.solve import Solution
+from twin.identification.solve import FitSolution
 from twin.identification.unknowns import CurveSpace, Unknowns
 from twin.measurement.table import Measurements
 
@@ -265,7 +265,7 @@ def _ends(poses: np.ndarray) -> np.ndarray:
     return found
 
 
-def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
+def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
     size = len(solution.spectrum.scale) + 1
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
@@ -292,7 +292,7 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
     return normal, count.reshape(folds.rounds, folds.poses + 1)
 
 
-def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
+def _folds(network: Network, solution: FitSolution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
     free = solution.free
     origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
     total, variance = normal.sum(axis=(0, 1)), solution.noise**2

@@ -22,7 +22,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.identification.network import Network
 from twin.identification.robust import Start
-from twin.identification.solve import Solution
+from twin.identification.solve import FitSolution
 
 FALLS: Final = locked(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
 """Ratios that are weighed: from a line with little beside it to a curve as rough as its highest function."""
@@ -38,7 +38,7 @@ FREE: Final = 1.0
 
 
 def prior_precision(network: Network, start: Start) -> np.ndarray:
-    """(columns,) precision of each unknown about zero, one over µm² or µrad², for a noise of `Solution.noise`; zero for what is free.
+    """(columns,) precision of each unknown about zero, one over µm² or µrad², for a noise of `FitSolution.noise`; zero for what is free.
 
     Args:
         network: data and the largest model.
@@ -70,7 +70,7 @@ def prior_precision(network: Network, start: Start) -> np.ndarray:
     return found
 
 
-def _noise(solution: Solution, readings: int) -> float:
+def _noise(solution: FitSolution, readings: int) -> float:
     """Size of the whitened residuals of an estimate: less than one where the stated uncertainties are larger than the scatter."""
     dof = readings - solution.determined
     if solution.noise > 1.0 or dof < FEWEST_DOF:

@@ -18,8 +18,8 @@ from twin.display import card, note, pairs, table
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
-from twin.identification.solve import Solution
-from twin.identification.spread import Misfit, misfit
+from twin.identification.solve import FitSolution
+from twin.identification.spread import FitStatistics, misfit
 from twin.identification.table import TableTilt
 from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
@@ -73,7 +73,7 @@ class Identification:
     held_by_prior: Mapping[str, float]
     setup: SetUp
     setup_u: Mapping[str, float]
-    misfit: Misfit
+    misfit: FitStatistics
     choice: Choice
     spread: str
     data: Measurements
@@ -84,7 +84,7 @@ class Identification:
     notices: tuple[str, ...]
     converged: bool
     network: Network
-    solution: Solution
+    solution: FitSolution
 
     @property
     def complete(self) -> bool:
@@ -330,7 +330,7 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return text
 
 
-def _verdict(fit: Misfit, held_out: float) -> str:
+def _verdict(fit: FitStatistics, held_out: float) -> str:
     """Return whether the model fits, in words.
 
     Args:
@@ -368,7 +368,7 @@ def _nearest(scores: Mapping[int, float], size: int) -> float | None:
     return scores[max(fitting)] if fitting and max(fitting) >= size - 1 else None
 
 
-def _fit_text(fit: Misfit) -> str:
+def _fit_text(fit: FitStatistics) -> str:
     if fit.dof <= 0:
         return "no degrees of freedom are left to judge the fit by"
     return f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"

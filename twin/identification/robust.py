@@ -10,7 +10,7 @@ import numpy as np
 from twin.identification.network import Network
 from twin.identification.outliers import Judged, judged
 from twin.identification.setup import SetUp
-from twin.identification.solve import Solution, solve
+from twin.identification.solve import FitSolution, solve
 
 ROUNDS: Final = 8
 FAR: Final = 100.0
@@ -22,14 +22,14 @@ TRIED: Final = 8
 class Start(NamedTuple):
     """A robust estimate, and (n,) the weights of the points it ended with: zero for an outlier."""
 
-    solution: Solution
+    solution: FitSolution
     weight: np.ndarray
 
 
-class Estimate(NamedTuple):
+class FinalEstimate(NamedTuple):
     """Least squares without outliers, and the rows judged by it."""
 
-    solution: Solution
+    solution: FitSolution
     rows: Judged
 
 
@@ -72,15 +72,15 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Start:
     return Start(_further(network, solution, weight, found.noise), weight)
 
 
-def _judged(network: Network, solution: Solution) -> Judged:
+def _judged(network: Network, solution: FitSolution) -> Judged:
     return judged(network, network.residual(solution.theta, solution.setup))
 
 
-def _further(network: Network, solution: Solution, weight: np.ndarray, noise: float) -> Solution:
+def _further(network: Network, solution: FitSolution, weight: np.ndarray, noise: float) -> FitSolution:
     return solve(network, solution.theta, solution.setup, weight, noise=noise)
 
 
-def without_outliers(network: Network, start: Start, precision: np.ndarray) -> Estimate:
+def without_outliers(network: Network, start: Start, precision: np.ndarray) -> FinalEstimate:
     """Least squares on all points that are no outliers of it: one is let back in when it fits after all.
 
     Args:
@@ -104,6 +104,6 @@ def without_outliers(network: Network, start: Start, precision: np.ndarray) -> E
         triangle = None
         found = _judged(network, solution)
         if np.array_equal(found.bad, bad) or found.bad.tobytes() in seen:
-            return Estimate(solution, replace(found, bad=bad))
+            return FinalEstimate(solution, replace(found, bad=bad))
         seen.add(found.bad.tobytes())
         bad = found.bad

@@ -28,7 +28,7 @@ from twin._common.threads import side_by_side
 from twin._common.units import MM, URAD
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
-from twin.identification.unknowns import Column, Unknowns
+from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.effects import unit_of
 from twin.numerics.observability import WEAKEST, Determinability, Spectrum, Unknown, decompose
 
@@ -58,7 +58,7 @@ are small, the next step is a thousandth of it or less, and what is left 1e-7 of
 
 @final
 @dataclass(frozen=True)
-class Solution:
+class FitSolution:
     """An estimate.
 
     Attributes:
@@ -167,7 +167,7 @@ def named_setup(setup: SetUp) -> tuple[Unknown, ...]:
     return tuple(found)
 
 
-def _name(column: Column, unknowns: Unknowns) -> str:
+def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
     curve = any(one.name == column.entity for one in unknowns.curves)
     return f"{column.entity} order {column.index}" if curve else column.entity
 
@@ -182,7 +182,7 @@ def solve(
     noise: float = 1.0,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
-) -> Solution:
+) -> FitSolution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
     Args:
@@ -309,11 +309,11 @@ class _Problem:
 
     def solution(
         self, here: _Place, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
-    ) -> Solution:
+    ) -> FitSolution:
         """The estimate where a search ended."""
         if self.noise > 1.0:
             _, spectrum = self.decomposed(triangle, self.scale)
-        found = Solution(
+        found = FitSolution(
             theta=here.theta,
             setup=here.setup,
             triangle=triangle,

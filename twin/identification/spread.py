@@ -11,7 +11,7 @@ from twin._common.arrays import locked
 from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import MM
 from twin.identification.network import Network
-from twin.identification.solve import Solution
+from twin.identification.solve import FitSolution
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 
@@ -20,7 +20,7 @@ Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 
 @final
 @dataclass(frozen=True)
-class Misfit:
+class FitStatistics:
     """What is left beside what the readings' covariance allows; nothing is rescaled by it.
 
     Attributes:
@@ -49,7 +49,9 @@ class Misfit:
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
-def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray) -> Misfit:
+def misfit(
+    whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray
+) -> FitStatistics:
     """Misfit of an estimate.
 
     Args:
@@ -76,7 +78,7 @@ def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determine
     if pure_dof > 0 and lack_dof > 0 and pure_chi2 > 0.0:
         lack_p = float(f_sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
     p_value = float(chi2_sf(chi2, dof)) if dof > 0 else float("nan")
-    return Misfit(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
+    return FitStatistics(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
 def repeats(data: Measurements) -> np.ndarray:
@@ -114,7 +116,7 @@ def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.nd
     return locked(instrument.pooled(points, scatter, dof))
 
 
-def covariance_of(network: Network, solution: Solution, weight: np.ndarray, spread: Spread) -> np.ndarray:
+def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:
     """(p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
 
     ``between poses`` is for a model that leaves something out that changes from pose to pose. It holds for poses drawn one by one, as
@@ -146,7 +148,7 @@ def covariance_of(network: Network, solution: Solution, weight: np.ndarray, spre
     return _sandwich(network, solution, weight, group.reshape(-1))
 
 
-def _sandwich(network: Network, solution: Solution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
+def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
     """A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
 
     It holds whatever the scatter between groups is, as long as the groups are many and drawn as those to come.

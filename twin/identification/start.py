@@ -17,7 +17,7 @@ from twin._common.arrays import locked
 from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.machine.machine import Machine
-from twin.measurement.observation import Carried, Observation
+from twin.measurement.observation import CarriedTargets, Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
@@ -61,7 +61,7 @@ def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> 
     return _by_points(told, carried, data, station, target)
 
 
-def nominal(machine: Machine, data: Measurements) -> Carried:
+def nominal(machine: Machine, data: Measurements) -> CarriedTargets:
     """Return the origin of each row's carrier as the machine is drawn, and how the carrier is turned; metres.
 
     In the frame that the row's station rides on.
@@ -142,7 +142,7 @@ class _Equations:
 
 
 def _by_points(
-    told: SetUp, carried: Carried, data: Measurements, station: np.ndarray, target: np.ndarray
+    told: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
 ) -> FirstSetUp:
     point = _filled(told, data.point_mm, station)
     whole = np.isfinite(point).all(axis=1)
@@ -160,7 +160,7 @@ def _by_points(
 
 
 def _equations(
-    told: SetUp, y: np.ndarray, whole: np.ndarray, carried: Carried, station: np.ndarray, target: np.ndarray
+    told: SetUp, y: np.ndarray, whole: np.ndarray, carried: CarriedTargets, station: np.ndarray, target: np.ndarray
 ) -> _Equations:
     n, stations, targets = len(y), len(told.stations), len(told.targets)
     centre = np.zeros((stations, 3))

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.identification.determined import Determined, Wanted
 from twin.identification.setup import SetUp
-from twin.identification.solve import Solution
+from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
@@ -34,7 +34,7 @@ class Unidentified:
     reason: str
 
 
-def held_by_prior(model: Determined, solution: Solution) -> list[str]:
+def held_by_prior(model: Determined, solution: FitSolution) -> list[str]:
     """Names of the errors in the estimate that the readings, with their noise, determine no better than was known before."""
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > UNSEEN
@@ -81,7 +81,7 @@ def _remedy(name: str, machine: Machine, setup: SetUp, together: bool) -> str:
     return "it takes three targets apart from one line, or other poses of the other axes"
 
 
-def unknown_reference(solution: Solution, unknowns: Unknowns) -> list[str]:
+def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     """Return a notice of the errors that refer to a point of the targets' carrier that the set-up leaves open."""
     if solution.spectrum.silent.shape[1] == 0:
         return []

@@ -109,7 +109,7 @@ class CurveSpace:
 
 @final
 @dataclass(frozen=True)
-class Column:
+class UnknownNumber:
     """One unknown number.
 
     Attributes:
@@ -158,9 +158,9 @@ class Unknowns:
             and not (not machine.by_name[axis].linear and f"{c.name[:3]}0{axis}" in self.constants)
         )
         self.columns = tuple(
-            [Column(c.name, k) for c in self.curves for k in range(c.first, c.count)]
-            + [Column(name, 0) for name in self.constants]
-            + [Column(offset_name(name), 0) for name in self.offsets]
+            [UnknownNumber(c.name, k) for c in self.curves for k in range(c.first, c.count)]
+            + [UnknownNumber(name, 0) for name in self.constants]
+            + [UnknownNumber(offset_name(name), 0) for name in self.offsets]
         )
         self.index = {column: i for i, column in enumerate(self.columns)}
         self.plausible = locked(
@@ -268,7 +268,7 @@ class Unknowns:
                             q, w = space.grid()
                             inner = (w * part(q)) @ space.functions(q)
                             for k in range(space.first, space.count):
-                                row[self.index[Column(space.name, k)]] = inner[k]
+                                row[self.index[UnknownNumber(space.name, k)]] = inner[k]
                     if np.abs(row).max(initial=0.0) > 1e-9:
                         rows.append(row / np.linalg.norm(row))
         return locked(np.array(rows).reshape(len(rows), len(self)))
@@ -292,15 +292,17 @@ class Unknowns:
         names: list[str] = []
         curves: dict[str, Curve] = {}
         for space in self.curves:
-            orders = [k for k in range(space.first, space.count) if self.index[Column(space.name, k)] in reported]
+            orders = [
+                k for k in range(space.first, space.count) if self.index[UnknownNumber(space.name, k)] in reported
+            ]
             if not orders:
                 continue
             count = orders[-1] + 1
             block, written = np.zeros((count, len(self))), space.written(count)
             for k in orders:
-                block[:, self.index[Column(space.name, k)]] = written[:, k]
+                block[:, self.index[UnknownNumber(space.name, k)]] = written[:, k]
             if space.name in self.offsets:
-                block[:, self.index[Column(offset_name(space.name), 0)]] = written[:, 0]
+                block[:, self.index[UnknownNumber(offset_name(space.name), 0)]] = written[:, 0]
             unit = unit_of(space.name)
             own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
@@ -309,7 +311,7 @@ class Unknowns:
             names += [f"{space.name}[{k}]" for k in range(count)]
         constants: dict[str, float] = {}
         for name in self.constants:
-            i = self.index[Column(name, 0)]
+            i = self.index[UnknownNumber(name, 0)]
             if i in reported:
                 constants[name] = float(theta[i])
                 rows.append(np.eye(len(self))[i])
@@ -400,7 +402,7 @@ def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
         unknowns: the machine's.
         unseen: (columns and more,) share of each unknown's plausible variance that is left (`Spectrum.unseen`).
     """
-    of = {name: float(unseen[unknowns.index[Column(offset_name(name), 0)]]) for name in unknowns.offsets}
+    of = {name: float(unseen[unknowns.index[UnknownNumber(offset_name(name), 0)]]) for name in unknowns.offsets}
     worst = max(of, key=lambda name: round(of[name], 6), default=None)
     return worst if worst is not None and of[worst] > UNSEEN else None
 

@@ -26,7 +26,7 @@ FLAT: Final = ("time_s", "feed_mm_min")
 """Fields of numbers of one dimension."""
 
 
-class Part(NamedTuple):
+class TableColumns(NamedTuple):
     """Columns of the file that make one field of `Measurements`.
 
     Attributes:
@@ -60,23 +60,23 @@ class Part(NamedTuple):
         return {name: printed(c) for name, c in by_name.items() if self.needed or np.isfinite(c).any()}
 
 
-def parts_of(machine: Machine) -> tuple[Part, ...]:
+def parts_of(machine: Machine) -> tuple[TableColumns, ...]:
     """All columns but temperatures and places, in the order in which they are written."""
     axes = tuple(f"{axis.name}_{axis.unit}" for axis in machine.axes)
     return (
-        Part("positions", axes, needed=True),
-        Part("readback", tuple(f"readback_{name}" for name in axes)),
-        Part("target", ("target",), "words", needed=True),
-        Part("carrier", ("carrier",), "words", needed=True),
-        Part("point_mm", POINT_COLUMNS, needed=True),
-        Part("station", ("station",), "words", "1", needed=True),
-        Part("station_carrier", ("station_carrier",), "words", SIDES[0]),
-        Part("round", ("round",), "words", "1", needed=True),
-        Part("time_s", ("time_s",)),
-        Part("approach", tuple(f"approach_{axis.name}" for axis in machine.axes), "signs"),
-        Part("temperature_degC", ()),
-        Part("feed_mm_min", ("feed_mm_min",)),
-        Part("u_mm", tuple(f"u_{name}" for name in POINT_COLUMNS)),
+        TableColumns("positions", axes, needed=True),
+        TableColumns("readback", tuple(f"readback_{name}" for name in axes)),
+        TableColumns("target", ("target",), "words", needed=True),
+        TableColumns("carrier", ("carrier",), "words", needed=True),
+        TableColumns("point_mm", POINT_COLUMNS, needed=True),
+        TableColumns("station", ("station",), "words", "1", needed=True),
+        TableColumns("station_carrier", ("station_carrier",), "words", SIDES[0]),
+        TableColumns("round", ("round",), "words", "1", needed=True),
+        TableColumns("time_s", ("time_s",)),
+        TableColumns("approach", tuple(f"approach_{axis.name}" for axis in machine.axes), "signs"),
+        TableColumns("temperature_degC", ()),
+        TableColumns("feed_mm_min", ("feed_mm_min",)),
+        TableColumns("u_mm", tuple(f"u_{name}" for name in POINT_COLUMNS)),
     )
 
 

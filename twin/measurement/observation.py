@@ -26,7 +26,7 @@ from twin.measurement.table import CARRIERS, Measurements, state_of
 
 @final
 @dataclass(frozen=True)
-class Carried:
+class CarriedTargets:
     """Reflectors in the frames their stations ride on, and how they move; metres and radians.
 
     Attributes:
@@ -111,7 +111,7 @@ class Observation:
         carrier: np.ndarray,
         places: np.ndarray,
         station_carrier: np.ndarray | None = None,
-    ) -> Carried:
+    ) -> CarriedTargets:
         """Reflectors and their derivatives, unchecked, in our own units.
 
         Args:
@@ -128,7 +128,7 @@ class Observation:
             points[rows] = found[0]
             by_error[rows] = found[1].reshape(-1, errors.shape[1], 3)
             rotation[rows] = found[2].reshape(-1, 3, 3)
-        return Carried(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
+        return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
 
     def _functions(
         self, carrier: np.ndarray, station_carrier: np.ndarray | None, *, derivatives: bool

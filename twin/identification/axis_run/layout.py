@@ -114,7 +114,7 @@ class AxisLayout:
         """
         path = Path(path)
         entries, lines = load_yaml(path, _LayoutFile, SCHEMA)
-        check = _Check(path, lines)
+        check = _Entries(path, lines)
         linear = [axis.name for axis in machine.axes if axis.linear]
         if entries.axis not in linear:
             raise check.fail(("axis",), "no linear axis of this machine", " or ".join(linear), entries.axis)
@@ -170,7 +170,7 @@ class AxisLayout:
 
 @final
 @dataclass(frozen=True)
-class _Check:
+class _Entries:
     path: Path
     lines: Mapping[Place, int]
 

@@ -17,7 +17,7 @@ from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.identification.axis_run.layout import AxisLayout
-from twin.identification.axis_run.readings import Readings
+from twin.identification.axis_run.readings import BeamReadings
 from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -90,7 +90,7 @@ class Motions:
         return float(chi2_sf(self.chi2, self.dof))
 
 
-def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "stated") -> Motions:
+def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread = "stated") -> Motions:
     """Six error motions at every position that was measured.
 
     Args:
@@ -150,7 +150,7 @@ def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "s
     )
 
 
-def _displacement(layout: AxisLayout, readings: Readings) -> Displacement:
+def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
     """The carriage's poses row by row, from the nominal travel.
 
     Raises:
@@ -170,7 +170,7 @@ def _displacement(layout: AxisLayout, readings: Readings) -> Displacement:
     return found
 
 
-def _error_frames(layout: AxisLayout, readings: Readings, found: Displacement) -> tuple[np.ndarray, np.ndarray]:
+def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacement) -> tuple[np.ndarray, np.ndarray]:
     """(n, 6) error motions row by row, µm and µrad, and (n, 6, 6) their derivatives by the poses."""
     # With M₀ the pose at the reference and P the way out to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
     place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place

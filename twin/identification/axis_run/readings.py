@@ -1,7 +1,7 @@
 """A table of a multi-axis interferometer's readings: one row a position of the axis, one column a beam.
 
 Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the layout, optionally ``round``, ``approach`` and
-``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `Readings.set_aside` with line and reason.
+``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `BeamReadings.set_aside` with line and reason.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FEWEST_BEAMS: Final = 6
 
 @final
 @dataclass(frozen=True)
-class Readings:
+class BeamReadings:
     """Readings of n rows; arrays are read-only.
 
     Attributes:
@@ -78,7 +78,7 @@ class Readings:
         write_whole(Path(path), self.to_csv(layout, comment=comment))
 
 
-def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
+def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
     Args:
@@ -104,7 +104,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
         raise InputError("no reading", expected="one row a position below the header", file=path)
     known = {*needed, "round", "approach", "time_s"}
     cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
-    table = Readings(
+    table = BeamReadings(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
         position_mm=cells.numbers(position),
@@ -121,7 +121,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
     return _usable(table, layout)
 
 
-def _usable(table: Readings, layout: AxisLayout) -> Readings:
+def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
     reasons: dict[int, str] = {}
 
     def aside(rows: np.ndarray, reason: str) -> None:

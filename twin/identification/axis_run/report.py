@@ -10,7 +10,7 @@ from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions
-from twin.identification.axis_run.readings import Readings
+from twin.identification.axis_run.readings import BeamReadings
 from twin.measurement.checks import grouped_notes
 
 SCHEMA: Final = "twin.axis_run/1"
@@ -40,7 +40,7 @@ def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
     return tuple(found)
 
 
-def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
+def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
     """The report as JSON."""
     installation, names = motions.displacement, [f"E_{letter}{motions.axis}" for letter in NAMES]
     left, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
@@ -79,7 +79,7 @@ def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
     return dict(json_form(found))
 
 
-def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> str:
+def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> str:
     """The report for a person."""
     lines = [
         f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "

@@ -7,7 +7,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
-from twin.identification.axis_run.readings import Readings
+from twin.identification.axis_run.readings import BeamReadings
 from twin.machine.calibration import Calibration
 from twin.machine.effects import assemble
 from twin.machine.machine import Machine
@@ -66,7 +66,7 @@ def simulate_run(
     approach: np.ndarray | None = None,
     installation: np.ndarray | None = None,
     noise: bool = True,
-) -> tuple[Readings, np.ndarray]:
+) -> tuple[BeamReadings, np.ndarray]:
     """Readings of a run.
 
     Args:
@@ -95,7 +95,7 @@ def simulate_run(
     change = layout.beams.readings(poses, stands)
     drawn = layout.noise * rng.standard_normal(change.shape)
     change = change + drawn if noise else change
-    readings = Readings(
+    readings = BeamReadings(
         source="simulated",
         lines=locked(np.arange(1, n + 1)),
         position_mm=locked(positions),

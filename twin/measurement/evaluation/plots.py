@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from twin._common.units import DEG
-from twin.measurement.evaluation.circular import ErrorMotion
+from twin.measurement.evaluation.circular import RotaryMotion as ErrorMotion
 from twin.measurement.evaluation.iso230_2 import Positioning
 from twin.measurement.evaluation.straightness import Straightness
 
