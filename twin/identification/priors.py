@@ -38,7 +38,7 @@ FREE: Final = 1.0
 
 
 def prior_precision(network: Network, start: Start) -> np.ndarray:
-    """(columns,) precision of each unknown about zero, one over µm² or µrad², for a noise of `FitSolution.noise`; zero for what is free.
+    """(columns,) precision of each unknown about zero for a noise of `FitSolution.noise`, one over µm² or µrad²; zero for what is free.
 
     Args:
         network: data and the largest model.
