@@ -26,6 +26,7 @@ from twin.measurement.instruments import (
     refractive_index,
     usual,
 )
+from twin.measurement.instruments.interferometer import TRACKING
 from twin.measurement.instruments.refraction import length_scale
 from twin.measurement.instruments.tracker import AT960_ABSOLUTE
 from twin.measurement.simulate import Setting, Station, simulate
@@ -140,6 +141,20 @@ def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
     assert found.rms_um < 1e-3
     drawn = identify(data, dmu50, wanted=lambda name: name == "E_XX")
     assert drawn.rms_um > 10.0
+
+
+def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: Path) -> None:
+    """An instrument that differs in its specification alone: centres on the table, lengths as they are."""
+    bar = TrackingInterferometer(specification=replace(TRACKING, name="bar", free_start=False))
+    errors = in_datum(np.random.default_rng(8), size=100.0)
+    plan = volumetric(dmu50, np.random.default_rng(9), 1600, stations=4)
+    plan = plan.select(plan.carrier == "tool")
+    plan = replace(plan, station_carrier=np.full(len(plan), "work", dtype=object))
+    points = riding(written(tmp_path / "truth.yaml", errors), plan, "work")
+    found = identify(replace(plan, point_mm=bar.read(points * 1e-3) * 1e3), dmu50, instrument=bar)
+    assert not any("dead path" in name for name in found.setup.names)
+    assert np.all(found.setup.dead == 0.0)
+    assert found.rms_um < 1e-3
 
 
 def test_a_station_on_two_sides_is_refused(dmu50: Machine, tmp_path: Path) -> None:

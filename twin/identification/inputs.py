@@ -66,6 +66,8 @@ def prepared(machine: Machine, data: Measurements, given: Instrument | None) -> 
             line=error.line,
             value=error.value,
         ) from None
+    if not reader.specification.free_start:
+        setup = replace(setup, free_start=False, dead=np.zeros(len(setup.stations)))
     far = float(np.linalg.norm(setup.origin, axis=1).max())
     if assumed and far > FARTHEST:
         raise data.error(
