@@ -16,7 +16,7 @@ why, and every row set aside with line and reason (exit status 3).
 
 **The estimate.** Whitened nonlinear least squares of all readings at once: error motions, squareness, locations, stations and
 targets. Every reading is weighted by its own uncertainty (`u_x_mm …`, else the instrument's model at that place), derivatives
-are analytic, no covariance is scaled by chi². A station may ride on the spindle or on the table (column `station_carrier`: `base`, `tool`
+are analytic, no covariance is scaled by chi². A station may ride on the tool or the table (column `station_carrier`: `base`, `tool`
 or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is X's mean line, the xy-plane holds Y's.
 
 - No curve has a constant: it is the axis's zero, a location, or the place of the targets.
