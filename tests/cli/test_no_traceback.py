@@ -28,7 +28,7 @@ from twin.diagnosis.candidates.flaws import flaw
 from twin.diagnosis.judgement.evidence import evidence
 from twin.diagnosis.wording import words
 from twin.identification.axis_run import AxisLayout, load_readings
-from twin.identification.spread import Misfit
+from twin.identification.spread import FitStatistics
 from twin.identification.unknowns import CurveSpace
 from twin.machine.control import read_tables
 from twin.machine.machine import Machine
@@ -202,7 +202,7 @@ def test_a_number_that_is_not_finite_is_unknown_in_words() -> None:
 def test_a_fit_without_degrees_of_freedom_is_written_and_read(dmu50: twin.Machine, tmp_path: Path) -> None:
     from twin.identification.result import _fit_text
 
-    assert "nan" not in _fit_text(Misfit(0.0, 0.0, float("nan"), 0.0, 0, float("nan")))
+    assert "nan" not in _fit_text(FitStatistics(0.0, 0.0, float("nan"), 0.0, 0, float("nan")))
     path = tmp_path / "i.json"
     path.write_text(sample("identified").replace('"reduced_chi2": 1.0', '"reduced_chi2": null').replace("0.4", "null"))
     read = Identified.load(path, twin.Calibration.zero(dmu50))

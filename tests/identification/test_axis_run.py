@@ -280,11 +280,10 @@ def test_readings_are_written_and_read_back(machine: Machine, layout: AxisLayout
         np.random.default_rng(14),
         rounds=rounds,
         approach=side,
-        time_s=np.arange(len(positions)) * 20.0,
     )
     change = np.array(readings.change_mm)
     change[3, 2] = np.nan
-    readings = dataclasses.replace(readings, change_mm=change)
+    readings = dataclasses.replace(readings, change_mm=change, time_s=np.arange(len(positions)) * 20.0)
     readings.save(tmp_path / "run.csv", layout, comment="a test")
     again = load_readings(tmp_path / "run.csv", layout)
     for field in ("position_mm", "change_mm", "approach", "time_s"):

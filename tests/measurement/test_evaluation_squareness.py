@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.evaluation import Squareness, Straightness, squareness, straightness
+from twin.measurement.evaluation import SquarenessError, Straightness, squareness, straightness
 
 PAIRS = {"E_C0Y": ("E_YX", "E_XY"), "E_B0Z": ("E_ZX", "E_XZ"), "E_A0Z": ("E_ZY", "E_YZ")}
 SMALL = st.floats(-100.0, 100.0)
@@ -31,7 +31,7 @@ def rotation(vector_urad: tuple[float, float, float]) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
-def between(name: str, path: dict[str, np.ndarray], u_um: float | None = None, **more: float) -> Squareness:
+def between(name: str, path: dict[str, np.ndarray], u_um: float | None = None, **more: float) -> SquarenessError:
     """From points (n, 3) in mm of every axis's motion, as one instrument saw them."""
     measured: list[Straightness] = []
     for motion in PAIRS[name]:

@@ -1,25 +1,67 @@
-"""Instruments: what they read, how well, and what air does to a length."""
+"""One suite over all instruments, the multi-axis interferometer included, and what air does to a length."""
 
 from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.identification.plans import PLACES, STATIONS, volumetric
+from tests.measurement.wen import nine_beams
+from tests.truth.machine import TruthMachine, carried, in_datum, seen, written
 from twin._common.errors import InputError
+from twin.identification import identify
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
 from twin.measurement.instruments import (
     INSTRUMENTS,
+    SIDES,
     Air,
     Instrument,
     LaserTracker,
+    MultiAxis,
     TrackingInterferometer,
     refractive_index,
+    usual,
 )
+from twin.measurement.instruments.interferometer import TRACKING
 from twin.measurement.instruments.refraction import length_scale
+from twin.measurement.instruments.tracker import AT960_ABSOLUTE
+from twin.measurement.simulate import Setting, Station, simulate
+from twin.measurement.table import Measurements, load
 
 POINTS = np.array([[2.0, 0.0, 0.0], [1.0, -1.5, 0.5], [0.3, 0.2, -2.2]])
+every = pytest.mark.parametrize("instrument", INSTRUMENTS, ids=lambda instrument: instrument.name)
 
 
-@pytest.mark.parametrize("instrument", INSTRUMENTS, ids=lambda instrument: instrument.name)
+@pytest.mark.parametrize("instrument", [*INSTRUMENTS, nine_beams()], ids=lambda one: one.specification.name)
+def test_a_specification_says_everything_and_cannot_change(instrument: Instrument | MultiAxis) -> None:
+    of = instrument.specification
+    assert of.name and of.title and of.columns
+    assert len(set(of.columns)) == len(of.columns)
+    assert set(of.rides_on) <= set(SIDES)
+    assert "refraction_scale" in of.effects  # all of them measure with light
+    with pytest.raises(FrozenInstanceError):
+        of.name = "another"  # type: ignore[misc]
+
+
+def test_names_are_distinct_and_the_usual_ones_come_first() -> None:
+    names = [one.name for one in INSTRUMENTS]
+    assert len(set(names)) == len(names)
+    assert usual(lengths_only=False) is INSTRUMENTS[0]
+    assert usual(lengths_only=True).specification.free_start
+
+
+@every
+def test_it_reads_the_columns_that_it_states(instrument: Instrument) -> None:
+    by_column = zip(("x_mm", "y_mm", "z_mm"), instrument.read(POINTS).T, strict=True)
+    read = [name for name, values in by_column if np.isfinite(values).all()]
+    assert tuple(read) == instrument.specification.columns
+
+
+@every
 def test_noise_has_the_stated_covariance(instrument: Instrument) -> None:
     """200,000 draws: sample covariance within 1.5 % of the largest entry (three times its own standard error)."""
     rng = np.random.default_rng(7)
@@ -31,7 +73,17 @@ def test_noise_has_the_stated_covariance(instrument: Instrument) -> None:
         assert np.abs(draws.mean(axis=0)).max() <= 4.0 * np.sqrt(np.abs(stated).max() / n)
 
 
-@pytest.mark.parametrize("instrument", INSTRUMENTS, ids=lambda instrument: instrument.name)
+@every
+def test_the_pooled_scatter_is_the_covariance(instrument: Instrument) -> None:
+    """Of 100,000 draws at one point: variances within 2 % (four standard errors, √(2/n) each)."""
+    n = 100_000
+    readings = np.tile(np.nan_to_num(instrument.read(POINTS[1:2])), (n, 1))
+    draws = instrument.noise(np.tile(POINTS[1], (n, 1)), np.random.default_rng(8))
+    stated = instrument.covariance(POINTS[1:2])[0]
+    assert np.abs(instrument.pooled(readings, draws, n)[0] - stated).max() <= 0.02 * np.abs(stated).max()
+
+
+@every
 def test_jacobian_is_the_derivative(instrument: Instrument) -> None:
     h = 1e-6
     found = instrument.jacobian(POINTS)
@@ -42,11 +94,83 @@ def test_jacobian_is_the_derivative(instrument: Instrument) -> None:
         assert np.abs(found[:, :, k] - np.nan_to_num(slope)).max() < 1e-9
 
 
+def riding(truth: TruthMachine, plan: Measurements, side: str) -> np.ndarray:
+    """(n, 3) targets in the frames of stations that ride on a side, mm, by the contract's two chains."""
+    found = np.empty((len(plan), 3))
+    for i, q in enumerate(plan.positions):
+        carrier, place = PLACES[plan.target[i]]
+        point = carried(truth, q, carrier, np.array(place))
+        if side != "base":
+            origin = carried(truth, q, side, np.zeros(3))
+            axes = [carried(truth, q, side, axis) - origin for axis in np.eye(3)]
+            point = np.array(axes) @ (point - origin)
+        pose = np.array(STATIONS[plan.station[i]])
+        found[i] = seen(pose[:3], pose[3:], point)
+    return found
+
+
+@every
+@pytest.mark.parametrize("side", SIDES)
+def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: Machine, tmp_path: Path) -> None:
+    """Simulated readings without noise against the truth machine: 1e-6 mm of coordinates of two metres."""
+    errors = in_datum(np.random.default_rng(3), size=100.0)
+    truth = written(tmp_path / "truth.yaml", errors)
+    calibration = Calibration.load(tmp_path / "truth.yaml", dmu50)
+    plan = volumetric(dmu50, np.random.default_rng(4), 60)
+    plan = replace(plan, station_carrier=np.full(len(plan), side, dtype=object))
+    stations = {name: Station(pose[:3], pose[3:]) for name, pose in STATIONS.items()}
+    setting = Setting(stations, {name: place for name, (_, place) in PLACES.items()})
+    rng = np.random.default_rng(5)
+    found, _ = simulate(plan, dmu50, calibration, instrument, rng, setting=setting, noise=False)
+    expected = instrument.read(riding(truth, plan, side) * 1e-3) * 1e3
+    assert np.nanmax(np.abs(found.point_mm - expected)) < 1e-6
+    assert np.array_equal(np.isnan(found.point_mm), np.isnan(expected))
+    found.save(tmp_path / "m.csv", dmu50)
+    assert set(load(tmp_path / "m.csv", dmu50).station_carrier) == {side}
+
+
+def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
+    """Sensor nests on the table read balls on the tool: what is identified leaves less than 1e-3 µm of errors of 100 µm."""
+    errors = in_datum(np.random.default_rng(6), size=100.0)
+    plan = volumetric(dmu50, np.random.default_rng(7), 500, stations=1)
+    plan = plan.select(plan.carrier == "tool")
+    plan = replace(plan, station_carrier=np.full(len(plan), "work", dtype=object))
+    data = replace(plan, point_mm=riding(written(tmp_path / "truth.yaml", errors), plan, "work"))
+    found = identify(data, dmu50)
+    assert found.converged
+    assert found.rms_um < 1e-3
+    drawn = identify(data, dmu50, wanted=lambda name: name == "E_XX")
+    assert drawn.rms_um > 10.0
+
+
+def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: Path) -> None:
+    """An instrument that differs in its specification alone: centres on the table, lengths as they are."""
+    bar = TrackingInterferometer(specification=replace(TRACKING, name="bar", free_start=False))
+    errors = in_datum(np.random.default_rng(8), size=100.0)
+    plan = volumetric(dmu50, np.random.default_rng(9), 1600, stations=4)
+    plan = plan.select(plan.carrier == "tool")
+    plan = replace(plan, station_carrier=np.full(len(plan), "work", dtype=object))
+    points = riding(written(tmp_path / "truth.yaml", errors), plan, "work")
+    found = identify(replace(plan, point_mm=bar.read(points * 1e-3) * 1e3), dmu50, instrument=bar)
+    assert not any("dead path" in name for name in found.setup.names)
+    assert np.all(found.setup.dead == 0.0)
+    assert found.rms_um < 1e-3
+
+
+def test_a_station_on_two_sides_is_refused(dmu50: Machine, tmp_path: Path) -> None:
+    text = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,station_carrier\n"
+    text += "0,0,0,0,0,K,tool,1,2,3,base\n1,0,0,0,0,K,tool,1,2,3,{}\n"
+    for side, said in (("work", "a station on both sides"), ("bench", "no such station carrier")):
+        (tmp_path / "m.csv").write_text(text.format(side))
+        with pytest.raises(InputError, match=said):
+            load(tmp_path / "m.csv", dmu50)
+
+
 def test_the_at960_of_the_data_sheet() -> None:
     """At two metres: half of 0.4 + 0.6 µm along the beam, half of 15 + 12 µm across it; ±10 µm absolute."""
     covariance = LaserTracker().covariance(POINTS[:1])[0]
     assert np.sqrt(np.diag(covariance)) * 1e6 == pytest.approx([0.5, 13.5, 13.5])
-    absolute = LaserTracker(absolute=True).covariance(POINTS[:1])[0]
+    absolute = AT960_ABSOLUTE.covariance(POINTS[:1])[0]
     assert np.sqrt(absolute[0, 0]) * 1e6 == pytest.approx(5.0)
 
 

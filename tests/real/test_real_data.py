@@ -15,8 +15,8 @@ from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.result import COVERAGE
-from twin.identification.solve import Solution, solve
-from twin.identification.spread import between_poses, between_rounds
+from twin.identification.solve import FitSolution, solve
+from twin.identification.spread import Spread, covariance_of
 from twin.identification.start import first_setup
 from twin.identification.unknowns import CurveSpace, Unknowns
 from twin.kinematics.forward import Kinematics
@@ -28,7 +28,7 @@ from twin.numerics.curves import POWER
 
 SEED = 20200714
 """Of the halves: the day the series was begun."""
-SPREADS = (between_rounds, between_poses)
+SPREADS: tuple[Spread, ...] = ("between rounds", "between poses")
 
 
 def folder(name: str) -> Path:
@@ -76,7 +76,7 @@ def found(robot: Robot) -> Identification:
     return geometric(robot.machine, robot.data.select(halves(robot)[0]))
 
 
-def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, Solution]:
+def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Stations, targets and some of the machine's unknowns, least squares."""
     network = Network(machine, data, LaserTracker(), unknowns)
     setup, _ = first_setup(machine, data, lengths_only=False)
@@ -168,7 +168,7 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
         network, weight = Network(robot.machine, robot.data.select(rows), LaserTracker(), unknowns), np.ones(len(rows))
         # One step: all of these estimates lie within 0.1 mm and 1 mrad, and the second order of that is below a micrometre.
         solution = solve(network, start, settled.setup, weight, steps=1)
-        by_round, by_pose = (spread(network, solution, weight)[:count, :count] for spread in SPREADS)
+        by_round, by_pose = (covariance_of(network, solution, weight, spread)[:count, :count] for spread in SPREADS)
         return solution.theta, by_round, by_pose
 
     splits = [np.arange(len(place)) < len(place) // 2]
@@ -250,7 +250,9 @@ def test_a_plate_shows_scale_and_squareness_as_published(drill: Machine, plate: 
     assert left[SQUARENESS,] == pytest.approx(8.8, abs=0.05)
     assert left[*SCALES, SQUARENESS] == pytest.approx(5.2, abs=0.05)
     unknowns = network.unknowns
-    covariance = between_poses(network, solution, np.ones(len(plate)))[: len(unknowns), : len(unknowns)]
+    covariance = covariance_of(network, solution, np.ones(len(plate)), "between poses")[
+        : len(unknowns), : len(unknowns)
+    ]
     calibration, _ = unknowns.calibration(solution.theta, range(len(unknowns)), "test", covariance)
     scale, u_scale = scale_ppm(calibration)
     u_square = float(np.sqrt(calibration.covariance.of([SQUARENESS]).matrix[0, 0]))

@@ -16,7 +16,8 @@ why, and every row set aside with line and reason (exit status 3).
 
 **The estimate.** Whitened nonlinear least squares of all readings at once: error motions, squareness, locations, stations and
 targets. Every reading is weighted by its own uncertainty (`u_x_mm …`, else the instrument's model at that place), derivatives
-are analytic, no covariance is scaled by chi². The datum is the machine's own: x is X's mean line, the xy-plane holds Y's.
+are analytic, no covariance is scaled by chi². A station may ride on the tool or the table (column `station_carrier`: `base`, `tool`
+or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is X's mean line, the xy-plane holds Y's.
 
 - No curve has a constant: it is the axis's zero, a location, or the place of the targets.
 - No straightness has a slope: the line is least squares over the range, and its direction is squareness. Two curves from two
@@ -57,9 +58,21 @@ of the tool point over the volume with the place of the largest. `compensate` pr
 correction is no larger than its own U and does not call them improved; in JSON all of it is under `uncertainty`. Where a
 calibration gives no covariance, U is unknown, never zero. U covers the calibration's own numbers only: no repeatability, no
 temperature, no rounding.
+
+**The stages**, in `twin.identification.identify`; each takes the values before it and returns one.
+
+1. `inputs.prepared`: measurements → `Placed`: rows that fit their commands, the instrument, and stations and targets to start from.
+2. `determined.determined`: → `Determined`: the unknowns that the data determine, one model for each family of curves.
+3. `robust.robust_start`: → `Start`: an estimate that a few wrong points do not pull.
+4. `orders.choose`: → `Choice`: how many functions of each curve the held-out readings support.
+5. `priors.prior_precision`: → how firmly each function is held about zero.
+6. `robust.without_outliers`: → `Estimate`: least squares (`solve.solve`) without the outliers.
+7. `spread.covariance_of`: → its covariance.
+8. → `Identification`: the calibration, what is not identifiable, and the residuals of the calibration.
 """
 
 from twin.identification.identify import identify
-from twin.identification.result import Identification, Unidentified
+from twin.identification.result import Identification
+from twin.identification.unidentified import Unidentified
 
 __all__ = ["Identification", "Unidentified", "identify"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -64,11 +64,10 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
         likely = _one_change(machine, data, 1.0, np.inf, lengths_only)
         if len(likely) != 1:
             raise
-        raise InputError(
+        raise data.error(
             f"the commands do not fit the measured motion: {likely[0][1]}",
             expected=f"commands that the readings follow on {machine.name}",
-            file=data.source,
-            line=int(data.lines[0]),
+            row=0,
         ) from None
     limit = miss_limit(data, miss)
     bad = miss > limit
@@ -77,11 +76,10 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
     likely = _one_change(machine, data, share, ratio, lengths_only) if share > ASKED or ratio > DOUBTED else []
     if likely or share > SWAPPED or (ratio > UNRELATED and motion > SEEN):
         worst = int(np.argmax(miss))
-        raise InputError(
+        raise data.error(
             f"the commands do not fit the measured motion: {min(likely)[1] if likely else _where(machine, data, miss, limit)}",
             expected=f"commands that the readings follow within {min(limit, motion) / MM:.2g} mm on {machine.name}",
-            file=data.source,
-            line=int(data.lines[worst]),
+            row=worst,
             value=f"{miss[worst] / MM:.3g} mm off",
         )
     if not np.any(bad):
@@ -133,11 +131,9 @@ def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.nd
     if setup.lengths_only:
         points = np.nan_to_num(data.point_mm[:, :1]) * MM
     moved = np.empty(len(points))
-    for station in dict.fromkeys(data.station):
-        for target in dict.fromkeys(data.target):
-            rows = (data.station == station) & (data.target == target)
-            if np.any(rows):
-                moved[rows] = np.linalg.norm(points[rows] - np.median(points[rows], axis=0), axis=1)
+    for station, target in dict.fromkeys(zip(data.station, data.target, strict=True)):
+        rows = (data.station == station) & (data.target == target)
+        moved[rows] = np.linalg.norm(points[rows] - np.median(points[rows], axis=0), axis=1)
     largest = float(moved.max())
     if largest <= STILL:
         return 0.0, largest
@@ -214,18 +210,14 @@ def _few(data: Measurements) -> Measurements:
 
 def _mixed_up(machine: Machine, data: Measurements) -> Iterator[Change]:
     """The data with two command columns swapped, and with the sign of one turned."""
-    names = _columns(machine)
-    moving = _moving(data)
+    names, moving = _columns(machine), _moving(data)
     for i, j in combinations(range(len(names)), 2):
         if i in moving or j in moving:
             swapped = np.array(data.positions)
             swapped[:, [i, j]] = swapped[:, [j, i]]
-            text = f"columns {names[i]} and {names[j]} look swapped"
-            yield replace(data, positions=locked(swapped)), text
+            yield replace(data, positions=locked(swapped)), f"columns {names[i]} and {names[j]} look swapped"
     for i in moving:
-        turned = np.array(data.positions)
-        turned[:, i] = -turned[:, i]
-        yield replace(data, positions=locked(turned)), f"column {names[i]} looks as if its sign were wrong"
+        yield _scaled(data, "positions", [i], -1.0), f"column {names[i]} looks as if its sign were wrong"
 
 
 def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Change]:
@@ -233,19 +225,22 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Ch
     names, moving = _columns(machine), _moving(data)
     linear = [i for i in moving if machine.axes[i].linear]
     rotary = [i for i in moving if not machine.axes[i].linear]
-    commands = [(linear, unit, factor) for unit, factor in UNITS] + [(rotary, "radians", RADIANS)]
-    for columns, unit, factor in commands:
+    for columns, unit, factor in (*((linear, *unit) for unit in UNITS), (rotary, "radians", RADIANS)):
         for some in _chosen(columns, single):
-            positions = np.array(data.positions)
-            positions[:, some] *= factor
-            if not any(np.any(outside(machine.axes[i], positions[:, i])) for i in some):
-                yield replace(data, positions=locked(positions)), _unit_text([names[i] for i in some], unit, factor)
+            changed = _scaled(data, "positions", some, factor)
+            if not any(np.any(outside(machine.axes[i], changed.positions[:, i])) for i in some):
+                yield changed, _unit_text([names[i] for i in some], unit, factor)
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
     for unit, factor in (*UNITS, ("micrometres", 1e-3)):
         for some in _chosen(read, single):
-            points = np.array(data.point_mm)
-            points[:, some] *= factor
-            yield replace(data, point_mm=locked(points)), _unit_text([POINT_COLUMNS[i] for i in some], unit, factor)
+            yield _scaled(data, "point_mm", some, factor), _unit_text([POINT_COLUMNS[i] for i in some], unit, factor)
+
+
+def _scaled(data: Measurements, field: str, columns: list[int], factor: float) -> Measurements:
+    values = np.array(getattr(data, field))
+    values[:, columns] *= factor
+    changed: dict[str, Any] = {field: locked(values)}
+    return replace(data, **changed)
 
 
 def _chosen(columns: list[int], single: bool) -> list[list[int]]:

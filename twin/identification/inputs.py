@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from twin.identification.setup import SetUp
 from twin.identification.start import first_setup, nominal
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
-from twin.measurement.instruments import Instrument, LaserTracker, TrackingInterferometer
+from twin.measurement.instruments import Instrument, usual
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 FEWEST_ROWS: Final = 3
@@ -31,7 +31,15 @@ FARTHEST: Final = 50.0
 """m: distance beyond which no interferometer follows a machine; what would come from there is a coordinate."""
 
 
-def prepared(machine: Machine, data: Measurements, given: Instrument | None) -> tuple[Instrument, Measurements, SetUp]:
+class Placed(NamedTuple):
+    """What read the data, the rows whose command fits the measured motion, and the set-up to start from."""
+
+    instrument: Instrument
+    data: Measurements
+    setup: SetUp
+
+
+def prepared(machine: Machine, data: Measurements, given: Instrument | None) -> Placed:
     """Return what read the data, the rows whose command fits the measured motion, and the set-up to start from.
 
     Args:
@@ -58,17 +66,18 @@ def prepared(machine: Machine, data: Measurements, given: Instrument | None) -> 
             line=error.line,
             value=error.value,
         ) from None
+    if not reader.specification.free_start:
+        setup = replace(setup, free_start=False, dead=np.zeros(len(setup.stations)))
     far = float(np.linalg.norm(setup.origin, axis=1).max())
     if assumed and far > FARTHEST:
-        raise InputError(
+        raise data.error(
             f"only x_mm is given, and it does not follow the commands as a coordinate along one line; as a length it would come from "
             f"{far:.3g} m away, so it is one coordinate of several",
             expected="x_mm, y_mm and z_mm, or an interferometer's lengths in x_mm",
-            file=data.source,
-            line=int(data.lines[0]),
+            row=0,
         )
     said = (*notices, *left.notices, *_sides(machine, left), *_from_behind(left, setup))
-    return reader, replace(left, notices=said), setup
+    return Placed(reader, replace(left, notices=said), setup)
 
 
 def _alive(machine: Machine, data: Measurements) -> Measurements:
@@ -93,11 +102,10 @@ def _alive(machine: Machine, data: Measurements) -> Measurements:
             value = ", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read))
             said = f"target {target} of station {station} reads the same in all {len(rows)} rows, while the commands move it by"
             if moved > DEAD:
-                raise InputError(
+                raise data.error(
                     f"a sensor that does not move: {said} {moved / MM:.3g} mm",
                     expected="readings that follow the commands; check the sensor, its cable and the column it was written to",
-                    file=data.source,
-                    line=int(data.lines[rows[far]]),
+                    row=rows[far],
                     value=value,
                 )
             if moved > HARDLY_MOVES:
@@ -147,8 +155,8 @@ def _least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -
 
 
 def _sides(machine: Machine, data: Measurements) -> list[str]:
-    """Return a notice for each axis that moved although no target is on the side that it carries."""
-    sides = set(data.carrier)
+    """Return a notice for each axis that moved although no target or station is on the side that it carries."""
+    sides = {*data.carrier, *data.station_carrier}
     return [
         f"{axis.name} moved, but it carries the {axis.side} and no target is there: these readings say nothing of {axis.name}"
         for axis, q in zip(machine.axes, data.positions.T, strict=True)
@@ -191,30 +199,28 @@ def _instrument(machine: Machine, data: Measurements, given: Instrument | None) 
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
     if given is not None and given.lengths_only:
         if read != [0]:
-            raise InputError(
+            raise data.error(
                 f"{given.name} reads lengths only, and y_mm or z_mm is given",
                 expected="the length in x_mm, y_mm and z_mm empty",
-                file=data.source,
-                line=int(data.lines[np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0]]),
+                row=np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0],
             )
         return given, ()
     if len(read) > 1 or np.isfinite(data.station_pose).all():
-        return given or LaserTracker(), ()
+        return given or usual(lengths_only=False), ()
     column = POINT_COLUMNS[read[0]]
     if _is_coordinate(machine, data):
         notice = f"{column} alone is given: taken as the coordinate of all targets along one line"
-        return given or LaserTracker(), () if read == [0] else (notice,)
+        return given or usual(lengths_only=False), () if read == [0] else (notice,)
     unit = other_unit(machine, data, lengths_only=False)
     if unit is not None or read != [0] or given is not None or not _may_be_length(machine, data):
         named = "" if given is None else f" that {given.name} read"
-        raise InputError(
+        raise data.error(
             f"only {column} is given, and as a coordinate{named} it does not follow the commands{'' if unit is None else f': {unit}'}",
             expected="x_mm, y_mm and z_mm; or an interferometer's lengths, or a coordinate along one line, in x_mm",
-            file=data.source,
-            line=int(data.lines[0]),
+            row=0,
             value=f"{data.point_mm[0, read[0]]:g}",
         )
-    return TrackingInterferometer(), (
+    return usual(lengths_only=True), (
         f"{ASSUMED}x_mm alone is given and does not follow the commands as a coordinate; it is taken as a length from an unknown zero, "
         "read by a tracking interferometer. If it is something else, name the instrument, or give y_mm and z_mm.",
     )

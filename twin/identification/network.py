@@ -6,16 +6,15 @@ one the table gives), taken at the reading itself so that it does not move with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg.lapack import dtpqrt
 
 from twin._common.arrays import locked
-from twin._common.threads import side_by_side
 from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
@@ -30,13 +29,11 @@ PIECE: Final = 1024
 """Points worked on at a time."""
 WHOLE: Final = 8192
 """Points seen at a time where all of what is seen is kept."""
-PANEL: Final = 32
-"""Columns of a block of the factorisation: of no consequence but time."""
 
 
 @final
 @dataclass(frozen=True)
-class Piece:
+class WhitenedRows:
     """Some points: their rows in the data, and (unknowns + 1, k, 3) whitened derivatives by each unknown, residuals last.
 
     Zero where nothing was read.
@@ -159,15 +156,20 @@ class Network:
                     found[:, at] += value * values[rows]
         return found
 
-    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[Piece]:
+    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
         """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
-        for rows in pieces_of(self):
-            yield self.piece(theta, setup, rows)
+        return (self.piece(theta, setup, rows) for rows in self.shares)
+
+    @cached_property
+    def shares(self) -> list[np.ndarray]:
+        """All rows, `PIECE` at a time."""
+        points = len(self.data)
+        return [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
         """(n, 3) whitened residuals, zero where nothing was read."""
         found = np.zeros((len(self.data), 3))
-        for rows in pieces_of(self):
+        for rows in self.shares:
             found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.difference(theta, setup, rows))
         return found
 
@@ -175,7 +177,7 @@ class Network:
         """(k, 3) read less predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._order(setup)[1][rows]]
-        points = self._observation.points(q, errors, self.data.carrier[rows], place)
+        points = self._observation.points(q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows])
         seen = self._seen(points, setup, rows)
         return self._left(seen, setup, rows)
 
@@ -207,7 +209,11 @@ class Network:
     def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
         station, target = (of[rows] for of in self._order(setup))
         carried = self._observation.carried(
-            self._q[rows], self.errors(theta, rows), self.data.carrier[rows], setup.place[target]
+            self._q[rows],
+            self.errors(theta, rows),
+            self.data.carrier[rows],
+            setup.place[target],
+            self.data.station_carrier[rows],
         )
         seen = self._seen(carried.points, setup, rows)
         whitening = self.whitening[rows]
@@ -225,7 +231,7 @@ class Network:
             by_place=by_base @ carried.rotation,
         )
 
-    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> Piece:
+    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
         """Residuals and derivatives of some points."""
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
@@ -237,63 +243,22 @@ class Network:
             for at, values in shapes:
                 column += by_error[at] * values[rows, None]
         self.by_setup(view, setup, columns[machine:-1].transpose(1, 2, 0))
-        return Piece(rows, columns)
+        return WhitenedRows(rows, columns)
 
     def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
         """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))
-        stations, targets = setup.slots()
-        for i, (turn, shift, path) in enumerate(stations):
-            of = np.flatnonzero(station == i)
+        for kind, i, at in setup.slots:
+            of = np.flatnonzero((target if kind == "place" else station) == i)
             # y = Rᵀ(p − o); R → R·Exp(φ): dy = y × φ.
-            if turn.stop > turn.start:
-                into[of, :, turn] = view.by_seen[of] @ cross_matrix(view.seen[of])
-            if shift.stop > shift.start:
-                into[of, :, shift] = -view.by_base[of]
-            if path.stop > path.start:
-                into[of, :, path] = -view.whitening[of][:, :, :1]
-        for i, where in enumerate(targets):
-            if where.stop > where.start:
-                of = np.flatnonzero(target == i)
-                into[of, :, where] = view.by_place[of]
-
-
-def pieces_of(network: Network) -> list[np.ndarray]:
-    """All rows, `PIECE` at a time."""
-    points = len(network.data)
-    return [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
-
-
-def triangle(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
-    """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
-
-    Args:
-        network: data and model.
-        theta: machine's unknowns.
-        setup: stations and targets.
-        weight: (n,) of each point; zero leaves it out.
-    """
-    size = len(theta) + len(setup) + 1
-
-    def factor(share: Sequence[np.ndarray]) -> np.ndarray:
-        found = np.zeros((size, size), order="F")
-        for rows in share:
-            piece = network.piece(theta, setup, rows)
-            both = piece.columns
-            both *= np.sqrt(weight[piece.rows])[:, None]
-            found = _on_top(found, both.reshape(size, -1).T)
-        return found
-
-    whole, *others = side_by_side(pieces_of(network), factor)
-    for part in others:
-        whole = _on_top(whole, np.asfortranarray(np.triu(part)))
-    return np.triu(whole)
-
-
-def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Factor of a triangle on top of rows: LAPACK's factorisation that knows it is one."""
-    found, _, _, _ = dtpqrt(0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1)
-    return np.asarray(found)
+            if kind == "turn":
+                into[of, :, at] = view.by_seen[of] @ cross_matrix(view.seen[of])
+            elif kind == "origin":
+                into[of, :, at] = -view.by_base[of]
+            elif kind == "dead path":
+                into[of, :, at] = -view.whitening[of][:, :, :1]
+            else:
+                into[of, :, at] = view.by_place[of]
 
 
 def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:

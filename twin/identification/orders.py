@@ -21,9 +21,10 @@ from scipy.linalg.lapack import dpstrf
 
 from twin._common.arrays import locked
 from twin._common.threads import side_by_side
-from twin.identification.network import Network, pieces_of
-from twin.identification.solve import Solution, free_directions
-from twin.identification.unknowns import CurveSpace
+from twin.identification.network import Network
+from twin.identification.robust import Start
+from twin.identification.solve import FitSolution
+from twin.identification.unknowns import CurveSpace, Unknowns
 from twin.measurement.table import Measurements
 
 POSE_FOLDS: Final = 5
@@ -99,60 +100,30 @@ class Choice:
     readings: int
 
 
-def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Folds, whole: Sequence[str] = ()) -> Choice:
+def choose(network: Network, start: Start, whole: Sequence[str] = ()) -> Choice:
     """The model that predicts held-out readings best.
 
     Args:
         network: data and the largest model.
-        solution: its estimate.
-        weight: (n,) of each point.
-        folds: what is held out together.
+        start: a robust estimate of it.
         whole: curves that keep all their functions.
     """
-    normal, count = _cells(network, solution, weight, folds)
-    full = _folds(network, solution, normal, folds)
+    folds = Folds.of(network.data)
+    normal, count = _cells(network, start.solution, start.weight, folds)
+    search = _Search(network.unknowns, _folds(network, start.solution, normal, folds), whole)
     readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
-    curves = {c.name: c for c in network.unknowns.curves}
-    columns = {name: network.unknowns.of(name) for name in curves}
-
-    def gone(sizes: Mapping[str, int], skip: str = "") -> list[int]:
-        return [i for name, c in curves.items() if name != skip for i in columns[name][max(sizes[name] - c.first, 0) :]]
-
-    def score(sizes: Mapping[str, int]) -> float:
-        return sum(fold.score(fold.without(gone(sizes), [])[0]) for fold in full)
-
-    def tried(name: str, sizes: Mapping[str, int]) -> dict[int, float]:
-        curve, own = curves[name], columns[name]
-        found = dict.fromkeys(_sizes(curve), 0.0)
-        others = gone(sizes, skip=name)
-        for fold in full:
-            theta, covariance = fold.without(others, own)
-            found[curve.count] += fold.score(theta)
-            for group in reversed(curve.groups()):
-                for k in reversed(group):
-                    theta, covariance = _zeroed(theta, covariance, own, k - curve.first)
-                found[_below(curve, group)] += fold.score(theta)
-        return found
-
-    uniform = {}
-    for size in range(1, max((c.count for c in curves.values()), default=0) + 1):
-        fitted = {
-            name: c.count if name in whole else max(n for n in _sizes(c) if n <= size) for name, c in curves.items()
-        }
-        uniform[size] = (score(fitted), fitted)
+    uniform = search.uniform()
     best = min(uniform, key=lambda size: uniform[size][0], default=0)
     sizes = dict(uniform[best][1]) if uniform else {}
     by_curve: dict[str, dict[int, float]] = {}
     for _ in range(SWEEPS):
         before = dict(sizes)
-        for name in curves:
+        for name in search.curves:
             if name in whole:
                 continue
-            found = tried(name, sizes)
-            lowest = min(found.values())
-            sizes[name] = min(
-                size for size, value in found.items() if value <= lowest * (1.0 + 1e-6) + ALIKE * readings
-            )
+            found = search.tried(name, sizes)
+            limit = min(found.values()) * (1.0 + 1e-6) + ALIKE * readings
+            sizes[name] = min(size for size, value in found.items() if value <= limit)
             by_curve[name] = found
         if sizes == before:
             break
@@ -162,11 +133,65 @@ def choose(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
 
     return Choice(
         counts=sizes,
-        held_out=rms(score(sizes)),
+        held_out=rms(search.score(sizes)),
         by_curve={name: {n: rms(v) for n, v in sorted(found.items())} for name, found in by_curve.items()},
         uniform={size: rms(score) for size, (score, _) in uniform.items()},
         readings=readings,
     )
+
+
+@final
+class _Search:
+    """Held-out chi² of curves cut short.
+
+    Args:
+        unknowns: of the largest model.
+        folds: its estimates without what each holds out.
+        whole: curves that keep all their functions.
+    """
+
+    def __init__(self, unknowns: Unknowns, folds: Sequence[_Fold], whole: Sequence[str]) -> None:
+        self.curves = {c.name: c for c in unknowns.curves}
+        self._columns = {name: unknowns.of(name) for name in self.curves}
+        self._folds, self._whole = folds, whole
+
+    def score(self, sizes: Mapping[str, int]) -> float:
+        """With a number of functions for each curve."""
+        return sum(fold.score(fold.without(self._gone(sizes), [])[0]) for fold in self._folds)
+
+    def uniform(self) -> dict[int, tuple[float, dict[str, int]]]:
+        """With the same number for all curves, as far as they have it: by that number, and what each curve then has."""
+        found = {}
+        for size in range(1, max((c.count for c in self.curves.values()), default=0) + 1):
+            fitted = {
+                name: c.count if name in self._whole else max(n for n in _sizes(c) if n <= size)
+                for name, c in self.curves.items()
+            }
+            found[size] = (self.score(fitted), fitted)
+        return found
+
+    def tried(self, name: str, sizes: Mapping[str, int]) -> dict[int, float]:
+        """With every number of functions for one curve, the others as given."""
+        curve, own = self.curves[name], self._columns[name]
+        found = dict.fromkeys(_sizes(curve), 0.0)
+        others = self._gone({one: size for one, size in sizes.items() if one != name})
+        for fold in self._folds:
+            theta, covariance = fold.without(others, own)
+            found[curve.count] += fold.score(theta)
+            for group in reversed(curve.groups()):
+                for k in reversed(group):
+                    theta, covariance = _zeroed(theta, covariance, own, k - curve.first)
+                found[_below(curve, group)] += fold.score(theta)
+        return found
+
+    def _gone(self, sizes: Mapping[str, int]) -> list[int]:
+        """Columns that are zero then, curve by curve."""
+        return [
+            i
+            for name, curve in self.curves.items()
+            if name in sizes
+            for i in self._columns[name][max(sizes[name] - curve.first, 0) :]
+        ]
 
 
 def _sizes(curve: CurveSpace) -> list[int]:
@@ -240,7 +265,7 @@ def _ends(poses: np.ndarray) -> np.ndarray:
     return found
 
 
-def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
+def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
     size = len(solution.spectrum.scale) + 1
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
@@ -261,15 +286,14 @@ def _cells(network: Network, solution: Solution, weight: np.ndarray, folds: Fold
                 normal[cell] += rows @ rows.T
         return normal
 
-    normal = np.sum(side_by_side(pieces_of(network), summed), axis=0)
+    normal = np.sum(side_by_side(network.shares, summed), axis=0)
     normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
     return normal, count.reshape(folds.rounds, folds.poses + 1)
 
 
-def _folds(network: Network, solution: Solution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
-    machine = len(network.unknowns)
-    free = free_directions(network.unknowns.datum, machine, len(solution.setup))
+def _folds(network: Network, solution: FitSolution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
+    free = solution.free
     origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
     total, variance = normal.sum(axis=(0, 1)), solution.noise**2
     found = []

@@ -20,8 +20,9 @@ from typing import Final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.identification.solve import Solution, free_directions
-from twin.identification.unknowns import Unknowns
+from twin.identification.network import Network
+from twin.identification.robust import Start
+from twin.identification.solve import FitSolution
 
 FALLS: Final = locked(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
 """Ratios that are weighed: from a line with little beside it to a curve as rough as its highest function."""
@@ -36,17 +37,18 @@ FREE: Final = 1.0
 """Precision of what is free: its plausible size, which decides nothing that the data see."""
 
 
-def prior_precision(unknowns: Unknowns, solution: Solution, readings: int) -> np.ndarray:
-    """(columns,) precision of each unknown about zero, one over µm² or µrad², for a noise of `Solution.noise`; zero for what is free.
+def prior_precision(network: Network, start: Start) -> np.ndarray:
+    """(columns,) precision of each unknown about zero for a noise of `FitSolution.noise`, one over µm² or µrad²; zero for what is free.
 
     Args:
-        unknowns: of the largest model.
-        solution: its estimate.
-        readings: how many readings it rests on.
+        network: data and the largest model.
+        start: a robust estimate of it.
     """
+    unknowns, solution = network.unknowns, start.solution
+    readings = int(np.count_nonzero(network.read[start.weight > 0.0]))
     machine = len(unknowns)
     noise = _noise(solution, readings)
-    free = free_directions(unknowns.datum, machine, len(solution.setup))
+    free = solution.free
     triangle = solution.triangle[:, :-1] * solution.spectrum.scale / noise
     normal = free.T @ (triangle.T @ triangle) @ free
     here = np.concatenate([solution.theta / unknowns.plausible, np.zeros(len(solution.setup))])
@@ -68,7 +70,7 @@ def prior_precision(unknowns: Unknowns, solution: Solution, readings: int) -> np
     return found
 
 
-def _noise(solution: Solution, readings: int) -> float:
+def _noise(solution: FitSolution, readings: int) -> float:
     """Size of the whitened residuals of an estimate: less than one where the stated uncertainties are larger than the scatter."""
     dof = readings - solution.determined
     if solution.noise > 1.0 or dof < FEWEST_DOF:

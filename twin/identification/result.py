@@ -11,15 +11,17 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.distributions import normal_isf
+from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
 from twin._common.units import MM
 from twin.display import card, note, pairs, table
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
-from twin.identification.solve import Solution
-from twin.identification.spread import Misfit, misfit
+from twin.identification.solve import FitSolution
+from twin.identification.spread import FitStatistics, misfit
 from twin.identification.table import TableTilt
+from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.datum import MEANING
@@ -41,20 +43,6 @@ POOR_PREDICTION = 2.0
 """Held-out RMS over that of the fit beyond which a fit says nothing of other places: three quarters of each reading went into it."""
 THESIS_FUNCTIONS = 9
 """Functions of the thesis's degree 8."""
-
-
-@final
-@dataclass(frozen=True)
-class Unidentified:
-    """Something these data cannot tell.
-
-    Attributes:
-        name: ISO 230-1 name.
-        reason: why, and what would change it.
-    """
-
-    name: str
-    reason: str
 
 
 @final
@@ -86,7 +74,7 @@ class Identification:
     held_by_prior: Mapping[str, float]
     setup: SetUp
     setup_u: Mapping[str, float]
-    misfit: Misfit
+    misfit: FitStatistics
     choice: Choice
     spread: str
     data: Measurements
@@ -97,7 +85,7 @@ class Identification:
     notices: tuple[str, ...]
     converged: bool
     network: Network
-    solution: Solution
+    solution: FitSolution
 
     @property
     def complete(self) -> bool:
@@ -130,36 +118,6 @@ class Identification:
             whitened=locked(whitened),
             misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
         )
-
-    def predicted_mm(self, data: Measurements) -> np.ndarray:
-        """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
-
-        Args:
-            data: measurements this estimate has not seen.
-
-        Raises:
-            KeyError: a station or target that this estimate does not know.
-        """
-        order = self.setup
-        stations = [order.stations.index(name) for name in dict.fromkeys(data.station) if name in order.stations]
-        targets = [order.targets.index(name) for name in dict.fromkeys(data.target) if name in order.targets]
-        for name in (*dict.fromkeys(data.station), *dict.fromkeys(data.target)):
-            if name not in order.stations and name not in order.targets:
-                raise KeyError(name)
-        setup = SetUp(
-            tuple(order.stations[i] for i in stations),
-            order.rotation[stations],
-            order.origin[stations],
-            order.dead[stations],
-            tuple(order.targets[i] for i in targets),
-            order.place[targets],
-            order.station_known[stations],
-            order.target_known[targets],
-            order.lengths_only,
-        )
-        other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
-        left = other.difference(self.solution.theta, setup, np.arange(len(data)))
-        return locked(np.where(other.read, left / MM, np.nan))
 
     def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
         """An error motion and its standard uncertainty.
@@ -203,14 +161,13 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """The report as JSON (``schema: twin.identification/1``)."""
-        fit = self.misfit
-        table = TableTilt.of(self.calibration)
+        fit, order, table = self.misfit, self.setup, TableTilt.of(self.calibration)
         stations = {}
-        for i, name in enumerate(self.setup.stations):
-            stations[name] = {"origin_mm": _list(self.setup.origin[i] / MM), "known": bool(self.setup.station_known[i])}
-            if self.setup.lengths_only:
-                stations[name]["dead_path_mm"] = float(self.setup.dead[i] / MM)
-        return {
+        for i, name in enumerate(order.stations):
+            stations[name] = {"origin_mm": order.origin[i] / MM, "known": order.station_known[i]}
+            if order.lengths_only:
+                stations[name]["dead_path_mm"] = order.dead[i] / MM
+        found = {
             "schema": SCHEMA,
             "machine": self.calibration.machine.name,
             "datum": self.calibration.datum,
@@ -219,43 +176,37 @@ class Identification:
             "verdict": self.verdict,
             "uncertainty": self.spread,
             "errors": self.rows(),
-            "table": None
-            if table is None
-            else {
-                "at_deg": dict(table.at),
-                "fused_urad": _list(table.fused_urad),
-                "u_urad": [_number(float(v)) for v in table.u_urad],
-                "missing": list(table.missing),
-            },
+            "table": table,
             "not_identifiable": [
                 {"name": one.name, "reason": one.reason, "prior": self.held_by_prior.get(one.name)}
                 for one in self.unidentified
             ],
             "stations": stations,
             "targets": {
-                name: {"place_mm": _list(self.setup.place[i] / MM), "known": bool(self.setup.target_known[i])}
-                for i, name in enumerate(self.setup.targets)
+                name: {"place_mm": order.place[i] / MM, "known": order.target_known[i]}
+                for i, name in enumerate(order.targets)
             },
             "misfit": {
                 "rms_um": self.rms_um,
                 "rms_all_um": self.rms_all_um,
                 "chi2": fit.chi2,
                 "dof": fit.dof,
-                "reduced_chi2": _number(fit.reduced),
-                "p_value": _number(fit.p_value),
-                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": _number(fit.pure_reduced)},
-                "lack_of_fit_p_value": _number(fit.lack_p_value),
+                "reduced_chi2": fit.reduced,
+                "p_value": fit.p_value,
+                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": fit.pure_reduced},
+                "lack_of_fit_p_value": fit.lack_p_value,
             },
             "orders": {
                 "held_out_rms": self.choice.held_out,
-                "uniform": {str(size): value for size, value in self.choice.uniform.items()},
+                "uniform": self.choice.uniform,
                 "readings_held_out": self.choice.readings,
             },
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
-            "notices": list(self.notices),
+            "notices": self.notices,
             "converged": self.converged,
             "warnings": to_json(self.calibration.warnings),
         }
+        return dict(json_form(found))
 
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
@@ -298,7 +249,7 @@ class Identification:
         if fit.pure_dof:
             lines.append(
                 f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
-                + ("cannot be tested" if _number(fit.lack_p_value) is None else f"p = {fit.lack_p_value:.2g}")
+                + ("cannot be tested" if np.isnan(fit.lack_p_value) else f"p = {fit.lack_p_value:.2g}")
             )
         lines += [self.verdict, "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
@@ -380,7 +331,7 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return text
 
 
-def _verdict(fit: Misfit, held_out: float) -> str:
+def _verdict(fit: FitStatistics, held_out: float) -> str:
     """Return whether the model fits, in words.
 
     Args:
@@ -418,15 +369,7 @@ def _nearest(scores: Mapping[int, float], size: int) -> float | None:
     return scores[max(fitting)] if fitting and max(fitting) >= size - 1 else None
 
 
-def _list(values: np.ndarray) -> list[float]:
-    return [float(v) for v in values]
-
-
-def _fit_text(fit: Misfit) -> str:
+def _fit_text(fit: FitStatistics) -> str:
     if fit.dof <= 0:
         return "no degrees of freedom are left to judge the fit by"
     return f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
-
-
-def _number(value: float) -> float | None:
-    return None if value != value else value

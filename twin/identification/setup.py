@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, final
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 
@@ -19,20 +20,36 @@ TURN_PLAUSIBLE: Final = 1.0
 """rad: how it may be turned beside what the data say."""
 
 
+class Slot(NamedTuple):
+    """Unknown numbers of one kind of one station or target.
+
+    Attributes:
+        kind: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
+        number: index of the station or target.
+        at: where they stand among the set-up's unknowns.
+    """
+
+    kind: Literal["turn", "origin", "dead path", "place"]
+    number: int
+    at: slice
+
+
 @final
 @dataclass(frozen=True)
 class SetUp:
-    """Stations and targets; metres and radians, base frame.
+    """Stations and targets; metres and radians, in the frame that each station rides on (the base frame, as a rule).
 
     Attributes:
         stations: names.
-        rotation: (stations, 3, 3) station frame in the base frame.
+        rotation: (stations, 3, 3) station frame in that frame.
         origin: (stations, 3).
         dead: (stations,) path an interferometer's counter was zeroed at; zero where lengths are absolute.
         targets: names.
         place: (targets, 3) on their carriers.
         station_known, target_known: what the data say themselves.
-        lengths_only: whether the stations read lengths from an unknown zero and nothing else.
+        lengths_only: whether the stations read lengths and nothing else, so that how they are turned does not show.
+        free_start: whether these lengths count from an unknown zero.
+        shift: (unknowns,) how far `moved` has taken each number from where it was placed first, metres and radians; None for nowhere.
     """
 
     stations: tuple[str, ...]
@@ -44,45 +61,57 @@ class SetUp:
     station_known: np.ndarray
     target_known: np.ndarray
     lengths_only: bool
+    free_start: bool = True
+    shift: np.ndarray | None = None
 
     @classmethod
     def told(cls, data: Measurements, *, lengths_only: bool) -> SetUp:
         """What the data say; identity and zero for the rest."""
-        stations = tuple(dict.fromkeys(data.station))
-        targets = tuple(dict.fromkeys(data.target))
+        stations, first = _first_rows(data.station)
+        targets, first_target = _first_rows(data.target)
+        pose, place = data.station_pose[first], data.place_mm[first_target] * MM
+        station_known, target_known = (np.asarray(np.isfinite(given).all(axis=1)) for given in (pose, place))
         rotation = np.tile(np.eye(3), (len(stations), 1, 1))
-        origin, place = np.zeros((len(stations), 3)), np.zeros((len(targets), 3))
-        station_known, target_known = np.zeros(len(stations), dtype=bool), np.zeros(len(targets), dtype=bool)
-        for i, name in enumerate(stations):
-            pose = data.station_pose[np.flatnonzero(data.station == name)[0]]
-            if np.all(np.isfinite(pose)):
-                station_known[i] = True
-                origin[i], rotation[i] = pose[:3] * MM, rotation_exp(pose[3:] * DEG)
-        for i, name in enumerate(targets):
-            where = data.place_mm[np.flatnonzero(data.target == name)[0]]
-            if np.all(np.isfinite(where)):
-                target_known[i] = True
-                place[i] = where * MM
+        for i in np.flatnonzero(station_known):
+            rotation[i] = rotation_exp(pose[i, 3:] * DEG)
+        origin = np.where(station_known[:, None], pose[:, :3] * MM, 0.0)
+        place = np.where(target_known[:, None], place, 0.0)
         dead = np.zeros(len(stations))
         return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, lengths_only)
 
     def __len__(self) -> int:
         return len(self.names)
 
-    @property
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The unknown numbers: of each station, then of each target."""
+        found: list[Slot] = []
+
+        def add(kind: Literal["turn", "origin", "dead path", "place"], number: int, count: int = 3) -> None:
+            start = found[-1].at.stop if found else 0
+            found.append(Slot(kind, number, slice(start, start + count)))
+
+        for i, known in enumerate(self.station_known.tolist()):
+            if not self.lengths_only and not known:
+                add("turn", i)
+            if not known:
+                add("origin", i)
+            if self.lengths_only and self.free_start:
+                add("dead path", i, 1)
+        for i in np.flatnonzero(~self.target_known).tolist():
+            add("place", i)
+        return tuple(found)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the unknown numbers, in the order of `moved`."""
         found: list[str] = []
-        for name, known in zip(self.stations, self.station_known, strict=True):
-            if not self.lengths_only and not known:
-                found += [f"station {name} turn {axis}" for axis in "xyz"]
-            if not known:
-                found += [f"station {name} {axis}" for axis in "xyz"]
-            if self.lengths_only:
-                found.append(f"station {name} dead path")
-        for name, known in zip(self.targets, self.target_known, strict=True):
-            if not known:
-                found += [f"target {name} {axis}" for axis in "xyz"]
+        for kind, i, _ in self.slots:
+            if kind == "dead path":
+                found.append(f"station {self.stations[i]} dead path")
+                continue
+            what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
+            found += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in "xyz"]
         return tuple(found)
 
     @property
@@ -90,51 +119,28 @@ class SetUp:
         """(unknowns,) how far each may be from anything, metres and radians."""
         # Their common shift, too, may be that large.
         place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
-        kinds = {"target": place, "turn": TURN_PLAUSIBLE, "station": STATION_PLAUSIBLE}
-        return np.array([kinds[_kind(name)] for name in self.names])
-
-    def slots(self) -> tuple[list[tuple[slice, slice, slice]], list[slice]]:
-        """Where each station's turn, origin and dead path stand among the unknowns, and each target's place; empty where known."""
-        at = 0
-
-        def take(count: int, there: bool) -> slice:
-            nonlocal at
-            taken = slice(at, at + (count if there else 0))
-            at = taken.stop
-            return taken
-
-        stations = []
-        for known in self.station_known:
-            turn = take(3, not self.lengths_only and not known)
-            stations.append((turn, take(3, not known), take(1, self.lengths_only)))
-        return stations, [take(3, not known) for known in self.target_known]
+        kinds = {"place": place, "turn": TURN_PLAUSIBLE}
+        return np.array(
+            [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
+        )
 
     def moved(self, step: np.ndarray) -> SetUp:
         """The set-up after a step: turns as rotation vectors in the station's own frame."""
-        stations, targets = self.slots()
-        rotation, origin, dead, place = (np.array(a) for a in (self.rotation, self.origin, self.dead, self.place))
-        for i, (turn, shift, path) in enumerate(stations):
-            if turn.stop > turn.start:
-                rotation[i] = rotation[i] @ rotation_exp(step[turn])
-            if shift.stop > shift.start:
-                origin[i] += step[shift]
-            if path.stop > path.start:
-                dead[i] += step[path][0]
-        for i, where in enumerate(targets):
-            if where.stop > where.start:
-                place[i] += step[where]
-        return SetUp(
-            self.stations,
-            rotation,
-            origin,
-            dead,
-            self.targets,
-            place,
-            self.station_known,
-            self.target_known,
-            self.lengths_only,
-        )
+        rotation = np.array(self.rotation)
+        shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
+        for kind, i, at in self.slots:
+            if kind == "turn":
+                rotation[i] = rotation[i] @ rotation_exp(step[at])
+            else:
+                shifted[kind][i : i + 1] += step[at]
+        shift = step if self.shift is None else self.shift + step
+        origin, dead, place = shifted.values()
+        return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, shift=shift)
 
 
-def _kind(name: str) -> str:
-    return "target" if name.startswith("target") else "turn" if " turn " in name else "station"
+def _first_rows(names: np.ndarray) -> tuple[tuple[str, ...], list[int]]:
+    """Names in order of appearance, and the first row of each."""
+    first: dict[str, int] = {}
+    for row, name in enumerate(names):
+        first.setdefault(name, row)
+    return tuple(first), list(first.values())

@@ -21,13 +21,14 @@ from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg.lapack import dtpqrt
 
 from twin._common.arrays import locked
+from twin._common.threads import side_by_side
 from twin._common.units import MM, URAD
 from twin.identification.network import Network
-from twin.identification.network import triangle as factor
 from twin.identification.setup import SetUp
-from twin.identification.unknowns import Column, Unknowns
+from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.effects import unit_of
 from twin.numerics.observability import WEAKEST, Determinability, Spectrum, Unknown, decompose
 
@@ -45,6 +46,8 @@ HALVINGS: Final = 10
 FIRM_STEP: Final = 30.0
 """Strength up to which priors of the machine's unknowns move no station or target: they would move it far for little, as no prior of
 its own holds it, and the covariance has this strength all the same."""
+PANEL: Final = 32
+"""Columns of a block of the factorisation: of no consequence but time."""
 NEAR: Final = 5e-3
 """Share of its plausible size that a station or target is held within where the model leaves something out: they were fitted to the
 machine as drawn. Else one plane of points, or a place that no rotation shows, would move by decimetres to make an error smaller."""
@@ -55,7 +58,7 @@ are small, the next step is a thousandth of it or less, and what is left 1e-7 of
 
 @final
 @dataclass(frozen=True)
-class Solution:
+class FitSolution:
     """An estimate.
 
     Attributes:
@@ -69,7 +72,7 @@ class Solution:
         steps: how many were taken.
         noise: size of the whitened residuals that the prior was weighed against; one where the model fits.
         precision: (columns,) of the machine's unknowns about zero beside the weak prior, one over µm² or µrad².
-        moved: (set-up's unknowns,) how far each is from its prior place, metres and radians.
+        free: (p, f) orthonormal directions that keep the datum.
     """
 
     theta: np.ndarray
@@ -81,7 +84,7 @@ class Solution:
     steps: int
     noise: float
     precision: np.ndarray
-    moved: np.ndarray
+    free: np.ndarray
 
     @cached_property
     def basis(self) -> np.ndarray:
@@ -164,7 +167,7 @@ def named_setup(setup: SetUp) -> tuple[Unknown, ...]:
     return tuple(found)
 
 
-def _name(column: Column, unknowns: Unknowns) -> str:
+def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
     curve = any(one.name == column.entity for one in unknowns.curves)
     return f"{column.entity} order {column.index}" if curve else column.entity
 
@@ -179,109 +182,188 @@ def solve(
     noise: float = 1.0,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
-    moved: np.ndarray | None = None,
-) -> Solution:
+) -> FitSolution:
     """Gauss-Newton from a start that fulfils the datum's conditions.
 
     Args:
         network: data and model.
         theta: machine's unknowns to start from, µm and µrad.
-        setup: stations and targets to start from.
+        setup: stations and targets to start from; how far they are from their prior places is in it (`SetUp.shift`).
         weight: (n,) of each point.
-        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad² (`twin.identification.priors`); none
-            if None.
+        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad²; none if None.
         noise: size of the whitened residuals that this model leaves, one at least; see the module.
         steps: at most.
         triangle: factor of [J | r] at the start, for whoever has it; found if None.
-        moved: (set-up's unknowns,) how far the set-up is from its prior place already (`Solution.moved`); not at all if None.
     """
-    machine = len(network.unknowns)
-    scale = np.concatenate([network.unknowns.plausible, setup.plausible])
-    free = free_directions(network.unknowns.datum, machine, len(setup))
-    held = np.zeros(machine) if precision is None else precision
-    root = np.zeros((machine, len(scale)))
-    root[:, :machine] = np.diag(noise * np.sqrt(held))
-    near = np.array(scale)
-    near[machine:] *= NEAR if noise > 1.0 else 1.0
-    here = _Place(theta, setup, np.zeros(len(setup)) if moved is None else moved)
-    taken, converged, halved, before, last = 0, False, 0, np.inf, here
+    problem = _Problem.of(network, setup, noise, precision)
+    here = _Place(theta, setup)
+    weakest = FIRM_STEP if precision is not None else WEAKEST
+    taken, halved, before, last = 0, 0, np.inf, here
     wanted: list[np.ndarray] = []
     gone: list[np.ndarray] = []
     while True:
         found = factor(network, here.theta, here.setup, weight) if triangle is None else triangle
         triangle = None
-        off = np.concatenate([here.theta, here.moved]) / near
-        cost = float(np.sum(found[:, -1] ** 2) + np.sum((root[:, :machine] @ here.theta) ** 2))
-        cost += float(noise**2 * np.sum(off**2)) if noise > 1.0 else 0.0
+        cost = problem.cost(here, found)
         if cost > before * (1.0 + WORSE) and taken < steps:
             # The derivatives do not hold as far as the step: the plain one, then half of it. What was learnt of how steps change does
             # not hold either.
             wanted = wanted[-1:]
             gone = [wanted[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(wanted[0])]
-            here, halved, taken = last.after(gone[0] * near), halved + 1, taken + 1
+            here, halved, taken = last.after(gone[0] * problem.near), halved + 1, taken + 1
             continue
-        left, spectrum = _decomposed(np.concatenate([found[:, :-1], root]), near, free, noise)
-        if taken < steps:
-            along = left.T @ np.concatenate([found[:, -1], -root[:, :machine] @ here.theta])
-            step, change = _newton(spectrum, along, off, noise, FIRM_STEP if precision is not None else WEAKEST)
-            converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
-            wanted.append(step)
-            if taken >= PLAIN and not converged:
-                step = _ahead(wanted, gone, spectrum)
-            gone.append(step)
-            last, before, halved = here, cost, 0
-            here = here.after(step * near)
-            taken += 1
-            if not converged:
-                continue
+        left, spectrum = problem.decomposed(found, problem.near)
+        if taken == steps:
+            return problem.solution(here, found, spectrum, taken, converged=False)
+        along = left.T @ np.concatenate([found[:, -1], -problem.root @ here.theta])
+        step, change = _newton(spectrum, along, here.off / problem.near, noise, weakest)
+        converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
+        wanted.append(step)
+        if taken >= PLAIN and not converged:
+            step = _ahead(wanted, gone, spectrum)
+        gone.append(step)
+        last, before, halved = here, cost, 0
+        here = here.after(step * problem.near)
+        taken += 1
+        if converged:
             # The last step is too small to change the derivatives: only what is left of the readings moves.
             found = np.array(found)
-            found[:, -1] -= found[:, :-1] @ (step * near)
-        if noise > 1.0:
-            _, spectrum = _decomposed(np.concatenate([found[:, :-1], root]), scale, free, noise)
-        solution = Solution(
-            here.theta, here.setup, found, spectrum, 0.0, converged, taken, noise, held, locked(here.moved)
-        )
-        share = np.sum((found[:, :-1] * scale @ solution.basis) ** 2 / solution.stiffness)
-        return replace(solution, determined=float(share))
+            found[:, -1] -= found[:, :-1] @ (step * problem.near)
+            return problem.solution(here, found, spectrum, taken, converged=True)
 
 
 @final
 @dataclass(frozen=True)
 class _Place:
-    """Where a search stands: the machine's unknowns, the set-up, and how far its numbers are from where they began."""
+    """Where a search stands: the machine's unknowns and the set-up."""
 
     theta: np.ndarray
     setup: SetUp
-    moved: np.ndarray
+
+    @property
+    def off(self) -> np.ndarray:
+        """(p,) how far every unknown is from its prior place."""
+        shift = np.zeros(len(self.setup)) if self.setup.shift is None else self.setup.shift
+        return np.concatenate([self.theta, shift])
 
     def after(self, step: np.ndarray) -> _Place:
         """After a step of all unknowns."""
         machine = len(self.theta)
-        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]), self.moved + step[machine:])
+        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]))
 
 
-def _decomposed(matrix: np.ndarray, scale: np.ndarray, free: np.ndarray, noise: float) -> tuple[np.ndarray, Spectrum]:
-    """Left singular vectors of all directions that have a say in the step, and the spectrum: seen is what is stronger than the noise.
+@final
+@dataclass(frozen=True)
+class _Problem:
+    """What stays the same from step to step.
 
-    Args:
-        matrix: derivatives, in their own units.
-        scale: (p,) sizes of the priors.
-        free: see `free_directions`.
+    Attributes:
         noise: see `solve`.
+        precision: (columns,) of the machine's unknowns about zero.
+        root: (columns, columns) root of it, times the noise.
+        free: (p, f) orthonormal directions that keep the datum.
+        scale: (p,) plausible sizes.
+        near: (p,) sizes of the priors in the search (`NEAR`).
     """
-    matrix = matrix * scale
-    if noise <= 1.0:
-        return decompose(matrix, scale, free=free)
-    # The prior is what holds here: the readings have their say along every direction, however weak, or no step would reach the least.
-    left, every = decompose(matrix, scale, free=free, tolerance=0.0)
-    basis, seen = np.concatenate([every.directions, every.silent], axis=1), int(np.count_nonzero(every.values > noise))
-    return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
+
+    noise: float
+    precision: np.ndarray
+    root: np.ndarray
+    free: np.ndarray
+    scale: np.ndarray
+    near: np.ndarray
+
+    @classmethod
+    def of(cls, network: Network, setup: SetUp, noise: float, precision: np.ndarray | None) -> _Problem:
+        """Of an estimate; arguments as of `solve`."""
+        machine = len(network.unknowns)
+        held = np.zeros(machine) if precision is None else precision
+        scale = np.concatenate([network.unknowns.plausible, setup.plausible])
+        near = np.array(scale)
+        near[machine:] *= NEAR if noise > 1.0 else 1.0
+        free = free_directions(network.unknowns.datum, machine, len(setup))
+        return cls(noise, held, np.diag(noise * np.sqrt(held)), free, scale, near)
+
+    def cost(self, here: _Place, triangle: np.ndarray) -> float:
+        """Sum of squares of readings and priors."""
+        cost = float(np.sum(triangle[:, -1] ** 2) + np.sum((self.root @ here.theta) ** 2))
+        return cost + (float(self.noise**2 * np.sum((here.off / self.near) ** 2)) if self.noise > 1.0 else 0.0)
+
+    def decomposed(self, triangle: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, Spectrum]:
+        """Left singular vectors of all directions that have a say in the step, and the spectrum: seen is what exceeds the noise.
+
+        Args:
+            triangle: factor of [J | r].
+            scale: (p,) sizes of the priors.
+        """
+        prior = np.zeros((len(self.root), len(scale)))
+        prior[:, : len(self.root)] = self.root
+        matrix = np.concatenate([triangle[:, :-1], prior]) * scale
+        if self.noise <= 1.0:
+            return decompose(matrix, scale, free=self.free)
+        # The prior is what holds here: every direction counts, however weak the readings along it, or no step would reach the least.
+        left, every = decompose(matrix, scale, free=self.free, tolerance=0.0)
+        basis = np.concatenate([every.directions, every.silent], axis=1)
+        seen = int(np.count_nonzero(every.values > self.noise))
+        return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
+
+    def solution(
+        self, here: _Place, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
+    ) -> FitSolution:
+        """The estimate where a search ended."""
+        if self.noise > 1.0:
+            _, spectrum = self.decomposed(triangle, self.scale)
+        found = FitSolution(
+            theta=here.theta,
+            setup=here.setup,
+            triangle=triangle,
+            spectrum=spectrum,
+            determined=0.0,
+            converged=converged,
+            steps=taken,
+            noise=self.noise,
+            precision=self.precision,
+            free=self.free,
+        )
+        share = np.sum((triangle[:, :-1] * self.scale @ found.basis) ** 2 / found.stiffness)
+        return replace(found, determined=float(share))
 
 
 def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
     """(f,) one for each direction that has the prior: where the model fits, those that the readings do not see."""
     return np.ones_like(strength) if noise > 1.0 else (strength <= WEAKEST).astype(float)
+
+
+def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
+    """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
+
+    Args:
+        network: data and model.
+        theta: machine's unknowns.
+        setup: stations and targets.
+        weight: (n,) of each point; zero leaves it out.
+    """
+    size = len(theta) + len(setup) + 1
+
+    def summed(share: Sequence[np.ndarray]) -> np.ndarray:
+        found = np.zeros((size, size), order="F")
+        for rows in share:
+            piece = network.piece(theta, setup, rows)
+            both = piece.columns
+            both *= np.sqrt(weight[piece.rows])[:, None]
+            found = _on_top(found, both.reshape(size, -1).T)
+        return found
+
+    whole, *others = side_by_side(network.shares, summed)
+    for part in others:
+        whole = _on_top(whole, np.asfortranarray(np.triu(part)))
+    return np.triu(whole)
+
+
+def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Factor of a triangle on top of rows: LAPACK's factorisation that knows it is one."""
+    found, _, _, _ = dtpqrt(0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1)
+    return np.asarray(found)
 
 
 def _newton(

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.distributions import chi2_sf, f_sf
-from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.identification.network import Network
-from twin.identification.solve import Solution
+from twin.identification.solve import FitSolution
 from twin.measurement.instruments import Instrument
-from twin.measurement.instruments.base import along_and_across
 from twin.measurement.table import Measurements
+
+Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 
 
 @final
 @dataclass(frozen=True)
-class Misfit:
+class FitStatistics:
     """What is left beside what the readings' covariance allows; nothing is rescaled by it.
 
     Attributes:
@@ -49,7 +49,9 @@ class Misfit:
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
-def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray) -> Misfit:
+def misfit(
+    whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray
+) -> FitStatistics:
     """Misfit of an estimate.
 
     Args:
@@ -76,7 +78,7 @@ def misfit(whitened: np.ndarray, read: np.ndarray, data: Measurements, determine
     if pure_dof > 0 and lack_dof > 0 and pure_chi2 > 0.0:
         lack_p = float(f_sf((lack / lack_dof) / (pure_chi2 / pure_dof), lack_dof, pure_dof))
     p_value = float(chi2_sf(chi2, dof)) if dof > 0 else float("nan")
-    return Misfit(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
+    return FitStatistics(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
 def repeats(data: Measurements) -> np.ndarray:
@@ -89,86 +91,64 @@ def repeats(data: Measurements) -> np.ndarray:
     return np.asarray(group.reshape(-1))
 
 
-def covariance_from_repeats(data: Measurements, instrument: Instrument) -> tuple[np.ndarray, int]:
-    """Covariance of the readings as the repeats scatter: one variance along the beam, one across, pooled over all points.
+def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.ndarray:
+    """(n, 3, 3) covariance of the readings as the repeats scatter, m²: the instrument's model, pooled over all points.
 
     Args:
         data: the measurements.
-        instrument: only asked whether it reads lengths alone.
-
-    Returns:
-        (n, 3, 3) m², and the degrees of freedom along the beam.
+        instrument: what read them.
 
     Raises:
         InputError: fewer than ten degrees of freedom of repeats.
     """
-    read = np.isfinite(data.point_mm)
-    points = np.where(read, data.point_mm, 0.0) * MM
+    points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     group = repeats(data)
     size = np.bincount(group)
-    if np.sum(np.maximum(size - 1, 0)) < 10:
-        raise InputError(
+    dof = int(np.sum(np.maximum(size - 1, 0)))
+    if dof < 10:
+        raise data.error(
             "too few repeats to know the scatter from",
             expected="ten or more readings of points that were read before",
-            file=data.source,
-            value=int(np.sum(np.maximum(size - 1, 0))),
+            value=dof,
         )
     mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
-    off = np.where(size[group, None] > 1, points - mean[group], 0.0)
-    free = int(np.sum(np.maximum(size - 1, 0)))
-    if instrument.lengths_only:
-        found = np.zeros((len(points), 3, 3))
-        found[:, 0, 0] = np.sum(off[:, 0] ** 2) / free
-        return locked(found), free
-    beam = points / np.linalg.norm(points, axis=1, keepdims=True)
-    along = np.sum(off * beam, axis=1)
-    across = np.sum(off**2) - np.sum(along**2)
-    n = len(points)
-    return locked(
-        along_and_across(
-            points, np.full(n, np.sqrt(np.sum(along**2) / free)), np.full(n, np.sqrt(across / (2.0 * free)))
-        )
-    ), free
+    scatter = np.where(size[group, None] > 1, points - mean[group], 0.0)
+    return locked(instrument.pooled(points, scatter, dof))
 
 
-def between_poses(network: Network, solution: Solution, weight: np.ndarray) -> np.ndarray:
-    """Covariance of an estimate whose model leaves something out that changes from pose to pose.
+def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:
+    """(p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
 
-    Holds for poses drawn one by one, as those the machine will work in. Where neighbours were measured together they miss alike, and
-    `between_rounds` is the one that holds.
+    ``between poses`` is for a model that leaves something out that changes from pose to pose. It holds for poses drawn one by one, as
+    those the machine will work in. Where neighbours were measured together they miss alike, and ``between rounds`` is the one that
+    holds: what is left out is shared by the points of a round (poses about one place, one warming up).
 
     Args:
         network: data and model.
         solution: the estimate.
-        weight: (n,) of each point.
-    """
-    _, pose = np.unique(np.round(network.data.positions, 3), axis=0, return_inverse=True)
-    return _sandwich(network, solution, weight, pose.reshape(-1))
-
-
-def between_rounds(network: Network, solution: Solution, weight: np.ndarray) -> np.ndarray:
-    """The same where what is left out is shared by the points of a round: poses about one place, one warming up.
-
-    Args:
-        network: data and model.
-        solution: the estimate.
-        weight: (n,) of each point.
+        weight: (n,) of each point; zero for one that was not used.
+        spread: whose scatter it carries.
 
     Raises:
         InputError: fewer rounds than numbers determined.
     """
-    names, group = np.unique(network.data.round.astype(str), return_inverse=True)
-    if len(names) <= len(solution.spectrum.strength):
-        raise InputError(
-            "too few rounds to know their scatter from",
-            expected=f"more than the {len(solution.spectrum.strength)} numbers determined",
-            file=network.data.source,
-            value=len(names),
-        )
+    data = network.data
+    if spread == "between poses":
+        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    elif spread == "between rounds":
+        names, group = np.unique(data.round.astype(str), return_inverse=True)
+        if len(names) <= len(solution.spectrum.strength):
+            raise data.error(
+                "too few rounds to know their scatter from",
+                expected=f"more than the {len(solution.spectrum.strength)} numbers determined",
+                value=len(names),
+            )
+    else:
+        return solution.covariance()
     return _sandwich(network, solution, weight, group.reshape(-1))
 
 
-def _sandwich(network: Network, solution: Solution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
+def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
     """A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
 
     It holds whatever the scatter between groups is, as long as the groups are many and drawn as those to come.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from twin._common.arrays import locked
+from twin._common.json_form import json_form
 from twin._common.units import URAD
 from twin.machine.calibration import Calibration
 from twin.machine.chain import frame_pose
@@ -72,6 +73,11 @@ class TableTilt:
             locked(covariance),
             tuple(name for name in names if name not in found),
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        form = json_form(self, rename={"at": "at_deg"}, leave_out=["covariance"])
+        return dict(form) | {"at_deg": dict(self.at)}
 
     def to_text(self, coverage: float) -> str:
         """One line, with ± ``coverage`` standard uncertainties where they are known."""

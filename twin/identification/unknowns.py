@@ -94,13 +94,20 @@ class CurveSpace:
         """Indices that come and go together, lowest order first: a power each, cosine and sine of a harmonic together."""
         return self.basis.groups(self.first, self.count)
 
+    def below(self, unseen: np.ndarray) -> CurveSpace:
+        """The space below the first order of which a function is among the (count − first,) that are unseen."""
+        if not np.any(unseen):
+            return self
+        kept = [0, *(group[-1] + 1 for group in self.groups() if group[-1] - self.first < np.argmax(unseen))]
+        return CurveSpace(self.name, self.basis, self.domain, self.first, kept[-1])
+
     def _raw(self, q: np.ndarray, count: int) -> np.ndarray:
         return np.stack(self.basis.functions(q, self.domain, count), axis=1)
 
 
 @final
 @dataclass(frozen=True)
-class Column:
+class UnknownNumber:
     """One unknown number.
 
     Attributes:
@@ -149,15 +156,23 @@ class Unknowns:
             and not (not machine.by_name[axis].linear and f"{c.name[:3]}0{axis}" in self.constants)
         )
         self.columns = tuple(
-            [Column(c.name, k) for c in self.curves for k in range(c.first, c.count)]
-            + [Column(name, 0) for name in self.constants]
-            + [Column(offset_name(name), 0) for name in self.offsets]
+            [UnknownNumber(c.name, k) for c in self.curves for k in range(c.first, c.count)]
+            + [UnknownNumber(name, 0) for name in self.constants]
+            + [UnknownNumber(offset_name(name), 0) for name in self.offsets]
         )
         self.index = {column: i for i, column in enumerate(self.columns)}
         self.plausible = locked(
             np.array([machine.plausible(column.entity) for column in self.columns], dtype=float).reshape(-1)
         )
         self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
+
+    @classmethod
+    def largest(
+        cls, machine: Machine, data: Measurements, *, bases: dict[str, Basis], most: int, wanted: Callable[[str], bool]
+    ) -> Unknowns:
+        """All unknowns that a table's positions can determine; arguments as of `spaces_for`."""
+        spaces, constants = spaces_for(machine, data.positions, bases=bases, most=most, wanted=wanted)
+        return cls(machine, spaces, constants, axes_told(machine, data))
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -170,6 +185,37 @@ class Unknowns:
     def entities(self) -> tuple[str, ...]:
         """Every curve, squareness and location sought."""
         return (*(curve.name for curve in self.curves), *self.constants)
+
+    def lowest_unseen(self, name: str, unseen: np.ndarray) -> bool:
+        """Whether even the lowest order of a curve, or a constant itself, is among the (columns,) that are unseen."""
+        lowest = next((len(c.groups()[0]) for c in self.curves if c.name == name), 1)
+        return bool(np.any(unseen[self.of(name)[:lowest]]))
+
+    def without_unseen_offset(self, unseen: np.ndarray) -> Unknowns:
+        """These without the constant of a curve that the data determine least; the same object if they determine all of them."""
+        name = offset_unseen(self, unseen)
+        if name is None:
+            return self
+        offsets = [one for one in self.offsets if one != name]
+        return Unknowns(self.machine, self.curves, self.constants, self.told, offsets)
+
+    def fewer(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
+        """These without some errors, and each curve below its first order that is unseen; the same object if nothing is left out.
+
+        Args:
+            unseen: (columns,) which are.
+            dropped: names of the errors left out.
+            whole: names of the curves that keep all orders.
+        """
+        curves = [
+            curve if curve.name in whole else curve.below(unseen[self.of(curve.name)])
+            for curve in self.curves
+            if curve.name not in dropped
+        ]
+        constants = [name for name in self.constants if name not in dropped]
+        if len(constants) == len(self.constants) and list(self.curves) == curves:
+            return self
+        return Unknowns(self.machine, curves, constants, self.told, self.offsets)
 
     def shapes(self, positions: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
         """What a unit (µm or µrad) of each column does to the error frames.
@@ -220,7 +266,7 @@ class Unknowns:
                             q, w = space.grid()
                             inner = (w * part(q)) @ space.functions(q)
                             for k in range(space.first, space.count):
-                                row[self.index[Column(space.name, k)]] = inner[k]
+                                row[self.index[UnknownNumber(space.name, k)]] = inner[k]
                     if np.abs(row).max(initial=0.0) > 1e-9:
                         rows.append(row / np.linalg.norm(row))
         return locked(np.array(rows).reshape(len(rows), len(self)))
@@ -244,15 +290,17 @@ class Unknowns:
         names: list[str] = []
         curves: dict[str, Curve] = {}
         for space in self.curves:
-            orders = [k for k in range(space.first, space.count) if self.index[Column(space.name, k)] in reported]
+            orders = [
+                k for k in range(space.first, space.count) if self.index[UnknownNumber(space.name, k)] in reported
+            ]
             if not orders:
                 continue
             count = orders[-1] + 1
             block, written = np.zeros((count, len(self))), space.written(count)
             for k in orders:
-                block[:, self.index[Column(space.name, k)]] = written[:, k]
+                block[:, self.index[UnknownNumber(space.name, k)]] = written[:, k]
             if space.name in self.offsets:
-                block[:, self.index[Column(offset_name(space.name), 0)]] = written[:, 0]
+                block[:, self.index[UnknownNumber(offset_name(space.name), 0)]] = written[:, 0]
             unit = unit_of(space.name)
             own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
@@ -261,7 +309,7 @@ class Unknowns:
             names += [f"{space.name}[{k}]" for k in range(count)]
         constants: dict[str, float] = {}
         for name in self.constants:
-            i = self.index[Column(name, 0)]
+            i = self.index[UnknownNumber(name, 0)]
             if i in reported:
                 constants[name] = float(theta[i])
                 rows.append(np.eye(len(self))[i])
@@ -350,18 +398,19 @@ def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
         unknowns: the machine's.
         unseen: (columns and more,) share of each unknown's plausible variance that is left (`Spectrum.unseen`).
     """
-    of = {name: float(unseen[unknowns.index[Column(offset_name(name), 0)]]) for name in unknowns.offsets}
+    of = {name: float(unseen[unknowns.index[UnknownNumber(offset_name(name), 0)]]) for name in unknowns.offsets}
     worst = max(of, key=lambda name: round(of[name], 6), default=None)
     return worst if worst is not None and of[worst] > UNSEEN else None
 
 
 def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
-    """Axes next to a carrier of which every target's place is given."""
+    """Axes next to a carrier of which every target's place and every station's pose is given."""
     found = []
     for side in CARRIERS:
-        of = data.carrier == side
+        of, stations = data.carrier == side, data.station_carrier == side
         axes = [axis.name for axis in machine.axes if axis.side == side]
-        if np.any(of) and np.all(np.isfinite(data.place_mm[of])) and axes:
+        given = np.all(np.isfinite(data.place_mm[of])) and np.all(np.isfinite(data.station_pose[stations]))
+        if np.any(of | stations) and given and axes:
             frame = machine.tool_frame if side == "tool" else machine.work_frame
             chain = machine.model.supports[machine.model.frames[frame].parentJoint].tolist()
             joints = dict(zip(machine.names, machine.axis_joints, strict=True))

@@ -1,12 +1,13 @@
-"""Where a reflector really is: on the tool side or on the work side of the machine with errors, in the base frame.
+"""Where a reflector really is: on the tool side or on the work side of the machine with errors, in the frame its station rides on.
 
-The one prediction that simulating, identifying and diagnosing share.
+That is the base frame, or the tool's or the work's own frame for a station that moves with it. The one prediction that simulating,
+identifying and diagnosing share.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import final
 
 import casadi as ca
@@ -19,13 +20,14 @@ from twin.machine.chain import Pose, frame_pose
 from twin.machine.effects import assemble
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
+from twin.measurement.instruments.base import SIDES
 from twin.measurement.table import CARRIERS, Measurements, state_of
 
 
 @final
 @dataclass(frozen=True)
-class Carried:
-    """Reflectors in the base frame and how they move; metres and radians.
+class CarriedTargets:
+    """Reflectors in the frames their stations ride on, and how they move; metres and radians.
 
     Attributes:
         points: (n, 3).
@@ -50,9 +52,10 @@ class Observation:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
+        self._compiled: dict[tuple[str, str, bool], BatchFunction] = {}
 
     def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
-        """Reflectors in the base frame.
+        """Reflectors in the frames their stations ride on.
 
         Args:
             calibration: the machine's errors.
@@ -65,8 +68,8 @@ class Observation:
         Raises:
             InputError: a position no curve covers, or a channel that an effect needs and the table does not have.
         """
-        errors = self.errors(calibration, data)
-        return self.points(np.asarray(data.positions) * self.machine.scale, errors, data.carrier, places_mm * MM) / MM
+        q, errors = np.asarray(data.positions) * self.machine.scale, self.errors(calibration, data)
+        return self.points(q, errors, data.carrier, places_mm * MM, data.station_carrier) / MM
 
     def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
         """(n, 6·frames) every error frame at the rows of a table, metres and radians.
@@ -87,50 +90,68 @@ class Observation:
         found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
         return np.stack(found, axis=1)
 
-    def points(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """(n, 3) reflectors in the base frame, unchecked; arguments as `carried`."""
+    def points(
+        self,
+        q: np.ndarray,
+        errors: np.ndarray,
+        carrier: np.ndarray,
+        places: np.ndarray,
+        station_carrier: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(n, 3) reflectors in the frames their stations ride on, unchecked; arguments as `carried`."""
         found = np.empty((len(q), 3))
-        for side, rows in _sides(carrier):
-            (found[rows],) = self._points[side](q[rows], errors[rows], places[rows])
+        for function, rows in self._functions(carrier, station_carrier, derivatives=False):
+            (found[rows],) = function(q[rows], errors[rows], places[rows])
         return found
 
-    def carried(self, q: np.ndarray, errors: np.ndarray, carrier: np.ndarray, places: np.ndarray) -> Carried:
+    def carried(
+        self,
+        q: np.ndarray,
+        errors: np.ndarray,
+        carrier: np.ndarray,
+        places: np.ndarray,
+        station_carrier: np.ndarray | None = None,
+    ) -> CarriedTargets:
         """Reflectors and their derivatives, unchecked, in our own units.
 
         Args:
             q: (n, axes) metres and radians.
             errors: (n, 6·frames) every error frame, metres and radians.
-            carrier: (n,) ``tool`` or ``work``.
+            carrier: (n,) ``tool`` or ``work``: what each reflector sits on.
             places: (n, 3) metres.
+            station_carrier: (n,) ``base``, ``tool`` or ``work``: what the station rides on, in whose frame the result is; base if None.
         """
         n = len(q)
         points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
-        for side, rows in _sides(carrier):
-            found = self._derivatives[side](q[rows], errors[rows], places[rows])
+        for function, rows in self._functions(carrier, station_carrier, derivatives=True):
+            found = function(q[rows], errors[rows], places[rows])
             points[rows] = found[0]
             by_error[rows] = found[1].reshape(-1, errors.shape[1], 3)
             rotation[rows] = found[2].reshape(-1, 3, 3)
-        return Carried(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
+        return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
 
-    @cached_property
-    def _points(self) -> dict[str, BatchFunction]:
-        return {side: BatchFunction(self._function(side, derivatives=False)) for side in CARRIERS}
+    def _functions(
+        self, carrier: np.ndarray, station_carrier: np.ndarray | None, *, derivatives: bool
+    ) -> Iterator[tuple[BatchFunction, np.ndarray]]:
+        """The function of each pair of sides that occurs, and its rows."""
+        for side in CARRIERS:
+            for station in SIDES:
+                on = station == SIDES[0] if station_carrier is None else station_carrier == station
+                rows = np.flatnonzero((carrier == side) & on)
+                if len(rows):
+                    key = side, station, derivatives
+                    if key not in self._compiled:
+                        self._compiled[key] = BatchFunction(self._function(*key))
+                    yield self._compiled[key], rows
 
-    @cached_property
-    def _derivatives(self) -> dict[str, BatchFunction]:
-        return {side: BatchFunction(self._function(side, derivatives=True)) for side in CARRIERS}
-
-    def _function(self, side: str, *, derivatives: bool) -> ca.Function:
-        frame = self.machine.tool_frame if side == "tool" else self.machine.work_frame
+    def _function(self, side: str, station: str, derivatives: bool) -> ca.Function:
+        frames = {"tool": self.machine.tool_frame, "work": self.machine.work_frame}
         q = ca.SX.sym("q", len(self.machine.axes))
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         place = ca.SX.sym("place", 3)
-        pose = frame_pose(self.machine, frame, q, e)
+        pose = frame_pose(self.machine, frames[side], q, e)
+        if station in frames:
+            pose = frame_pose(self.machine, frames[station], q, e).inverse().then(pose)
         point = pose.then(Pose(ca.SX.eye(3), place)).translation
         found = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
         return ca.Function("carried", [q, e, place], found)
-
-
-def _sides(carrier: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    found = [(side, np.flatnonzero(carrier == side)) for side in CARRIERS]
-    return [(side, rows) for side, rows in found if len(rows)]

@@ -6,8 +6,7 @@ that is not understood, a round that lacks points and the like stand in `Measure
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from twin._common.csv_tables import Cells, not_understood, read_table
 from twin._common.errors import InputError, nearest
 from twin._common.files import write_whole
 from twin.display import Cell, card, note, pairs, several, spans
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Machine
 from twin.measurement.checks import (
     LARGEST_MM,
     check_ranges,
@@ -33,19 +32,32 @@ from twin.measurement.checks import (
     outside,
 )
 from twin.measurement.checks import RowNote as RowNote
+from twin.measurement.columns import (
+    CARRIERS as CARRIERS,
+)
+from twin.measurement.columns import (
+    PLACE_COLUMNS,
+    PLANNED,
+    STATION_COLUMNS,
+    comments_of,
+    csv_text,
+    parts_of,
+    printed,
+    says_simulated,
+)
+from twin.measurement.columns import POINT_COLUMNS as POINT_COLUMNS
+from twin.measurement.instruments.base import SIDES
 
-CARRIERS: Final = ("tool", "work")
-POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
-PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
-STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
-PLANNED: Final = "planned_"
-"""Before the name of such a column: where a target or station is meant to go. A plan's; no evaluation takes it for known."""
-SIMULATED: Final = "simulated"
-"""What the comment of a simulated table begins with."""
 FEWEST_POINTS: Final = 3
 """Points a station needs before its pose means anything."""
 SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
+NOT_GIVEN: Final = locked(np.zeros(0))
+"""Stands for a column that a table does not have."""
+
+
+def _absent() -> np.ndarray:
+    return NOT_GIVEN
 
 
 @final
@@ -64,7 +76,8 @@ class Measurements:
         time_s: (n,) NaN where not given.
         approach: (n, axes) +1, −1, 0 unknown.
         place_mm: (n, 3) the target's place on its carrier (tool: frame of the spindle nose; work: work frame); NaN where unknown.
-        station_pose: (n, 6) the station's origin in the base frame, mm, and rotation vector, degrees; NaN where unknown.
+        station_carrier: (n,) what the station rides on: ``base``, ``tool`` or ``work``.
+        station_pose: (n, 6) the station's origin in the frame it rides on, mm, and rotation vector, degrees; NaN where unknown.
         temperature_degC: by axis or sensor, (n,) NaN where not given.
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
@@ -75,27 +88,44 @@ class Measurements:
     source: str
     lines: np.ndarray
     positions: np.ndarray
-    readback: np.ndarray
     target: np.ndarray
     carrier: np.ndarray
-    station: np.ndarray
-    round: np.ndarray
-    point_mm: np.ndarray
-    u_mm: np.ndarray
-    time_s: np.ndarray
-    approach: np.ndarray
-    place_mm: np.ndarray
-    station_pose: np.ndarray
-    temperature_degC: Mapping[str, np.ndarray]
+    readback: np.ndarray = field(default_factory=_absent)
+    station: np.ndarray = field(default_factory=_absent)
+    station_carrier: np.ndarray = field(default_factory=_absent)
+    round: np.ndarray = field(default_factory=_absent)
+    point_mm: np.ndarray = field(default_factory=_absent)
+    u_mm: np.ndarray = field(default_factory=_absent)
+    time_s: np.ndarray = field(default_factory=_absent)
+    approach: np.ndarray = field(default_factory=_absent)
+    place_mm: np.ndarray = field(default_factory=_absent)
+    station_pose: np.ndarray = field(default_factory=_absent)
+    temperature_degC: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
     simulated: bool = False
-    feed_mm_min: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    feed_mm_min: np.ndarray = field(default_factory=_absent)
 
     def __post_init__(self) -> None:
-        """Fill in the feed of tables that have none."""
-        if len(self.feed_mm_min) != len(self.lines):
-            object.__setattr__(self, "feed_mm_min", locked(np.full(len(self.lines), np.nan)))
+        """Fill in what is not given."""
+        n, axes = np.shape(self.positions)
+        blank: dict[str, tuple[tuple[int, ...], object]] = {
+            "readback": ((n, axes), np.nan),
+            "station": ((n,), "1"),
+            "station_carrier": ((n,), SIDES[0]),
+            "round": ((n,), "1"),
+            "point_mm": ((n, 3), np.nan),
+            "u_mm": ((n, 3), np.nan),
+            "time_s": ((n,), np.nan),
+            "approach": ((n, axes), 0.0),
+            "place_mm": ((n, 3), np.nan),
+            "station_pose": ((n, 6), np.nan),
+            "feed_mm_min": ((n,), np.nan),
+        }
+        for name, (shape, value) in blank.items():
+            if getattr(self, name) is NOT_GIVEN:
+                kind = object if isinstance(value, str) else float
+                object.__setattr__(self, name, locked(np.full(shape, value, dtype=kind)))
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -126,15 +156,28 @@ class Measurements:
         said = [note(notice) for notice in self.notices]
         return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
 
+    def error(
+        self,
+        what: str,
+        *,
+        expected: str,
+        row: int | np.integer[Any] | None = None,
+        value: object = None,
+        nearest: str | None = None,
+    ) -> InputError:
+        """Return an error about this table, with its file and the line of a row; see `InputError`."""
+        line = None if row is None else int(self.lines[row])
+        return InputError(what, expected=expected, file=self.source, line=line, value=value, nearest=nearest)
+
     def select(self, rows: np.ndarray) -> Measurements:
         """Some rows (indices or a mask), everything else as it is."""
-        picked: dict[str, Any] = {
-            field.name: locked(getattr(self, field.name)[rows])
-            for field in fields(self)
-            if isinstance(getattr(self, field.name), np.ndarray)
-        }
+        picked: dict[str, Any] = {name: locked(values[rows]) for name, values in self.arrays().items()}
         temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
         return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
+
+    def arrays(self) -> dict[str, Any]:
+        """Every field that is an array of rows, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)}
 
     def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
         """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
@@ -149,28 +192,12 @@ class Measurements:
             planned: names of targets and stations that are only meant to go where they are said to be (`PLANNED`).
         """
         columns: dict[str, Sequence[str]] = {}
-        for i, axis in enumerate(machine.axes):
-            columns[_column(axis)] = _printed(self.positions[:, i])
-        for i, axis in enumerate(machine.axes):
-            if np.isfinite(self.readback[:, i]).any():
-                columns[f"readback_{_column(axis)}"] = _printed(self.readback[:, i])
-        columns |= {"target": list(self.target), "carrier": list(self.carrier)}
-        # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
-        if np.isfinite(self.point_mm).any():
-            columns |= _columns(POINT_COLUMNS, self.point_mm)
-        columns |= {"station": list(self.station), "round": list(self.round)}
-        if np.isfinite(self.time_s).any():
-            columns["time_s"] = _printed(self.time_s)
-        for i, axis in enumerate(machine.axes):
-            if np.any(self.approach[:, i]):
-                columns[f"approach_{axis.name}"] = [str(int(value)) for value in self.approach[:, i]]
-        for name, values in self.temperature_degC.items():
-            columns[f"T_{name}_degC"] = _printed(values)
-        if np.isfinite(self.feed_mm_min).any():
-            columns["feed_mm_min"] = _printed(self.feed_mm_min)
-        for i, name in enumerate("xyz"):
-            if np.isfinite(self.u_mm[:, i]).any():
-                columns[f"u_{name}_mm"] = _printed(self.u_mm[:, i])
+        for part in parts_of(machine):
+            if part.field == "temperature_degC":
+                columns |= {f"T_{name}_degC": printed(values) for name, values in self.temperature_degC.items()}
+            elif part.field != "point_mm" or np.isfinite(self.point_mm).any():
+                # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
+                columns |= part.written(getattr(self, part.field))
         for names, whose, values in (
             (PLACE_COLUMNS, self.target, self.place_mm),
             (STATION_COLUMNS, self.station, self.station_pose),
@@ -178,13 +205,8 @@ class Measurements:
             meant = np.array([name in planned for name in whose])[:, None]
             for prefix, known in (("", np.where(meant, np.nan, values)), (PLANNED, np.where(meant, values, np.nan))):
                 if np.isfinite(known).any():
-                    columns |= _columns(tuple(f"{prefix}{name}" for name in names), known)
-        text = io.StringIO()
-        text.write(comments_of(comment, simulated=self.simulated))
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-        return text.getvalue()
+                    columns |= {f"{prefix}{n}": printed(column) for n, column in zip(names, known.T, strict=True)}
+        return csv_text(columns, comments_of(comment, simulated=self.simulated))
 
 
 def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
@@ -202,10 +224,9 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     """
     path = Path(path)
     header, rows, said = read_table(path)
-    made = says_simulated(said)
-    axes = machine.axes
+    made, parts = says_simulated(said), parts_of(machine)
     columns = {name: i for i, name in enumerate(header)}
-    needed = [*(_column(axis) for axis in axes), "target", "carrier", *(() if plan else POINT_COLUMNS)]
+    needed = [*parts[0].columns, "target", "carrier", *(() if plan else POINT_COLUMNS)]
     for name in needed:
         if name not in columns:
             raise InputError(
@@ -216,76 +237,41 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
                 line=rows[0][0] - 1 if rows else 1,
             )
     reader = Cells(path, columns, rows)
-    n = len(rows)
-    temperatures = {
-        name[2:-5]: reader.numbers(name) for name in header if name.startswith("T_") and name.endswith("_degC")
-    }
-    known = {
-        *needed,
-        *POINT_COLUMNS,
-        "station",
-        "round",
-        "time_s",
-        "feed_mm_min",
-        *(f"T_{name}_degC" for name in temperatures),
-    }
-    known |= {f"readback_{_column(axis)}" for axis in axes} | {f"approach_{axis.name}" for axis in axes}
-    known |= {f"u_{name}_mm" for name in "xyz"} | {*PLACE_COLUMNS, *STATION_COLUMNS}
-    known |= {f"{PLANNED}{name}" for name in (*PLACE_COLUMNS, *STATION_COLUMNS)}
+    temperatures = {name[2:-5]: reader.numbers(name) for name in header if re.fullmatch("T_.*_degC", name)}
+    places = (*PLACE_COLUMNS, *STATION_COLUMNS)
+    known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
+    known |= {*places, *(f"{PLANNED}{name}" for name in places)}
     strange = [name for name in header if name not in known]
-    notices = (*(f"the file says: {text}" for text in made), *(not_understood(name, sorted(known)) for name in strange))
+    values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
+    if plan:
+        values["point_mm"] = locked(np.zeros((len(rows), 3)))
     table = Measurements(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
-        positions=_stacked([reader.numbers(_column(axis)) for axis in axes]),
-        readback=_stacked([reader.numbers(f"readback_{_column(axis)}") for axis in axes]),
-        target=reader.words("target", ""),
-        carrier=reader.words("carrier", ""),
-        station=reader.words("station", "1"),
-        round=reader.words("round", "1"),
-        point_mm=locked(np.zeros((n, 3))) if plan else _stacked([reader.numbers(name) for name in POINT_COLUMNS]),
-        u_mm=_stacked([reader.numbers(f"u_{name}_mm") for name in "xyz"]),
-        time_s=reader.numbers("time_s"),
-        approach=_stacked([reader.signs(f"approach_{axis.name}") for axis in axes]),
+        **values,
         place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
         station_pose=_places(reader, STATION_COLUMNS, planned=plan),
         temperature_degC=MappingProxyType(temperatures),
-        notices=notices,
+        notices=(
+            *(f"the file says: {text}" for text in made),
+            *(not_understood(name, sorted(known)) for name in strange),
+        ),
         simulated=bool(made),
-        feed_mm_min=reader.numbers("feed_mm_min"),
     )
-    if n == 0:
+    if not rows:
         raise InputError("no measured point", expected="one row a point below the header", file=path)
-    _check_names(table, path)
+    _check_names(table)
     unread = ["\0".join(row[columns[name]] for name in strange) for _, row in rows] if strange else ()
     return usable(_known(table), machine, unread)
 
 
-def says_simulated(comments: Sequence[str]) -> list[str]:
-    """Return those comments of a table that say its readings were simulated."""
-    return [text for text in comments if text.lower().startswith(SIMULATED)]
-
-
-def comments_of(text: str, *, simulated: bool) -> str:
-    """Return the comment lines that stand before a table.
-
-    Args:
-        text: the lines.
-        simulated: whether the readings were simulated: then one of the lines says so.
-    """
-    lines = text.splitlines()
-    if simulated and not says_simulated([line.lstrip("# ") for line in lines]):
-        lines.insert(0, f"{SIMULATED} readings")
-    return "".join(f"# {line}\n" for line in lines)
-
-
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
     """(n, k) what is known of places; in a plan also what is meant."""
-    found = _stacked([reader.numbers(name) for name in names])
-    if not planned:
-        return found
-    meant = _stacked([reader.numbers(f"{PLANNED}{name}") for name in names])
-    return locked(np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant))
+    found = np.stack([reader.numbers(name) for name in names], axis=1)
+    if planned:
+        meant = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
+        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant)
+    return locked(found)
 
 
 def joined(tables: Sequence[Measurements]) -> Measurements:
@@ -298,9 +284,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         raise InputError("no measurements", expected="at least one table")
     first = tables[0]
     merged: dict[str, Any] = {
-        field.name: locked(np.concatenate([getattr(table, field.name) for table in tables]))
-        for field in fields(first)
-        if isinstance(getattr(first, field.name), np.ndarray)
+        name: locked(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
     }
     names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
     temperatures = {
@@ -335,26 +319,27 @@ def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     return found
 
 
-def _check_names(table: Measurements, path: Path) -> None:
-    for line, target, carrier in zip(table.lines, table.target, table.carrier, strict=True):
-        if carrier not in CARRIERS:
-            raise InputError(
-                "no such carrier",
-                expected=" or ".join(CARRIERS),
-                file=path,
-                line=int(line),
-                value=carrier,
-                nearest=nearest(carrier, CARRIERS),
-            )
-        if not target:
-            raise InputError("a point without a target", expected="the reflector's name", file=path, line=int(line))
-    for target in dict.fromkeys(table.target):
-        sides = table.carrier == "tool"
-        of = table.target == target
-        if np.any(sides[of]) and not np.all(sides[of]):
-            line = int(table.lines[of][sides[of] != sides[of][0]][0])
-            raise InputError(
-                "a target on both sides", expected="one carrier a target", file=path, line=line, value=target
+def _check_names(table: Measurements) -> None:
+    for columns, sides in ((("carrier", "target"), CARRIERS), (("station_carrier", "station"), SIDES)):
+        side, name = (getattr(table, column) for column in columns)
+        for row, one in enumerate(side):
+            if one not in sides:
+                raise table.error(
+                    f"no such {columns[0].replace('_', ' ')}",
+                    expected=" or ".join(sides),
+                    row=row,
+                    value=one,
+                    nearest=nearest(one, sides),
+                )
+            if not name[row]:
+                raise table.error(f"a point without a {columns[1]}", expected="the reflector's name", row=row)
+        first = {one: np.flatnonzero(name == one)[0] for one in dict.fromkeys(name)}
+        for other in np.flatnonzero([side[first[one]] != own for one, own in zip(name, side, strict=True)]):
+            raise table.error(
+                f"a {columns[1]} on both sides",
+                expected=f"one carrier a {columns[1]}",
+                row=int(other),
+                value=name[other],
             )
 
 
@@ -439,19 +424,3 @@ def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dic
     state = [point_of[i] + words[i] + rest[i].tobytes() for i in range(len(part))]
     found = copied_rows(part.point_mm, state, series, point_of, part.time_s)
     return {int(rows[row]): int(rows[before]) for row, before in found.items()}
-
-
-def _column(axis: Axis) -> str:
-    return f"{axis.name}_{axis.unit}"
-
-
-def _printed(values: np.ndarray) -> list[str]:
-    return ["" if np.isnan(value) else repr(float(value)) for value in values]
-
-
-def _columns(names: Sequence[str], values: np.ndarray) -> dict[str, Sequence[str]]:
-    return {name: _printed(column) for name, column in zip(names, values.T, strict=True)}
-
-
-def _stacked(columns: Sequence[np.ndarray]) -> np.ndarray:
-    return locked(np.stack(columns, axis=1))

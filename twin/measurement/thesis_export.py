@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -63,23 +63,14 @@ def load_export(
             expected=f"{wanted}: {len(targets)} targets at {len(commands)} positions",
             file=path,
         )
-    n = len(points)
-    nothing = np.full((n, len(machine.axes)), np.nan)
+    words = partial(np.full, len(points), dtype=object)
     table = Measurements(
         source=str(path),
         lines=locked(np.array(lines)),
         positions=locked(np.tile(commands, (len(targets), 1))),
-        readback=locked(nothing),
         target=locked(np.repeat(np.array(targets, dtype=object), len(commands))),
-        carrier=locked(np.full(n, carrier, dtype=object)),
-        station=locked(np.full(n, "1", dtype=object)),
-        round=locked(np.full(n, round_name, dtype=object)),
+        carrier=locked(words(carrier)),
+        round=locked(words(round_name)),
         point_mm=locked(np.array(points)),
-        u_mm=locked(np.full((n, 3), np.nan)),
-        time_s=locked(np.full(n, np.nan)),
-        approach=locked(np.zeros((n, len(machine.axes)))),
-        place_mm=locked(np.full((n, 3), np.nan)),
-        station_pose=locked(np.full((n, 6), np.nan)),
-        temperature_degC=MappingProxyType({}),
     )
     return usable(table, machine)

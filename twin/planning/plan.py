@@ -12,7 +12,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Setting
 from twin.measurement.table import Measurements
 from twin.planning.aims import aim_of
@@ -99,6 +99,6 @@ def judge(
         station_pose=locked(np.array([setting.stations[name].pose for name in table.station])),
         place_mm=locked(np.array([setting.places_mm[name] for name in table.target])),
     )
-    reader = LaserTracker() if instrument is None else instrument
+    reader = INSTRUMENTS[0] if instrument is None else instrument
     sizes = Calibration.default(machine) if expected is None else expected
     return forecast(PlanModel.of(machine, placed, setting, reader, sizes, known), tool_length_mm)

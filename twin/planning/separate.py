@@ -30,7 +30,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import TIME
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, LaserTracker
+from twin.measurement.instruments import Instrument, usual
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.aims import AtTool
@@ -206,7 +206,7 @@ class _Question:
         """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
         lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
         kept, setup = fitting(self.task.machine, after, lengths_only=lengths_only)
-        reader = instrument if lengths_only or not instrument.lengths_only else LaserTracker()
+        reader = instrument if lengths_only or not instrument.lengths_only else usual(lengths_only=False)
         problem = self._problem(kept, reader, setup)
         columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
         own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)

@@ -11,15 +11,15 @@ installation is in every uncertainty. A beam or mirror 1 mrad askew biases by so
 
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.motions import AxisCurves, Motions, axis_curves, error_motions
-from twin.identification.axis_run.readings import Readings, load_readings
+from twin.identification.axis_run.readings import BeamReadings, load_readings
 from twin.identification.axis_run.report import to_dict, to_text
 from twin.identification.axis_run.simulate import carriage_poses, simulate_run
 
 __all__ = [
     "AxisCurves",
     "AxisLayout",
+    "BeamReadings",
     "Motions",
-    "Readings",
     "axis_curves",
     "carriage_poses",
     "error_motions",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal, final
@@ -45,6 +45,22 @@ class _Uncertainty(_Strict):
     angle_urad: Annotated[float, Field(ge=0)]
     mirror_urad: Annotated[float, Field(ge=0)]
     scale_ppm: Annotated[float, Field(ge=0)] = 0.0
+
+    def of(self, installation: Sequence[str]) -> np.ndarray:
+        """(p,) standard uncertainties of the numbers of an installation, by their names; metres, radians, one."""
+        angles = {"beam": self.angle_urad, "mirror": self.mirror_urad}
+        return locked(
+            np.array(
+                [
+                    self.scale_ppm * PPM
+                    if name == "scale"
+                    else angles[name.split()[0]] * URAD
+                    if " turn " in name
+                    else self.position_um * UM
+                    for name in installation
+                ]
+            )
+        )
 
 
 class _LayoutFile(_Strict):
@@ -98,7 +114,7 @@ class AxisLayout:
         """
         path = Path(path)
         entries, lines = load_yaml(path, _LayoutFile, SCHEMA)
-        check = _Check(path, lines)
+        check = _Entries(path, lines)
         linear = [axis.name for axis in machine.axes if axis.linear]
         if entries.axis not in linear:
             raise check.fail(("axis",), "no linear axis of this machine", " or ".join(linear), entries.axis)
@@ -129,16 +145,6 @@ class AxisLayout:
             names = [name for name in entries.beams if error.what.startswith(f"beam {name} ")]
             place: Place = ("beams", names[0]) if names else ("beams",)
             raise check.fail(place, error.what, error.expected, error.value) from None
-        stated = entries.uncertainty
-        by_kind = {"beam": stated.angle_urad, "mirror": stated.mirror_urad}
-        u = [
-            stated.scale_ppm * PPM
-            if name == "scale"
-            else by_kind[name.split()[0]] * URAD
-            if " turn " in name
-            else stated.position_um * UM
-            for name in beams.installation
-        ]
         halved = entries.reading == "displacement"
         return cls(
             name=entries.name,
@@ -147,15 +153,15 @@ class AxisLayout:
             reference_mm=entries.reference_mm,
             place=locked(np.array(entries.place_mm) * MM),
             halved=halved,
-            noise=stated.noise_um * UM * (2.0 if halved else 1.0),
-            installation_u=locked(np.array(u)),
+            noise=entries.uncertainty.noise_um * UM * (2.0 if halved else 1.0),
+            installation_u=entries.uncertainty.of(beams.installation),
             path=path,
         )
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of a table of its readings."""
-        return tuple(f"beam_{name}_mm" for name in self.beams.beams)
+        return self.beams.specification.columns
 
     def travel(self, positions_mm: np.ndarray) -> np.ndarray:
         """(n, 3) nominal travel from the reference position, metres."""
@@ -164,7 +170,7 @@ class AxisLayout:
 
 @final
 @dataclass(frozen=True)
-class _Check:
+class _Entries:
     path: Path
     lines: Mapping[Place, int]
 

@@ -17,7 +17,7 @@ from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.identification.axis_run.layout import AxisLayout
-from twin.identification.axis_run.readings import Readings
+from twin.identification.axis_run.readings import BeamReadings
 from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -90,7 +90,7 @@ class Motions:
         return float(chi2_sf(self.chi2, self.dof))
 
 
-def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "stated") -> Motions:
+def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread = "stated") -> Motions:
     """Six error motions at every position that was measured.
 
     Args:
@@ -101,14 +101,61 @@ def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "s
     Raises:
         InputError: beams that do not fix six motions; too few repeats for ``spread="repeats"``; no estimate; too many readings.
     """
-    states = len(np.unique(np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1), axis=0))
-    if states > MOST_STATES or len(readings) > MOST_ROWS:
+    keys = np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1)
+    state, group = np.unique(keys, axis=0, return_inverse=True)
+    if len(state) > MOST_STATES or len(readings) > MOST_ROWS:
         raise InputError(
             "too many readings for a joint covariance of all of them",
             expected=f"at most {MOST_STATES} positions, each side counted, and {MOST_ROWS} rows",
             file=readings.source,
-            value=f"{states} positions, {len(readings)} rows",
+            value=f"{len(state)} positions, {len(readings)} rows",
         )
+    repeats = len(readings) - len(state)
+    if spread == "repeats" and repeats <= 6:
+        raise InputError(
+            "too few repeats to tell how six motions scatter",
+            expected="seven rows more than states (positions and sides they were come to from)",
+            file=readings.source,
+            value=f"{len(readings)} rows of {len(state)}",
+        )
+    found = _displacement(layout, readings)
+    values, by_pose = _error_frames(layout, readings, found)
+    group = group.reshape(-1)
+    count = np.bincount(group)
+    share = (np.arange(len(state))[:, None] == group) / count[:, None]
+    mean = share @ values
+    scatter = values - mean[group]
+    pooled = scatter.T @ scatter / repeats if repeats else np.full((6, 6), np.nan)
+    own = by_pose @ found.own @ by_pose.transpose(0, 2, 1)
+    each = pooled / count[:, None, None] if spread == "repeats" else np.einsum("gn,nij->gij", share**2, own)
+    flat = np.einsum("gn,nip->gip", share, by_pose @ found.lever).reshape(6 * len(state), -1)
+    joint = flat @ found.installation_covariance @ flat.T
+    common = np.sqrt(np.diag(joint)).reshape(-1, 6)
+    for g in range(len(state)):
+        joint[6 * g : 6 * g + 6, 6 * g : 6 * g + 6] += each[g]
+    return Motions(
+        axis=layout.axis.name,
+        position_mm=locked(np.array(state[:, 0])),
+        approach=locked(np.array(state[:, 1])),
+        count=locked(count),
+        values=locked(mean),
+        covariance=locked((joint + joint.T) / 2.0),
+        u_installation=locked(common),
+        repeatability=locked(np.sqrt(np.diag(pooled))),
+        chi2=_chi2(layout, found),
+        dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
+        spread=spread,
+        displacement=found,
+        simulated=readings.simulated,
+    )
+
+
+def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
+    """The carriage's poses row by row, from the nominal travel.
+
+    Raises:
+        InputError: beams that do not fix six motions; no estimate.
+    """
     start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
     found = measure(
         layout.beams, readings.paths(layout), noise=layout.noise, installation_u=layout.installation_u, poses=start
@@ -120,61 +167,27 @@ def error_motions(layout: AxisLayout, readings: Readings, *, spread: Spread = "s
             file=readings.source,
             value=f"off by {np.nanmax(np.abs(found.residual)) * 1e3:.3g} mm",
         )
+    return found
+
+
+def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacement) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 6) error motions row by row, µm and µrad, and (n, 6, 6) their derivatives by the poses."""
     # With M₀ the pose at the reference and P the way out to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
     place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place
     _, left = turn(found.poses[:, 3:])
-    values = found.poses - start
+    values = np.array(found.poses)
+    values[:, :3] -= layout.travel(readings.position_mm)
     values[:, :3] += layout.place - place
     by_pose = np.tile(np.eye(6), (len(readings), 1, 1))
     by_pose[:, :3, 3:] = cross_matrix(place) @ left
-    by_pose /= SCALE[:, None]
-    own = by_pose @ found.own @ by_pose.transpose(0, 2, 1)
-    lever = by_pose @ found.lever
-    state, group = np.unique(
-        np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1), axis=0, return_inverse=True
-    )
-    group = group.reshape(-1)
-    count = np.bincount(group)
-    share = (np.arange(len(state))[:, None] == group) / count[:, None]
-    mean = share @ (values / SCALE)
-    scatter = values / SCALE - mean[group]
-    repeats = len(readings) - len(state)
-    pooled = scatter.T @ scatter / repeats if repeats else np.full((6, 6), np.nan)
-    if spread == "repeats":
-        if repeats <= 6:
-            raise InputError(
-                "too few repeats to tell how six motions scatter",
-                expected="seven rows more than states (positions and sides they were come to from)",
-                file=readings.source,
-                value=f"{len(readings)} rows of {len(state)}",
-            )
-        each = pooled / count[:, None, None]
-    else:
-        each = np.einsum("gn,nij->gij", share**2, own)
-    mean_lever = np.einsum("gn,nip->gip", share, lever)
-    flat = mean_lever.reshape(6 * len(state), -1)
-    joint = flat @ found.installation_covariance @ flat.T
-    common = np.sqrt(np.diag(joint)).reshape(-1, 6)
-    for g in range(len(state)):
-        joint[6 * g : 6 * g + 6, 6 * g : 6 * g + 6] += each[g]
+    return values / SCALE, by_pose / SCALE[:, None]
+
+
+def _chi2(layout: AxisLayout, found: Displacement) -> float:
+    """Whitened sum of squares of readings and installation together."""
     known = layout.installation_u > 0.0
     misfit = float(np.nansum((found.residual / layout.noise) ** 2))
-    misfit += float(np.sum((found.installation[known] / layout.installation_u[known]) ** 2))
-    return Motions(
-        axis=layout.axis.name,
-        position_mm=locked(np.array(state[:, 0])),
-        approach=locked(np.array(state[:, 1])),
-        count=locked(count),
-        values=locked(mean),
-        covariance=locked((joint + joint.T) / 2.0),
-        u_installation=locked(common),
-        repeatability=locked(np.sqrt(np.diag(pooled))),
-        chi2=misfit,
-        dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
-        spread=spread,
-        displacement=found,
-        simulated=readings.simulated,
-    )
+    return misfit + float(np.sum((found.installation[known] / layout.installation_u[known]) ** 2))
 
 
 @final

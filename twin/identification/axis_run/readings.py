@@ -1,17 +1,15 @@
 """A table of a multi-axis interferometer's readings: one row a position of the axis, one column a beam.
 
 Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the layout, optionally ``round``, ``approach`` and
-``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `Readings.set_aside` with line and reason.
+``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `BeamReadings.set_aside` with line and reason.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from twin._common.files import write_whole
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside
-from twin.measurement.table import comments_of, says_simulated
+from twin.measurement.columns import comments_of, csv_text, printed, says_simulated
 
 FEWEST_BEAMS: Final = 6
 """Beams without which six motions are not fixed."""
@@ -30,7 +28,7 @@ FEWEST_BEAMS: Final = 6
 
 @final
 @dataclass(frozen=True)
-class Readings:
+class BeamReadings:
     """Readings of n rows; arrays are read-only.
 
     Attributes:
@@ -66,26 +64,21 @@ class Readings:
 
     def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
         """The table as text; reading it gives the same readings."""
-        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": _printed(self.position_mm)}
-        columns |= {name: _printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": printed(self.position_mm)}
+        columns |= {name: printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
         columns["round"] = list(self.round)
         if np.any(self.approach):
             columns["approach"] = [str(int(value)) for value in self.approach]
         if np.isfinite(self.time_s).any():
-            columns["time_s"] = _printed(self.time_s)
-        text = io.StringIO()
-        text.write(comments_of(comment, simulated=self.simulated))
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
-        return text.getvalue()
+            columns["time_s"] = printed(self.time_s)
+        return csv_text(columns, comments_of(comment, simulated=self.simulated))
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
         """Write the table, whole or not at all."""
         write_whole(Path(path), self.to_csv(layout, comment=comment))
 
 
-def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
+def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
     Args:
@@ -111,7 +104,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
         raise InputError("no reading", expected="one row a position below the header", file=path)
     known = {*needed, "round", "approach", "time_s"}
     cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
-    table = Readings(
+    table = BeamReadings(
         source=str(path),
         lines=locked(np.array([line for line, _ in rows], dtype=int)),
         position_mm=cells.numbers(position),
@@ -128,7 +121,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> Readings:
     return _usable(table, layout)
 
 
-def _usable(table: Readings, layout: AxisLayout) -> Readings:
+def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
     reasons: dict[int, str] = {}
 
     def aside(rows: np.ndarray, reason: str) -> None:
@@ -147,19 +140,9 @@ def _usable(table: Readings, layout: AxisLayout) -> Readings:
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
     if not np.any(keep):
         raise InputError(f"no usable row: {notes[0].text}", expected="readings", file=table.source, line=notes[0].line)
-    return Readings(
-        source=table.source,
-        lines=locked(table.lines[keep]),
-        position_mm=locked(table.position_mm[keep]),
-        change_mm=locked(table.change_mm[keep]),
-        round=locked(table.round[keep]),
-        approach=locked(table.approach[keep]),
-        time_s=locked(table.time_s[keep]),
-        set_aside=notes,
-        notices=table.notices,
-        simulated=table.simulated,
-    )
-
-
-def _printed(values: np.ndarray) -> list[str]:
-    return ["" if np.isnan(value) else repr(float(value)) for value in values]
+    rows: dict[str, Any] = {
+        field.name: locked(getattr(table, field.name)[keep])
+        for field in fields(table)
+        if isinstance(getattr(table, field.name), np.ndarray)
+    }
+    return replace(table, **rows, set_aside=notes)

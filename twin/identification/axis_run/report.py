@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
-from twin.display import finite
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions
-from twin.identification.axis_run.readings import Readings
+from twin.identification.axis_run.readings import BeamReadings
 from twin.measurement.checks import grouped_notes
 
 SCHEMA: Final = "twin.axis_run/1"
@@ -40,11 +40,11 @@ def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
     return tuple(found)
 
 
-def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
+def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
     """The report as JSON."""
-    installation = motions.displacement
-    left = np.sqrt(np.diag(installation.installation_covariance))
-    return {
+    installation, names = motions.displacement, [f"E_{letter}{motions.axis}" for letter in NAMES]
+    left, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
+    found = {
         "schema": SCHEMA,
         "layout": layout.name,
         "axis": motions.axis,
@@ -52,18 +52,10 @@ def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
         "rows": {"used": len(readings), "set_aside": len(readings.set_aside)},
         "uncertainty": motions.spread,
         "motions": [
-            {
-                "position_mm": float(motions.position_mm[g]),
-                "approach": int(motions.approach[g]),
-                "rows": int(motions.count[g]),
-                **{
-                    f"E_{letter}{motions.axis}": {
-                        "value": float(motions.values[g, i]),
-                        "u": float(motions.u[g, i]),
-                        "u_installation": float(motions.u_installation[g, i]),
-                    }
-                    for i, letter in enumerate(NAMES)
-                },
+            {"position_mm": motions.position_mm[g], "approach": int(motions.approach[g]), "rows": motions.count[g]}
+            | {
+                name: {"value": motions.values[g, i], "u": u[g, i], "u_installation": motions.u_installation[g, i]}
+                for i, name in enumerate(names)
             }
             for g in range(len(motions))
         ],
@@ -71,27 +63,23 @@ def to_dict(layout: AxisLayout, readings: Readings, motions: Motions, curves: Ax
             name: {"functions": count, "held_out": curves.held_out[name]} for name, count in curves.orders.items()
         },
         "reversal": {name: {"value": value, "u": u} for name, (value, u) in curves.reversal.items()},
-        "repeatability": {
-            f"E_{letter}{motions.axis}": finite(float(motions.repeatability[i])) for i, letter in enumerate(NAMES)
-        },
+        "repeatability": dict(zip(names, motions.repeatability, strict=True)),
         "misfit": {"chi2": motions.chi2, "dof": motions.dof, "p_value": motions.p_value},
-        "curves_misfit": {"chi2": curves.chi2, "dof": curves.dof, "p_value": finite(curves.p_value)},
+        "curves_misfit": {"chi2": curves.chi2, "dof": curves.dof, "p_value": curves.p_value},
         "installation": [
-            {
-                "name": name,
-                "estimate": float(installation.installation[i]),
-                "u_stated": float(layout.installation_u[i]),
-                "u": float(left[i]),
-            }
-            for i, name in enumerate(layout.beams.installation)
+            {"name": name, "estimate": estimate, "u_stated": stated, "u": after}
+            for name, estimate, stated, after in zip(
+                layout.beams.installation, installation.installation, layout.installation_u, left, strict=True
+            )
         ],
         "warnings": to_json(curves.calibration.warnings),
         "notices": [*readings.notices, *notices(motions, curves)],
         "set_aside": [{"line": note.line, "reason": note.text} for note in readings.set_aside],
     }
+    return dict(json_form(found))
 
 
-def to_text(layout: AxisLayout, readings: Readings, motions: Motions, curves: AxisCurves) -> str:
+def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> str:
     """The report for a person."""
     lines = [
         f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "

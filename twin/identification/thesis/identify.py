@@ -85,7 +85,7 @@ class ThesisIdentification:
 
 @final
 @dataclass(frozen=True)
-class _Run:
+class _AxisPoints:
     """Every point of one axis: (rounds, positions, K P Q, 3) in the station's frame, metres; positions in mm or degrees."""
 
     axis: str
@@ -197,7 +197,7 @@ def _nominal(machine: Machine, position: np.ndarray) -> dict[str, pin.SE3]:
     return found | {"tool": data.oMf[machine.tool_frame]}
 
 
-def _run(table: Measurements, machine: Machine, axis: str) -> _Run | None:
+def _run(table: Measurements, machine: Machine, axis: str) -> _AxisPoints | None:
     column = machine.names.index(axis)
     side = machine.by_name[axis].side
     of = table.select(np.flatnonzero((table.approach[:, column] != 0.0) & (table.carrier == side)))
@@ -227,10 +227,10 @@ def _run(table: Measurements, machine: Machine, axis: str) -> _Run | None:
         what = f"round {rounds[number]} lacks target {targets[target]} at {position[q]:g}"
         raise fail(what, "every target at every position in every round")
     places = np.array([of.place_mm[of.target == target][0] * MM for target in targets])
-    return _Run(axis, position, of.positions[0], points, places)
+    return _AxisPoints(axis, position, of.positions[0], points, places)
 
 
-def _direction(run: _Run) -> np.ndarray:
+def _direction(run: _AxisPoints) -> np.ndarray:
     """Unit vector along which the first target moves, by least squares, in the sense of the command."""
     points = run.points[:, :, 0].reshape(-1, 3)
     command = np.tile(run.position - run.position.mean(), len(run.points))
@@ -238,7 +238,7 @@ def _direction(run: _Run) -> np.ndarray:
     return np.asarray(along * np.sign(command @ (points @ along)))
 
 
-def _circle(run: _Run, machine: Machine, x: np.ndarray) -> _Frame:
+def _circle(run: _AxisPoints, machine: Machine, x: np.ndarray) -> _Frame:
     """A rotary axis's frame, from the circle its first target describes; its origin in the circle's plane."""
     points = run.points[:, :, 0].reshape(-1, 3)
     centroid = points.mean(axis=0)
@@ -280,7 +280,7 @@ def _closest(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.
     return np.asarray(np.linalg.lstsq(np.column_stack([first[1], -second[1]]), second[0] - first[0], rcond=None)[0])
 
 
-def _linear(run: _Run, machine: Machine, turn: np.ndarray, origin: np.ndarray | None, source: str) -> np.ndarray:
+def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.ndarray | None, source: str) -> np.ndarray:
     """(rounds, m, 6) error motions of a linear axis.
 
     Args:
@@ -309,7 +309,7 @@ def _linear(run: _Run, machine: Machine, turn: np.ndarray, origin: np.ndarray | 
     return np.array([three_point(d, arm, which[run.axis]) for d, arm in zip(deviations, arms, strict=True)])
 
 
-def _rotary(run: _Run, machine: Machine, frame: _Frame) -> np.ndarray:
+def _rotary(run: _AxisPoints, machine: Machine, frame: _Frame) -> np.ndarray:
     """(rounds, m, 6) error motions of a rotary axis, along its error frame, which does not turn."""
     points = frame.of(run.points)
     angle = (run.position - run.position[0]) * DEG * machine.by_name[run.axis].direction[2]
@@ -318,7 +318,7 @@ def _rotary(run: _Run, machine: Machine, frame: _Frame) -> np.ndarray:
     return np.array([three_point(d, arms, "rotary") for d, arms in zip(points - nominal, nominal, strict=True)])
 
 
-def _averaged(name: str, component: int, run: _Run, values: np.ndarray) -> PointwiseMotion:
+def _averaged(name: str, component: int, run: _AxisPoints, values: np.ndarray) -> PointwiseMotion:
     unit, scale = ("um", UM) if component < 3 else ("urad", URAD)
     deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(len(run.position), np.nan)
     mean = values.mean(axis=0)

@@ -4,7 +4,7 @@ Pure functions from arrays to named results. Nothing here knows a machine or a f
 need the extra ``plots`` and are imported by name.
 """
 
-from twin.measurement.evaluation.circular import ErrorMotion, Harmonic, error_motion
+from twin.measurement.evaluation.circular import MotionHarmonic, RotaryMotion, error_motion
 from twin.measurement.evaluation.iso230_2 import (
     Positioning,
     linear_axis,
@@ -12,15 +12,15 @@ from twin.measurement.evaluation.iso230_2 import (
     rotary_axis,
     rotary_deviations_urad,
 )
-from twin.measurement.evaluation.squareness import Squareness, squareness
+from twin.measurement.evaluation.squareness import SquarenessError, squareness
 from twin.measurement.evaluation.straightness import ReferenceLine, Straightness, straightness
 
 __all__ = [
-    "ErrorMotion",
-    "Harmonic",
+    "MotionHarmonic",
     "Positioning",
     "ReferenceLine",
-    "Squareness",
+    "RotaryMotion",
+    "SquarenessError",
     "Straightness",
     "error_motion",
     "linear_axis",

@@ -29,7 +29,7 @@ HARMONICS: Final = 12
 
 @final
 @dataclass(frozen=True)
-class Harmonic:
+class MotionHarmonic:
     """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ).
 
     Attributes:
@@ -54,7 +54,7 @@ class Harmonic:
 
 @final
 @dataclass(frozen=True)
-class ErrorMotion:
+class RotaryMotion:
     """An error motion over a turn, and its values. Arrays are read-only, angles ascend.
 
     Values are in `unit`, each the difference of the radii of the two circles about the polar plot's centre that just contain the curve.
@@ -84,8 +84,8 @@ class ErrorMotion:
     angle_deg: np.ndarray
     readings: np.ndarray
     constant: float
-    once_per_turn: Harmonic
-    harmonics: tuple[Harmonic, ...]
+    once_per_turn: MotionHarmonic
+    harmonics: tuple[MotionHarmonic, ...]
     total: np.ndarray
     synchronous: np.ndarray
     residual: np.ndarray
@@ -121,7 +121,7 @@ class ErrorMotion:
 
 def error_motion(
     angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "", harmonics: int = HARMONICS
-) -> ErrorMotion:
+) -> RotaryMotion:
     """Error motion of a rotary axis in a fixed sensitive direction, from readings over whole turns.
 
     Args:
@@ -157,12 +157,11 @@ def error_motion(
             "less than a turn", expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°", value=float(gaps.max())
         )
     mean = measured.mean(axis=0)
-    constant, first = _fourier(angle, mean, 1)
-    (once,) = first
+    constant, (once,) = _fourier(angle, mean, 1)
     wave = once.cos * np.cos(angle * DEG) + once.sin * np.sin(angle * DEG)
     centre = constant + (np.zeros_like(wave) if kind == "axial" else wave)
     total, synchronous, residual = measured - centre, mean - centre, mean - constant - wave
-    return ErrorMotion(
+    return RotaryMotion(
         name=name,
         kind=kind,
         unit=UNITS[kind],
@@ -182,10 +181,10 @@ def error_motion(
     )
 
 
-def _fourier(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[Harmonic, ...]]:
+def _fourier(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
     """Least squares over uneven angles too; even ones make it the discrete Fourier transform."""
     phases = np.outer(angle * DEG, np.arange(1, highest + 1))
     columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
     constant, *rest = np.linalg.lstsq(columns, values, rcond=None)[0]
     found = zip(rest[:highest], rest[highest:], strict=True)
-    return float(constant), tuple(Harmonic(k, float(c), float(s)) for k, (c, s) in enumerate(found, start=1))
+    return float(constant), tuple(MotionHarmonic(k, float(c), float(s)) for k, (c, s) in enumerate(found, start=1))

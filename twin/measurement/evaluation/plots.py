@@ -15,7 +15,7 @@ from matplotlib.projections.polar import PolarAxes
 from twin._common.units import DEG
 from twin.display import readable
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dots, dress, paper, radius_label
-from twin.measurement.evaluation.circular import ErrorMotion
+from twin.measurement.evaluation.circular import RotaryMotion as ErrorMotion
 from twin.measurement.evaluation.iso230_2 import Positioning
 from twin.measurement.evaluation.straightness import Straightness
 

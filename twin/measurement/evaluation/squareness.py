@@ -29,7 +29,7 @@ PAIRS: Final = {
 
 @final
 @dataclass(frozen=True)
-class Squareness:
+class SquarenessError:
     """Squareness of an axis to another.
 
     Attributes:
@@ -55,7 +55,7 @@ def squareness(
     line: LineKind = "least squares",
     artefact_urad: float = 0.0,
     u_artefact_urad: float = 0.0,
-) -> Squareness:
+) -> SquarenessError:
     """Squareness of one axis to its datum axis.
 
     Args:
@@ -87,7 +87,7 @@ def squareness(
     first, second = _of_kind(datum, line), _of_kind(other, line)
     u_first, u_second = first.u_slope_urad, second.u_slope_urad
     u = None if u_first is None or u_second is None else float(np.sqrt(u_first**2 + u_second**2 + u_artefact_urad**2))
-    return Squareness(
+    return SquarenessError(
         name=name,
         value_urad=PAIRS[name][2] * (first.slope_urad + second.slope_urad) + artefact_urad,
         u_urad=u,

@@ -1,29 +1,40 @@
-"""Instruments: what each reads of a point, and how well."""
+"""Instruments: what each reads of a point, and how well. A further one is one file and one entry in `INSTRUMENTS`.
 
-from twin.measurement.instruments.base import Instrument
+The multi-axis interferometer (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own
+command; it states the same `Specification`.
+"""
+
+from typing import Final
+
+from twin.measurement.instruments.base import SIDES, Instrument, Specification
 from twin.measurement.instruments.interferometer import TrackingInterferometer
-from twin.measurement.instruments.multi_axis import MultiAxis, nine_beams, six_beams
-from twin.measurement.instruments.multi_axis_solve import Displacement, SelfCalibration, measure, self_calibrate
+from twin.measurement.instruments.multi_axis import MultiAxis
+from twin.measurement.instruments.multi_axis_solve import Displacement, measure
 from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
-from twin.measurement.instruments.tracker import LaserTracker
+from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
 
-INSTRUMENTS: tuple[Instrument, ...] = (LaserTracker(), LaserTracker(absolute=True), TrackingInterferometer())
-"""By name: ``tracker`` (AT960, interferometer), ``tracker-absolute``, ``interferometer``."""
+INSTRUMENTS: Final[tuple[Instrument, ...]] = (AT960, AT960_ABSOLUTE, TrackingInterferometer())
+"""Those that a table of points can come from, the usual ones first (`usual`)."""
+
+
+def usual(*, lengths_only: bool) -> Instrument:
+    """Return the instrument that is assumed where none is named: the first that reads lengths only, or coordinates."""
+    return next(one for one in INSTRUMENTS if one.lengths_only == lengths_only)
+
 
 __all__ = [
     "INSTRUMENTS",
+    "SIDES",
     "STANDARD_AIR",
     "Air",
     "Displacement",
     "Instrument",
     "LaserTracker",
     "MultiAxis",
-    "SelfCalibration",
+    "Specification",
     "TrackingInterferometer",
     "length_scale",
     "measure",
-    "nine_beams",
     "refractive_index",
-    "self_calibrate",
-    "six_beams",
+    "usual",
 ]

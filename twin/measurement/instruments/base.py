@@ -1,10 +1,40 @@
-"""What every instrument is: a prediction of its reading of a point, and the covariance of that reading."""
+"""What every instrument states: what it reads, how well, from where, and which numbers of its own have to be found.
+
+A further instrument is one file with a `Specification` and one class, and one entry in `twin.measurement.instruments.INSTRUMENTS`.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Final, final
 
 import numpy as np
+
+SIDES: Final = ("base", "tool", "work")
+"""What a station can ride on (column ``station_carrier``): the base frame, the frame of the spindle nose, or the work frame."""
+
+
+@final
+@dataclass(frozen=True)
+class Specification:
+    """What describes an instrument.
+
+    Attributes:
+        name: the name that selects it.
+        title: in words.
+        columns: columns of the table that it fills.
+        free_start: whether it counts from an unknown zero; an estimate then finds a dead path for each station.
+        rides_on: sides its station can ride on. The readings are of the target in the station's frame, whatever that rides on.
+        effects: effects of its own that a diagnosis may look for (names of contract §5).
+    """
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    free_start: bool
+    rides_on: tuple[str, ...]
+    effects: tuple[str, ...]
 
 
 class Instrument(ABC):
@@ -12,9 +42,12 @@ class Instrument(ABC):
 
     Points are in the station's own frame, metres, the station's origin at zero. A reading goes into the measurement table's
     ``x_mm, y_mm, z_mm``; what the instrument does not read stays empty (NaN).
+
+    Attributes:
+        specification: what describes it.
     """
 
-    name: str
+    specification: Specification
 
     @abstractmethod
     def read(self, points: np.ndarray) -> np.ndarray:
@@ -28,10 +61,25 @@ class Instrument(ABC):
     def covariance(self, points: np.ndarray) -> np.ndarray:
         """(n, 3, 3) covariance of the readings, m²; zero rows and columns where nothing is read."""
 
+    @abstractmethod
+    def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
+        """(n, 3, 3) covariance of the readings from their scatter about the means of repeats, m².
+
+        Args:
+            readings: (n, 3) metres; zero where nothing was read.
+            scatter: (n, 3) readings less the mean of their repeats; zero where nothing was repeated.
+            dof: degrees of freedom of the scatter of one coordinate.
+        """
+
+    @property
+    def name(self) -> str:
+        """The name that selects it."""
+        return self.specification.name
+
     @property
     def lengths_only(self) -> bool:
         """Whether it reads a length and no coordinates."""
-        return bool(np.isnan(self.read(np.ones((1, 3)))[0, 1]))
+        return self.specification.columns == ("x_mm",)
 
     def noise(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """(n, 3) one draw of the reading's error, metres."""

@@ -8,10 +8,18 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import Instrument
+from twin.measurement.instruments.base import SIDES, Instrument, Specification
 
 COVERAGE: Final = 2.0
 """The stated expanded uncertainty is at k = 2."""
+TRACKING: Final = Specification(
+    name="interferometer",
+    title="tracking interferometer (LaserTRACER-NG)",
+    columns=("x_mm",),
+    free_start=True,
+    rides_on=SIDES,
+    effects=("frame_shift", "refraction_scale", "station_drift", "target_shift", "time_skew"),
+)
 
 
 @final
@@ -25,12 +33,13 @@ class TrackingInterferometer(Instrument):
     Attributes:
         length_um, length_um_per_m: expanded uncertainty of a length.
         dead_path_m: length at which the counter was set to zero.
+        specification: see `Instrument`.
     """
 
     length_um: float = 0.2
     length_um_per_m: float = 0.3
     dead_path_m: float = 0.0
-    name: str = "interferometer"
+    specification: Specification = TRACKING
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""
@@ -50,3 +59,9 @@ class TrackingInterferometer(Instrument):
         matrix = np.zeros((len(points), 3, 3))
         matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / COVERAGE) ** 2
         return matrix
+
+    def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
+        """See `Instrument.pooled`: one variance of all lengths."""
+        found = np.zeros((len(readings), 3, 3))
+        found[:, 0, 0] = np.sum(scatter[:, 0] ** 2) / dof
+        return found

@@ -23,13 +23,13 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
+from twin.measurement.instruments.base import Specification
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 STEEPEST: Final = np.cos(np.radians(30.0))
 """Cosine of incidence a layout must keep: beyond 45° the beam never comes back to its source's plane."""
 PLANE_MOTIONS: Final = (0, 1, 5)
 """x, y and the turn about z: what a stage does that stays in its plane."""
-MOTIONS: Final = ("x", "y", "z", "turn x", "turn y", "turn z")
 
 
 @final
@@ -91,6 +91,18 @@ class MultiAxis:
                 )
 
     @property
+    def specification(self) -> Specification:
+        """What describes it as an instrument: one column for each beam, counted from the reference pose."""
+        return Specification(
+            name="multi-axis",
+            title="multi-axis interferometer",
+            columns=tuple(f"beam_{name}_mm" for name in self.beams),
+            free_start=True,
+            rides_on=("base",),
+            effects=("refraction_scale",),
+        )
+
+    @property
     def motions(self) -> tuple[int, ...]:
         """Which of the six components of a pose are free."""
         return PLANE_MOTIONS if self.planar else tuple(range(6))
@@ -105,11 +117,6 @@ class MultiAxis:
         for mirror, vector in zip(self.mirrors, self.normal, strict=True):
             names += [f"mirror {mirror} turn {axis}" for axis in across(vector, planar=self.planar)]
         return (*names, "scale")
-
-    @property
-    def of_beams(self) -> np.ndarray:
-        """Mask of the installation's unknowns that belong to beams: all that Wen et al. have."""
-        return np.array([name.startswith("beam ") for name in self.installation])
 
     def readings(self, poses: np.ndarray, installation: np.ndarray | None = None) -> np.ndarray:
         """What the beams read, noise-free.
@@ -192,60 +199,6 @@ class MultiAxis:
         by_installation *= scale
         by_installation[:, :, -1] = change
         return scale * change, scale * by_pose[:, :, list(self.motions)], by_installation
-
-
-def six_beams(
-    *, width: float = 0.2, depth: float = 0.2, gap: float = 0.15, base: float = 0.06, planar: bool = True
-) -> MultiAxis:
-    """Three parallel beams on each of two neighbouring sides of a stage in its plane (Wen et al., fig. 2 and 3).
-
-    Args:
-        width: b of the stage, metres.
-        depth: h of the stage, metres.
-        gap: from the sources to the sides, metres.
-        base: from one beam to the next, metres.
-        planar: as of `MultiAxis`.
-    """
-    steps = np.array([-base, 0.0, base])
-    x = np.stack([np.full(3, -width / 2.0 - gap), steps, np.zeros(3)], axis=1)
-    y = np.stack([steps, np.full(3, -depth / 2.0 - gap), np.zeros(3)], axis=1)
-    return MultiAxis(
-        beams=tuple(str(i + 1) for i in range(6)),
-        source=locked(np.concatenate([x, y])),
-        direction=locked(np.repeat(np.eye(3)[:2], 3, axis=0)),
-        mirror=locked(np.repeat([0, 1], 3)),
-        mirrors=("x", "y"),
-        normal=locked(-np.eye(3)[:2]),
-        distance=locked(np.array([width / 2.0, depth / 2.0])),
-        planar=planar,
-    )
-
-
-def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) -> MultiAxis:
-    """Three beams in an equilateral triangle on each of three neighbouring faces of a cube (Wen et al., fig. 4).
-
-    Args:
-        side: of the cube, metres.
-        gap: from the sources to the faces, metres.
-        radius: of the circle through the three beams of a face, metres.
-    """
-    angles = np.radians([90.0, 210.0, 330.0])
-    across = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    sources = np.zeros((9, 3))
-    for j in range(3):
-        others = [(j + 1) % 3, (j + 2) % 3]
-        sources[3 * j : 3 * j + 3, j] = -side / 2.0 - gap
-        sources[3 * j : 3 * j + 3, others] = across
-    return MultiAxis(
-        beams=tuple(str(i + 1) for i in range(9)),
-        source=locked(sources),
-        direction=locked(np.repeat(np.eye(3), 3, axis=0)),
-        mirror=locked(np.repeat([0, 1, 2], 3)),
-        mirrors=("x", "y", "z"),
-        normal=locked(-np.eye(3)),
-        distance=locked(np.full(3, side / 2.0)),
-        planar=False,
-    )
 
 
 def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

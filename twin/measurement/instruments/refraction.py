@@ -35,12 +35,13 @@ class Air:
     humidity: float = 0.5
 
     def __post_init__(self) -> None:
-        if not -20.0 <= self.temperature_degC <= 60.0:
-            raise InputError("air temperature out of place", expected="-20 to 60 °C", value=self.temperature_degC)
-        if not 500.0 <= self.pressure_hPa <= 1200.0:
-            raise InputError("air pressure out of place", expected="500 to 1200 hPa", value=self.pressure_hPa)
-        if not 0.0 <= self.humidity <= 1.0:
-            raise InputError("relative humidity out of place", expected="0 to 1", value=self.humidity)
+        for what, value, low, high, unit in (
+            ("air temperature", self.temperature_degC, -20.0, 60.0, " °C"),
+            ("air pressure", self.pressure_hPa, 500.0, 1200.0, " hPa"),
+            ("relative humidity", self.humidity, 0.0, 1.0, ""),
+        ):
+            if not low <= value <= high:
+                raise InputError(f"{what} out of place", expected=f"{low:g} to {high:g}{unit}", value=value)
 
 
 STANDARD_AIR: Final = Air()

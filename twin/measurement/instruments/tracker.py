@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import Instrument, along_and_across
+from twin.measurement.instruments.base import SIDES, Instrument, Specification, along_and_across
 
 COVERAGE: Final = 2.0
 """A maximum permissible error is taken as two standard deviations (typical is about half of it)."""
+INTERFEROMETER: Final = Specification(
+    name="tracker",
+    title="laser tracker, lengths by its interferometer (AT960)",
+    columns=("x_mm", "y_mm", "z_mm"),
+    free_start=False,
+    rides_on=SIDES,
+    effects=("frame_shift", "refraction_scale", "station_drift", "target_shift", "affine_scale", "time_skew"),
+)
+ABSOLUTE: Final = replace(
+    INTERFEROMETER, name="tracker-absolute", title="laser tracker, lengths by its absolute distance meter (AT960)"
+)
 
 
 @final
@@ -20,23 +31,16 @@ class LaserTracker(Instrument):
     """Leica AT960 by default: maximum permissible errors of its data sheet (thesis 2.8), a + b·L.
 
     Attributes:
-        length_um, length_um_per_m: along the beam with the interferometer.
+        length_um, length_um_per_m: along the beam.
         across_um, across_um_per_m: across it, from the two angles.
-        absolute: whether lengths come from the absolute distance meter (``absolute_um`` whatever the length).
-        absolute_um: its maximum permissible error.
+        specification: see `Instrument`.
     """
 
     length_um: float = 0.4
     length_um_per_m: float = 0.3
     across_um: float = 15.0
     across_um_per_m: float = 6.0
-    absolute: bool = False
-    absolute_um: float = 10.0
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """``tracker``, or ``tracker-absolute``."""
-        return "tracker-absolute" if self.absolute else "tracker"
+    specification: Specification = INTERFEROMETER
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""
@@ -49,8 +53,18 @@ class LaserTracker(Instrument):
     def covariance(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.covariance`."""
         length = np.linalg.norm(points, axis=1)
-        along = (
-            np.full_like(length, self.absolute_um) if self.absolute else self.length_um + self.length_um_per_m * length
-        )
+        along = self.length_um + self.length_um_per_m * length
         across = self.across_um + self.across_um_per_m * length
         return along_and_across(points, along * UM / COVERAGE, across * UM / COVERAGE)
+
+    def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
+        """See `Instrument.pooled`: one variance along the beam, one across it."""
+        beam = readings / np.linalg.norm(readings, axis=1, keepdims=True)
+        along = np.sum(np.sum(scatter * beam, axis=1) ** 2)
+        across = np.sum(scatter**2) - along
+        n = len(readings)
+        return along_and_across(readings, np.full(n, np.sqrt(along / dof)), np.full(n, np.sqrt(across / (2.0 * dof))))
+
+
+AT960: Final = LaserTracker()
+AT960_ABSOLUTE: Final = LaserTracker(length_um=10.0, length_um_per_m=0.0, specification=ABSOLUTE)

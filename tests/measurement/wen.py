@@ -1,0 +1,235 @@
+"""What Wen et al. (2023) have and the package does not: their layouts, and their self-calibration (Algorithm 2).
+
+Of the paper this holds: eq. 1 and 2 and beams 1 to 3 of eq. 3 and 4; Algorithm 2 in four steps at most; the twelve indices of its
+fig. 7b, in the order x_d1, y_d1, α_1, x_d2, … (not in that of its eq. 30), in mm and rad, cut after the 33rd eigenvalue, and no other
+way. This does not: the sign of beams 4 to 6 (`twin.measurement.instruments.multi_axis`); that x and y are unique (rank 46 of 48, and
+159 of 165 with nine beams); that α is solved (a third of it lies in what the truncation leaves out); that the result does not depend on
+the installation (tenfold error of it, tenfold error of x); and so that 1.884 nm is what 0.1 nm of noise does: with the installation
+known that is 0.029 nm and 4.17e-7 mrad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.units import MM, UM, URAD
+from twin.measurement.instruments.multi_axis import MultiAxis
+from twin.measurement.instruments.multi_axis_solve import Displacement
+from twin.numerics.observability import Determinability, Unknown, decompose, determinability
+
+STEPS = 25
+STILL = 1e-3
+"""A step that changes the readings by less than this, root of the sum of squares in standard uncertainties, is the last."""
+MRAD = 1e-3
+MOTIONS = ("x", "y", "z", "turn x", "turn y", "turn z")
+
+
+def six_beams(
+    *, width: float = 0.2, depth: float = 0.2, gap: float = 0.15, base: float = 0.06, planar: bool = True
+) -> MultiAxis:
+    """Three parallel beams on each of two neighbouring sides of a stage in its plane (Wen et al., fig. 2 and 3).
+
+    Args:
+        width: b of the stage, metres.
+        depth: h of the stage, metres.
+        gap: from the sources to the sides, metres.
+        base: from one beam to the next, metres.
+        planar: as of `MultiAxis`.
+    """
+    steps = np.array([-base, 0.0, base])
+    x = np.stack([np.full(3, -width / 2.0 - gap), steps, np.zeros(3)], axis=1)
+    y = np.stack([steps, np.full(3, -depth / 2.0 - gap), np.zeros(3)], axis=1)
+    return MultiAxis(
+        beams=tuple(str(i + 1) for i in range(6)),
+        source=locked(np.concatenate([x, y])),
+        direction=locked(np.repeat(np.eye(3)[:2], 3, axis=0)),
+        mirror=locked(np.repeat([0, 1], 3)),
+        mirrors=("x", "y"),
+        normal=locked(-np.eye(3)[:2]),
+        distance=locked(np.array([width / 2.0, depth / 2.0])),
+        planar=planar,
+    )
+
+
+def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) -> MultiAxis:
+    """Three beams in an equilateral triangle on each of three neighbouring faces of a cube (Wen et al., fig. 4).
+
+    Args:
+        side: of the cube, metres.
+        gap: from the sources to the faces, metres.
+        radius: of the circle through the three beams of a face, metres.
+    """
+    angles = np.radians([90.0, 210.0, 330.0])
+    across = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    sources = np.zeros((9, 3))
+    for j in range(3):
+        others = [(j + 1) % 3, (j + 2) % 3]
+        sources[3 * j : 3 * j + 3, j] = -side / 2.0 - gap
+        sources[3 * j : 3 * j + 3, others] = across
+    return MultiAxis(
+        beams=tuple(str(i + 1) for i in range(9)),
+        source=locked(sources),
+        direction=locked(np.repeat(np.eye(3), 3, axis=0)),
+        mirror=locked(np.repeat([0, 1, 2], 3)),
+        mirrors=("x", "y", "z"),
+        normal=locked(-np.eye(3)),
+        distance=locked(np.full(3, side / 2.0)),
+        planar=False,
+    )
+
+
+def of_beams(layout: MultiAxis) -> np.ndarray:
+    """Mask of the installation's unknowns that belong to beams: all that Wen et al. have."""
+    return np.array([name.startswith("beam ") for name in layout.installation])
+
+
+def joint_covariance(found: Displacement) -> np.ndarray:
+    """(n·f, n·f) joint covariance of all motions, position after position."""
+    n, f, p = found.lever.shape
+    flat = found.lever.reshape(n * f, p)
+    whole = flat @ found.installation_covariance @ flat.T
+    for i in range(n):
+        whole[i * f : (i + 1) * f, i * f : (i + 1) * f] += found.own[i]
+    return np.asarray((whole + whole.T) / 2.0)
+
+
+def u_installation(found: Displacement) -> np.ndarray:
+    """(n, f) the installation's part of the standard uncertainties of the motions."""
+    return np.sqrt(np.einsum("nfp,pq,nfq->nf", found.lever, found.installation_covariance, found.lever))
+
+
+def standard_uncertainty(found: Displacement) -> np.ndarray:
+    """(n, f) standard uncertainties of the motions, metres and radians."""
+    return np.sqrt(np.einsum("nii->ni", found.own) + u_installation(found) ** 2)
+
+
+@final
+@dataclass(frozen=True)
+class SelfCalibration:
+    """What Algorithm 2 found.
+
+    Attributes:
+        poses: (n, 6) metres and radians.
+        installation: (p,) deviations from the nominal layout.
+        residual: (n, m) readings less predicted, metres.
+        determinability: of all the unknowns at the solution, the truncation of the last step its tolerance.
+        steps: taken.
+        converged: whether the last one was still.
+    """
+
+    poses: np.ndarray
+    installation: np.ndarray
+    residual: np.ndarray
+    determinability: Determinability
+    steps: int
+    converged: bool
+
+
+def plausible_of(layout: MultiAxis, length: float, angle: float, scale: float) -> np.ndarray:
+    """(p,) one size for the lengths of an installation, one for its angles, one for the scale."""
+    return np.array(
+        [scale if name == "scale" else angle if " turn " in name else length for name in layout.installation]
+    )
+
+
+def question(
+    layout: MultiAxis,
+    poses: np.ndarray,
+    installation: np.ndarray,
+    *,
+    unknown: np.ndarray,
+    pose_sizes: tuple[float, float],
+    installation_sizes: np.ndarray,
+) -> tuple[np.ndarray, tuple[Unknown, ...]]:
+    """Derivatives and unknowns of a self-calibration: installation first, beam after beam, then position after position.
+
+    Args:
+        layout: nominal.
+        poses: (n, 6).
+        installation: (p,).
+        unknown: (p,) mask of the installation's numbers that are.
+        pose_sizes: plausible translation and turn, metres and radians.
+        installation_sizes: (p,) plausible, metres, radians, one.
+
+    Returns:
+        (n·m, q) metres a metre or radian, and the q unknowns.
+    """
+    _, by_pose, by_installation = layout.derivatives(poses, installation)
+    n, m, f = by_pose.shape
+    kept = np.flatnonzero(unknown)
+    matrix = np.zeros((n, m, len(kept) + n * f))
+    matrix[:, :, : len(kept)] = by_installation[:, :, kept]
+    for i in range(n):
+        matrix[i, :, len(kept) + i * f : len(kept) + (i + 1) * f] = by_pose[i]
+    unknowns = [_unknown(layout.installation[i], float(installation_sizes[i])) for i in kept]
+    unknowns += [
+        _unknown(f"position {i + 1} {MOTIONS[k]}", pose_sizes[k >= 3]) for i in range(n) for k in layout.motions
+    ]
+    return matrix.reshape(n * m, -1), tuple(unknowns)
+
+
+def self_calibrate(
+    layout: MultiAxis,
+    readings: np.ndarray,
+    *,
+    noise: float,
+    tolerance: float,
+    poses: np.ndarray,
+    installation: np.ndarray | None = None,
+    unknown: np.ndarray | None = None,
+    length: float = MM,
+    angle: float = MRAD,
+    steps: int = STEPS,
+) -> SelfCalibration:
+    """Algorithm 2 of Wen et al. (2023): Newton steps by a truncated Moore-Penrose inverse.
+
+    Along the null space every step is the shortest: what is found there is the start, projected. The paper names neither the truncation
+    nor the units that "shortest" is measured in; both are arguments here.
+
+    Args:
+        layout: nominal.
+        readings: (n, m) metres.
+        noise: standard uncertainty of a reading, metres.
+        tolerance: singular values at or below this share of the largest are left out.
+        poses: (n, 6) to start from.
+        installation: (p,) to start from; the nominal layout if None.
+        unknown: (p,) mask of the installation's numbers sought; all of the beams if None.
+        length: unit of lengths in the singular values and in "shortest", metres; mm as in the paper's table 1.
+        angle: unit of angles there, radians; mrad likewise.
+        steps: at most.
+    """
+    given = np.asarray(readings, dtype=float)
+    sought = of_beams(layout) if unknown is None else np.asarray(unknown, dtype=bool)
+    told = np.zeros(len(layout.installation)) if installation is None else np.array(installation, dtype=float)
+    found = np.array(poses, dtype=float)
+    n, motions, count = len(given), list(layout.motions), int(np.count_nonzero(sought))
+    sizes = plausible_of(layout, length, angle, 1.0)
+    taken, converged = 0, False
+    while True:
+        matrix, unknowns = question(
+            layout, found, told, unknown=sought, pose_sizes=(length, angle), installation_sizes=sizes
+        )
+        residual = given - layout.readings(found, told)
+        scale = np.array([one.plausible * one.factor for one in unknowns])
+        whitened = matrix * scale / noise
+        least = tolerance * float(np.linalg.norm(whitened, 2))
+        if converged or taken == steps:
+            answer = determinability(matrix / noise, unknowns, tolerance=least, measurements=n)
+            return SelfCalibration(locked(found), locked(told), locked(residual), answer, taken, converged)
+        left, spectrum = decompose(whitened, scale, tolerance=least)
+        along = left.T @ residual.reshape(-1) / noise
+        step = spectrum.directions @ (along / spectrum.strength) * scale
+        told[sought] += step[:count]
+        found[:, motions] += step[count:].reshape(n, -1)
+        taken += 1
+        converged = bool(np.linalg.norm(along) <= STILL)
+
+
+def _unknown(name: str, size: float) -> Unknown:
+    if name == "scale":
+        return Unknown(name, "ppm", size * 1e6, 1e-6)
+    return Unknown(name, "urad", size / URAD, URAD) if " turn " in name else Unknown(name, "um", size / UM, UM)
