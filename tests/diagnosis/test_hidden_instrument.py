@@ -143,7 +143,8 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
     rng = np.random.default_rng(53)
     of = hidden.rounded(hidden.plan(rng, poses=POSES))
     data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
-    problem, known, _ = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
+    posed = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
+    problem, known = posed.problem, posed.known
     cells = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).cells
     forms = [[replace(column, scale=1.0) for column in cell.columns] for cell in cells]
     columns = [problem.signature(own) for own in forms]

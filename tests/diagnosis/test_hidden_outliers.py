@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection import rows
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import load
@@ -72,7 +72,7 @@ def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
     data = load(hidden.write(tmp_path / "measured.csv", plan, read, u_mm=SIGMA_MM), dmu50)
     placed = readings(data, dmu50, calibration)
     assert placed.bad[:2].all()
-    problem, _, _ = placed.without(placed.bad)
+    problem = placed.without(placed.bad).problem
     assert list(dict.fromkeys(problem.network.data.target)) != list(placed.setup.targets)
     assert list(dict.fromkeys(problem.network.data.station)) != list(placed.setup.stations)
     # Before anything is fitted again: what the set-up of all rows leaves.
@@ -82,8 +82,7 @@ def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
 def test_of_very_many_rows_some_show_why_others_are_off(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = importlib.import_module("twin.diagnosis.diagnose")
-    monkeypatch.setattr(module, "LOOKED_AT", 800)
+    monkeypatch.setattr(rows, "LOOKED_AT", 800)
     result, lines = look(tmp_path, dmu50, calibration, [BUMP], 5, stated=True)
     assert {note.line for note in result.data.set_aside} == lines
     assert [(cause.effect, cause.where) for cause in result.causes] == [BUMP.key]

@@ -30,7 +30,7 @@ def data(dmu50: Machine) -> tuple[Problem, list[Candidate]]:
     rng = np.random.default_rng(31)
     problem, searcher, root = battery.measured(rng, dmu50, "isotropic", 40, False)
     problem.judge(battery.noise_of(rng, problem, root))
-    return problem, [one for one in searcher.known.candidates if one.key in FEW]
+    return problem, [one for one in searcher.posed.known.candidates if one.key in FEW]
 
 
 @pytest.fixture(scope="module")

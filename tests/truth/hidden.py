@@ -49,6 +49,7 @@ class Plan:
     time_s: np.ndarray
     warm: dict[str, np.ndarray]
     readback: np.ndarray | None = None
+    spindle_rpm: np.ndarray | None = None
 
     def at(self, axis: str) -> np.ndarray:
         return self.q[:, AXES.index(axis)]
@@ -192,6 +193,11 @@ def points(
             else:
                 creep = v["amplitude"] * (1.0 - np.exp(-of.time_s / v["time_constant"]))
             moved[:, "XYZ".index(h.where)] += on_tool * 1e-3 * creep
+        elif h.effect == "spindle_growth":
+            drive = (of.spindle_rpm / of.spindle_rpm.max()) ** v["exponent"]
+            moved[:, "XYZ".index(h.where)] += (
+                on_tool * 1e-3 * v["amplitude"] * lagged(of.time_s, drive, v["time_constant"])
+            )
         elif h.effect == "cross_axis":
             name, by = h.where.split(" by ")
             own = of.at(name[3]) * 1e-3 if name[2] in "XYZ" else 1.0
@@ -225,6 +231,13 @@ def points(
         base = np.where(rows, own[:, :3] + np.einsum("nij,nj->ni", _exp(own[:, 3:]), base), base)
     base = base + moved
     return read(of, base, hidden)
+
+
+def lagged(time_s: np.ndarray, drive: np.ndarray, constant: float) -> np.ndarray:
+    """(n,) first-order lag of what drives it, held from the row before on: its convolution with an exponential, all rows at once."""
+    ends, begins = time_s[:, None] - time_s, time_s[:, None] - np.concatenate([[0.0], time_s[:-1]])
+    past = np.exp(-np.maximum(ends, 0.0) / constant) - np.exp(-np.maximum(begins, 0.0) / constant)
+    return np.where(ends >= 0.0, past, 0.0) @ drive
 
 
 def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
@@ -331,6 +344,8 @@ def write(path: Path, of: Plan, read: np.ndarray, *, u_mm: float | None, without
         "round": of.round,
         "time_s": of.time_s,
     }
+    if of.spindle_rpm is not None:
+        columns["spindle_rpm"] = of.spindle_rpm
     columns |= {f"approach_{a}": of.approach[:, i].astype(int) for i, a in enumerate(AXES)}
     columns |= {f"T_{name}_degC": np.round(values, 3) for name, values in of.warm.items()}
     columns |= {f"{c}_mm": read[:, i] for i, c in enumerate("xyz")}

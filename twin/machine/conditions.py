@@ -152,7 +152,12 @@ class Listening(dict[str, Any]):
 def options_of(channels: Iterable[str]) -> str:
     """The options that give channels."""
     names = list(channels)
-    temperatures = " ".join(f"{name[2:-5]}=…" for name in names if name != TIME)
+    temperatures = " ".join(f"{name[2:-5]}=…" for name in names if name.startswith("T_"))
+    others = [name for name in names if not name.startswith("T_") and name != TIME]
     return " ".join(
-        [*([f"--temperature {temperatures}"] if temperatures else []), *(["--time S"] if TIME in names else [])]
+        [
+            *([f"--temperature {temperatures}"] if temperatures else []),
+            *(["--time S"] if TIME in names else []),
+            *([f"a calibration without that effect: no option gives {', '.join(others)}"] if others else []),
+        ]
     )

@@ -60,6 +60,12 @@ def _absent() -> np.ndarray:
     return NOT_GIVEN
 
 
+BY_NAME: Final = ("temperature_degC", "channels")
+"""Fields that are columns by name."""
+CHANNEL: Final = re.compile(r"[A-Za-z]\w*_(rpm|kg|N|Nm|A|V|W|bar|percent|Hz|l_min)")
+"""Names of other columns that are read as numbers: what was measured, and its unit."""
+
+
 @final
 @dataclass(frozen=True)
 class Measurements:
@@ -79,6 +85,7 @@ class Measurements:
         station_carrier: (n,) what the station rides on: ``base``, ``tool`` or ``work``.
         station_pose: (n, 6) the station's origin in the frame it rides on, mm, and rotation vector, degrees; NaN where unknown.
         temperature_degC: by axis or sensor, (n,) NaN where not given.
+        channels: other columns that an effect may use, by their names in the table (``spindle_rpm``): (n,) NaN where not given.
         set_aside: rows that are not among these, and why.
         notices: what a reader of the result must know.
         simulated: whether any of the readings were simulated, not measured on a machine.
@@ -101,6 +108,7 @@ class Measurements:
     place_mm: np.ndarray = field(default_factory=_absent)
     station_pose: np.ndarray = field(default_factory=_absent)
     temperature_degC: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
+    channels: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
     set_aside: tuple[RowNote, ...] = ()
     notices: tuple[str, ...] = ()
     simulated: bool = False
@@ -172,8 +180,10 @@ class Measurements:
     def select(self, rows: np.ndarray) -> Measurements:
         """Some rows (indices or a mask), everything else as it is."""
         picked: dict[str, Any] = {name: locked(values[rows]) for name, values in self.arrays().items()}
-        temperatures = {name: locked(values[rows]) for name, values in self.temperature_degC.items()}
-        return replace(self, **picked, temperature_degC=MappingProxyType(temperatures))
+        for name in BY_NAME:
+            some = {key: locked(values[rows]) for key, values in getattr(self, name).items()}
+            picked[name] = MappingProxyType(some)
+        return replace(self, **picked)
 
     def arrays(self) -> dict[str, Any]:
         """Every field that is an array of rows, by name."""
@@ -195,6 +205,7 @@ class Measurements:
         for part in parts_of(machine):
             if part.field == "temperature_degC":
                 columns |= {f"T_{name}_degC": printed(values) for name, values in self.temperature_degC.items()}
+                columns |= {name: printed(values) for name, values in self.channels.items()}
             elif part.field != "point_mm" or np.isfinite(self.point_mm).any():
                 # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
                 columns |= part.written(getattr(self, part.field))
@@ -241,7 +252,8 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     places = (*PLACE_COLUMNS, *STATION_COLUMNS)
     known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
     known |= {*places, *(f"{PLANNED}{name}" for name in places)}
-    strange = [name for name in header if name not in known]
+    channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
+    strange = [name for name in header if name not in known and name not in channels]
     values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
     if plan:
         values["point_mm"] = locked(np.zeros((len(rows), 3)))
@@ -252,6 +264,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
         place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
         station_pose=_places(reader, STATION_COLUMNS, planned=plan),
         temperature_degC=MappingProxyType(temperatures),
+        channels=MappingProxyType(channels),
         notices=(
             *(f"the file says: {text}" for text in made),
             *(not_understood(name, sorted(known)) for name in strange),
@@ -286,18 +299,20 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
     merged: dict[str, Any] = {
         name: locked(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
     }
-    names = dict.fromkeys(name for table in tables for name in table.temperature_degC)
-    temperatures = {
-        name: locked(
-            np.concatenate([table.temperature_degC.get(name, np.full(len(table), np.nan)) for table in tables])
+    for field_name in BY_NAME:
+        every = [getattr(table, field_name) for table in tables]
+        merged[field_name] = MappingProxyType(
+            {
+                name: locked(
+                    np.concatenate([o.get(name, np.full(len(t), np.nan)) for o, t in zip(every, tables, strict=True)])
+                )
+                for name in dict.fromkeys(name for own in every for name in own)
+            }
         )
-        for name in names
-    }
     table = replace(
         first,
         **merged,
         source=", ".join(dict.fromkeys(table.source for table in tables)),
-        temperature_degC=MappingProxyType(temperatures),
         set_aside=tuple(note for table in tables for note in table.set_aside),
         notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
         simulated=any(table.simulated for table in tables),
@@ -306,7 +321,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
 
 
 def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
-    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``."""
+    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
     found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
     for i, axis in enumerate(machine.axes):
         if np.any(data.approach[:, i]):
@@ -316,7 +331,7 @@ def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     for name, values in data.temperature_degC.items():
         if np.all(np.isfinite(values)):
             found[f"T_{name}_degC"] = np.asarray(values)
-    return found
+    return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
 
 
 def _check_names(table: Measurements) -> None:

@@ -19,7 +19,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.effects.empirical import Empirical, state_name
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements
+from twin.measurement.table import Measurements, state_of
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
@@ -111,25 +111,30 @@ def at_tool(
         return 0.0, 0.0
     positions = _inside(volume(machine, 400), machine, effects)
     rng = np.random.default_rng(16907)
-    state: dict[str, Any] = {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
-    state |= {f"approach_{axis.name}": rng.choice([-1.0, 1.0], len(positions)) for axis in machine.axes}
+    sides = rng.choice([-1.0, 1.0], (len(machine.axes), len(positions)))
     rows = rng.integers(0, len(data), len(positions))
-    state["time_s"] = np.asarray(data.time_s)[rows]
-    state |= {f"T_{name}_degC": np.asarray(values)[rows] for name, values in data.temperature_degC.items()}
+    measured = state_of(data, machine)
+    state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
+    state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
+    state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
     at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_mm(machine))
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 
     def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
-        at = index[effect.frame.axis, effect.frame.role]
-        values = {at + i: np.broadcast_to(np.asarray(v, dtype=float), len(positions)) for i, v in own.items()}
-        return np.asarray(sum(by_error[:, :, i] * v[:, None] for i, v in values.items()))
+        at, found = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
+        for i, value in own.items():
+            # What depends on the readings before it was worked out of all of them, in their order.
+            values = np.asarray(value, dtype=float)[rows] if effect.history else np.asarray(value, dtype=float)
+            found += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
+        return found
 
-    whole = np.sum([moved(effect, effect.components(state)) for effect in effects], axis=0)
+    states = [measured if effect.history else state for effect in effects]
+    whole = np.sum([moved(one, one.components(own)) for one, own in zip(effects, states, strict=True)], axis=0)
     by_parameter = {
-        parameter.name: moved(effect, own)
-        for effect in effects
-        for parameter, own in zip(effect.parameters, effect.derivatives(state), strict=True)
+        parameter.name: moved(effect, derivative)
+        for effect, own in zip(effects, states, strict=True)
+        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True)
     }
     known = [name for name in covariance.names if name in by_parameter]
     columns = np.stack([by_parameter[name] for name in known], axis=2)

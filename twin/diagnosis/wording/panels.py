@@ -225,6 +225,10 @@ def scales_of(found: Answer) -> dict[str, Scale]:
         if np.all(np.isfinite(values)):
             of = f"{name}'s scale" if name in machine.names else name
             scales[f"T_{name}_degC"] = Scale(f"temperature of {of} [°C]", np.asarray(values))
+    for name, values in data.channels.items():
+        if np.all(np.isfinite(values)):
+            what, _, unit = name.partition("_")
+            scales[name] = Scale(f"{what} [{unit.replace('_', '/')}]", np.asarray(values))
     return scales
 
 
