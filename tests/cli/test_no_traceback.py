@@ -29,13 +29,12 @@ from twin.diagnosis.judgement.evidence import evidence
 from twin.diagnosis.wording import words
 from twin.identification.axis_run import AxisLayout, load_readings
 from twin.identification.spread import FitStatistics
-from twin.identification.unknowns import CurveSpace
 from twin.machine.control import read_tables
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.measurement.table import load
 from twin.nc.heidenhain import Heidenhain
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, CurveSpace
 from twin.planning import Kit
 from twin.report.identified import Identified
 

@@ -18,14 +18,13 @@ from scipy.interpolate import BPoly, BSpline
 from twin._common.errors import InputError
 from twin.comparison import compare
 from twin.compute.native.tape import Tape
-from twin.identification.unknowns import CurveSpace
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ErrorMotion
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve, added
 from twin.numerics.covariance import Covariance
-from twin.numerics.curves import BASES, POWER, Basis, bases_for, basis_named, conversion
+from twin.numerics.curves import BASES, POWER, Basis, CurveSpace, bases_for, basis_named, conversion
 from twin.numerics.curves.cubic_spline import CubicSpline
 
 DOMAIN = (0.0, 360.0)

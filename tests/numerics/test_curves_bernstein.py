@@ -24,7 +24,7 @@ from tests.benchmarks.curves import exact as exact_least_squares
 from tests.truth import hidden
 from twin._common.errors import InputError
 from twin.diagnosis import diagnose
-from twin.identification.unknowns import CurveSpace, Unknowns
+from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ErrorMotion
@@ -32,7 +32,7 @@ from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.measurement.table import load
 from twin.numerics.covariance import Covariance
-from twin.numerics.curves import POWER, FGBernstein, basis_named, conversion
+from twin.numerics.curves import POWER, CurveSpace, FGBernstein, basis_named, conversion
 
 EPS = float(np.finfo(float).eps)
 FOURIER, BERNSTEIN = basis_named("fourier")(), basis_named("bernstein")()

@@ -18,13 +18,13 @@ from twin.identification.result import COVERAGE
 from twin.identification.solve import FitSolution, solve
 from twin.identification.spread import Spread, covariance_of
 from twin.identification.start import first_setup
-from twin.identification.unknowns import CurveSpace, Unknowns
+from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements, load
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, CurveSpace
 
 SEED = 20200714
 """Of the halves: the day the series was begun."""

@@ -24,8 +24,9 @@ from twin._common.threads import side_by_side
 from twin.identification.network import Network
 from twin.identification.robust import Start
 from twin.identification.solve import FitSolution
-from twin.identification.unknowns import CurveSpace, Unknowns
+from twin.identification.unknowns import Unknowns
 from twin.measurement.table import Measurements
+from twin.numerics.curves import CurveSpace
 
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8

@@ -20,7 +20,7 @@ from twin._common.units import MM
 from twin.identification.network import PIECE, Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import free_directions, named
-from twin.identification.unknowns import CurveSpace, Unknowns, axes_told, offset_unseen, spaces_for
+from twin.identification.unknowns import Unknowns, axes_told, offset_unseen, spaces_for
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
@@ -29,7 +29,7 @@ from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import Instrument
 from twin.measurement.simulate import Setting, simulate
 from twin.measurement.table import Measurements
-from twin.numerics.curves import Basis, bases_for
+from twin.numerics.curves import Basis, CurveSpace, bases_for
 from twin.numerics.observability import UNSEEN, Determinability, determinability
 from twin.numerics.spatial import rotation_exp
 

@@ -10,11 +10,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.diagnosis.candidates.signatures import Column
-from twin.identification.unknowns import CurveSpace
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, state_of
+from twin.numerics.curves import CurveSpace
 
 Build = Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
 Units = Callable[[Mapping[str, float]], tuple[Effect, ...]]

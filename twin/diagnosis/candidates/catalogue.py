@@ -12,7 +12,6 @@ from twin.diagnosis.candidates import (
     machine_effects,
     misplaced,
     refraction_scale,
-    reversal_curves,
     station_drift,
     time_skew,
 )
@@ -24,7 +23,6 @@ from twin.measurement.table import Measurements
 
 SOURCES: Final[tuple[Source, ...]] = (
     machine_effects.SOURCE,
-    reversal_curves.SOURCE,
     curves.SOURCE,
     *alignment.SOURCES,
     refraction_scale.SOURCE,

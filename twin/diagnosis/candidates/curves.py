@@ -10,7 +10,6 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
 from twin.diagnosis.candidates.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.candidates.signatures import first_component, of_components
-from twin.identification.unknowns import CurveSpace
 from twin.machine.effects import Effect, ErrorMotion
 from twin.machine.effects.error_motion import (
     ANGULAR_ERROR_MOTION,
@@ -20,7 +19,7 @@ from twin.machine.effects.error_motion import (
     specification_of,
 )
 from twin.machine.machine import DIRECTIONS
-from twin.numerics.curves import POWER, conversion
+from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows
 
 CUBIC: Final = 3

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 
 from twin._common.distributions import chi2_sf
-from twin.identification.unknowns import CurveSpace
 from twin.machine.motion_curve import Curve
+from twin.numerics.curves import CurveSpace
 
 CONTRADICTED: Final = 1e-3
 """Chance below which what a mistake leaves of the correction is not scatter."""

@@ -42,7 +42,7 @@ def _candidate(one: Specification, where: str, given: Given, payloads: Sequence[
         )
     cells = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, given), forms.trials, strict=True))
     tests = float(max(len(cells), 1)) if forms.tests is None else forms.tests
-    return Candidate(one, where, forms.names, cells, tests, forms.build, forms.units)
+    return Candidate(one, where, forms.names, cells, tests, forms.build, forms.units, forms.space)
 
 
 def _single(one: Specification, where: str, given: Given) -> Forms:
@@ -72,11 +72,13 @@ def cell_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, 
 
 def _columns(forms: Forms, given: Given) -> list[tuple[Column, ...]]:
     """Of every trial."""
-    together = forms.together
-    if together is None:
-        units = [forms.units(fixed) for fixed in forms.trials]
+    together, made = forms.together, forms.units
+    if together is None and made is not None:
+        units = [made(fixed) for fixed in forms.trials]
         columns = iter(of_units([unit for some in units for unit in some], given.machine, given.state))
         return [tuple(next(columns) for _ in some) for some in units]
+    if together is None:
+        raise TypeError("forms without columns")
     at = first_component(given.machine, together.frame.axis, together.frame.role)
     return [
         tuple(of_components([(at + i, together.functions, k, part) for i, part in together.parts]) for k in some)
@@ -85,9 +87,13 @@ def _columns(forms: Forms, given: Given) -> list[tuple[Column, ...]]:
 
 
 def _drift(forms: Forms, given: Given) -> Drift:
+    made = forms.units
+    if made is None:
+        raise TypeError("a drift without columns at other time constants")
+
     def of(constants: Sequence[float]) -> list[Column]:
         fixed = [{} if constant == STRAIGHT else {"time_constant": constant} for constant in constants]
-        return of_units([unit for one in fixed for unit in forms.units(one)], given.machine, given.state)
+        return of_units([unit for one in fixed for unit in made(one)], given.machine, given.state)
 
     tried = tuple(fixed["time_constant"] for fixed in forms.trials if fixed)
     # The functions of those that are tried are evaluated together.

@@ -18,12 +18,12 @@ from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.readings import BeamReadings
-from twin.identification.unknowns import CurveSpace, Unknowns, spaces_for
+from twin.identification.unknowns import Unknowns, spaces_for
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments.multi_axis import turn
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 Spread = Literal["stated", "repeats"]

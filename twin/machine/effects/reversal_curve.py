@@ -8,11 +8,25 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.effects import places
-from twin.machine.effects.base import AlongAxis, Parameter, along, channel
-from twin.machine.effects.specification import EXTENDED, NOT_TWICE, Advice, Drawing, Found, Specification
+from twin.machine.effects.base import AlongAxis, Frame, Parameter, along, channel
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.specification import (
+    EXTENDED,
+    NOT_TWICE,
+    Advice,
+    Drawing,
+    Forms,
+    Found,
+    Specification,
+    State,
+    Together,
+)
 from twin.machine.machine import Axis, Machine
-from twin.numerics.curves import POWER
+from twin.numerics.curves import POWER, CurveSpace
+from twin.numerics.functions import Functions, Rows
 
+DEGREES: Final = 4
+"""Largest degree that is tried."""
 PLACES: Final = 201
 """Positions at which the extremes of a curve are looked for."""
 
@@ -64,6 +78,39 @@ def _wanted(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"c{k}" for k in range(len(names) or 2))
 
 
+def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    return [where for where in _limited(machine) if _degrees(state, where) >= 1], []
+
+
+def _degrees(state: State, where: str) -> int:
+    """Largest degree that is tried: a curve through every position would foretell none."""
+    side = state.get(f"approach_{where}")
+    if side is None:
+        return 0
+    places = [np.unique(np.round(state[where][side == sign], 3)) for sign in (1.0, -1.0)]
+    return min(DEGREES, min(len(one) for one in places) - 2)
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    """Half the side of approach times each orthonormal function of the position; of one degree and more."""
+    axis, side, q = machine.by_name[where], state[f"approach_{where}"], state[where]
+    space = CurveSpace(REVERSAL_CURVE.name, POWER, axis.domain, 0, _degrees(state, where) + 1)
+
+    def values(rows: Rows) -> np.ndarray:
+        return np.asarray(0.5 * side[rows, None] * space.functions(np.clip(q[rows], *axis.domain)))
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[ReversalCurve, ...]:
+        n = len(values)
+        return (ReversalCurve(axis, tuple(float(v) for v in space.transform[:n, :n] @ values)),)
+
+    columns = [tuple(range(degree + 1)) for degree in range(1, space.count)]
+    functions = Functions(len(q), space.count, values)
+    together = Together(functions, columns, Frame(where, "motion"), tuple(along(axis, 1.0).items()))
+    names = tuple((f"g{k}", "um" if axis.linear else "urad") for k in range(space.count))
+    trials: tuple[Mapping[str, float], ...] = tuple({} for _ in columns)
+    return Forms(names, build, None, trials, together=together, space=space)
+
+
 def _evidence(of: Found) -> str:
     effect = of.effects[0] if of.effects else None
     if not isinstance(effect, ReversalCurve):
@@ -93,6 +140,8 @@ REVERSAL_CURVE: Final = Specification(
     expected=lambda machine: "an axis of limited range",
     channels=places.approach,
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
+    forms=_forms,
+    candidates=_candidates,
     curve=True,
     more_of="reversal",
     drawn=Drawing(split=lambda where: f"approach_{where}", also=lambda where: (f"approach_{where}", where)),

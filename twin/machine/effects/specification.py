@@ -19,6 +19,7 @@ from twin._common.errors import InputError, nearest
 from twin.machine.effects.base import Effect, Frame
 from twin.machine.effects.payload import Payload
 from twin.machine.machine import Machine
+from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import Functions
 
 Kind = Literal["machine", "calibration", "instrument"]
@@ -130,19 +131,21 @@ class Forms:
     Attributes:
         names: (name, unit) of its linear parameters.
         build: linear parameters and fixed ones → the effects that extend the model.
-        units: fixed parameters → one effect a linear parameter, that parameter being one: what a column is.
+        units: fixed parameters → one effect a linear parameter, that parameter being one: what a column is; None where ``together`` is.
         trials: values of the fixed parameters that are tried.
         tests: how many independent ones that is; the number of trials if None.
         together: the same columns for all trials, quicker; None where ``units`` are quick enough.
+        space: the functions that the columns of a curve are.
         drifts: whether a trial is a time constant, and a straight line in time is its limit.
     """
 
     names: tuple[tuple[str, str], ...]
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
-    units: Callable[[Mapping[str, float]], tuple[Effect, ...]]
+    units: Callable[[Mapping[str, float]], tuple[Effect, ...]] | None
     trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
     tests: float | None = None
     together: Together | None = None
+    space: CurveSpace | None = None
     drifts: bool = False
 
 
