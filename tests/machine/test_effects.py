@@ -21,7 +21,7 @@ from twin.numerics.covariance import Covariance
 
 MADE = [one for one in MACHINE_EFFECTS if one.make is not None]
 EVERY_MADE = pytest.mark.parametrize("one", MADE, ids=lambda one: one.name)
-EVERY = pytest.mark.parametrize("one", SPECIFICATIONS.values(), ids=lambda one: one.name)
+EVERY = pytest.mark.parametrize("one", list(SPECIFICATIONS.values()), ids=lambda one: one.name)
 SIZES = {
     "size": 5.1,
     "offset": -7.0,
