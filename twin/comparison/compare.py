@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
@@ -72,15 +72,7 @@ def compare(
     progress("comparing", 0.05)
     errors, whole = _judged(pairs, first, second)
     sides, left_out = _given(at, first, second)
-    absent = {name for name, _ in left_out}
-    doubtful = absent | {error.name for error in errors if error.fixed > 0.0}
-    known = JudgedErrors(
-        classes={p.name: p.iso_class for p in pairs if p.status != "unknown" and p.name not in doubtful},
-        drawn=[p.name for p in pairs if p.status == "known" and p.name not in doubtful],
-        share=SHARE,
-        causes={name: cause for name, cause in whole.causes.items() if name not in absent},
-        whole_model=not absent,
-    )
+    known = _known(pairs, errors, whole, {name for name, _ in left_out})
     tool = at_tool(
         sides[0], sides[1], known, tool_length_mm=tool_length_mm, conditions=at, poses=poses, progress=progress
     )
@@ -101,6 +93,20 @@ def compare(
     )
     progress("comparing", 1.0)
     return replace(found, meaning=meaning_of(found))
+
+
+def _known(
+    pairs: Sequence[Pair], errors: Sequence[ErrorChange], whole: _Together, absent: Collection[str]
+) -> JudgedErrors:
+    """What of the errors counts at the tool, without those of which a channel is not given."""
+    doubtful = {*absent, *(error.name for error in errors if error.fixed > 0.0)}
+    return JudgedErrors(
+        classes={p.name: p.iso_class for p in pairs if p.status != "unknown" and p.name not in doubtful},
+        drawn=[p.name for p in pairs if p.status == "known" and p.name not in doubtful],
+        share=SHARE,
+        causes={name: cause for name, cause in whole.causes.items() if name not in absent},
+        whole_model=not absent,
+    )
 
 
 def _judged(

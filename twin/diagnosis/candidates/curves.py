@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Build, Candidate, Catalogue, Cell, Given, Source
 from twin.diagnosis.candidates.flaws import ITSELF, STOPS, of_curve, without_constant
 from twin.diagnosis.candidates.signatures import first_component, of_components
-from twin.machine.effects import Effect, ErrorMotion
+from twin.machine.effects import Effect, ErrorMotion, unit_of
 from twin.machine.effects.error_motion import (
     ANGULAR_ERROR_MOTION,
     POSITIONING,
@@ -18,7 +18,8 @@ from twin.machine.effects.error_motion import (
     STRAIGHTNESS,
     specification_of,
 )
-from twin.machine.machine import DIRECTIONS
+from twin.machine.machine import DIRECTIONS, Axis
+from twin.machine.motion_curve import Curve
 from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows
 
@@ -30,67 +31,75 @@ DEGREES: Final = 8
 
 def curves(given: Given) -> Catalogue:
     """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
-    machine, state, calibration = given.machine, given.state, given.calibration
-    found = []
-    for axis in machine.axes:
-        q = state[axis.name]
-        for component, letter in enumerate(DIRECTIONS):
-            name = f"E_{letter}{axis.name}"
-            own_curve = calibration.curves.get(name)
-            curve = None if own_curve is None else own_curve.in_powers()
-            if curve is not None:
-                domain, degrees = curve.domain, max(DEGREES, len(curve.coefficients) - 1)
-            elif own_curve is not None:
-                # Of another kind: no more than can be added to it.
-                domain, degrees = own_curve.domain, CUBIC
-                if conversion(POWER, own_curve.family, CUBIC + 1, len(own_curve.coefficients)) is None:
-                    continue
-            elif axis.linear and axis.lower is not None and axis.upper is not None:
-                domain, degrees = (axis.lower, axis.upper), DEGREES
-            else:
-                continue
-            at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
-            count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
-            space = CurveSpace(name, POWER, domain, 0, max(count, 1))
-            specification = specification_of(axis, component)
-            wrapped = axis.lower is None
-            # What one mistake did to the calibration's polynomial is one number, not as many as the polynomial has.
-            shapes: dict[float, np.ndarray | None] = {}
-            if curve is not None:
-                shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
-                shapes[ITSELF] = of_curve(space, curve)
-            patterns = {stops: shape for stops, shape in shapes.items() if shape is not None}
-            functions = _shaped(space, at, tuple(patterns.values()))
-            at_frame = first_component(machine, axis.name) + component
-            columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
+    every = [(axis, component) for axis in given.machine.axes for component in range(len(DIRECTIONS))]
+    found = [_candidate(given, axis, component) for axis, component in every]
+    return Catalogue(tuple(one for one in found if one is not None))
 
-            def build(
-                values: np.ndarray,
-                fixed: Mapping[str, float],
-                space: CurveSpace = space,
-                wrapped: bool = wrapped,
-                patterns: Mapping[float, np.ndarray] = patterns,
-            ) -> tuple[Effect, ...]:
-                if "stops" in fixed:
-                    values = values[0] * patterns[fixed["stops"]]
-                first = round(fixed.get("first", 0.0))
-                n = first + len(values)
-                coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
-                return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
 
-            # What the datum leaves a curve (`twin.identification.unknowns`): no constant, and a straightness no slope.
-            own = 2 if specification is STRAIGHTNESS else 1
-            cells = tuple(
-                Cell(columns[first : degree + 1], {"first": float(first)})
-                for degree in range(own, count)
-                for first in (0, own)
-            )
-            if cells:
-                short = tuple(Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns))
-                tests = float(count - own + min(len(short), 2))
-                names = tuple((f"g{k}", "um" if component < 3 else "urad") for k in range(count))
-                found.append(Candidate(specification, name, names, (*cells, *short), tests, build, space=space))
-    return Catalogue(tuple(found))
+def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
+    """One error motion; None where none can be tried, or too few positions show it."""
+    name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
+    if (known := given.calibration.curves.get(name)) is not None:
+        curve = known.in_powers()
+    tried = _tried(axis, known, curve)
+    if tried is None:
+        return None
+    domain, degrees = tried
+    q = given.state[axis.name]
+    at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
+    count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
+    space = CurveSpace(name, POWER, domain, 0, max(count, 1))
+    specification = specification_of(axis, component)
+    # What the datum leaves a curve (`twin.identification.unknowns`): no constant, and a straightness no slope.
+    own = 2 if specification is STRAIGHTNESS else 1
+    if count <= own:
+        return None
+    patterns = _mistakes(space, curve)
+    functions = _shaped(space, at, tuple(patterns.values()))
+    at_frame = first_component(given.machine, axis.name) + component
+    columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
+    cells = [
+        Cell(columns[first : degree + 1], {"first": float(first)}) for degree in range(own, count) for first in (0, own)
+    ]
+    short = [Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
+    tests = float(count - own + min(len(short), 2))
+    names = tuple((f"g{k}", unit_of(name)) for k in range(count))
+    build = _builder(space, patterns, wrapped=axis.lower is None)
+    return Candidate(specification, name, names, (*cells, *short), tests, build, space=space)
+
+
+def _tried(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:
+    """Domain and largest degree of what may be added to a curve, as the calibration has it and in powers; None for nothing."""
+    if curve is not None:
+        return curve.domain, max(DEGREES, len(curve.coefficients) - 1)
+    if known is not None:
+        # Of another kind: no more than can be added to it.
+        fits = conversion(POWER, known.family, CUBIC + 1, len(known.coefficients)) is not None
+        return (known.domain, CUBIC) if fits else None
+    if axis.linear and axis.lower is not None and axis.upper is not None:
+        return (axis.lower, axis.upper), DEGREES
+    return None
+
+
+def _mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
+    """What one mistake did to the calibration's polynomial: one number, not as many as the polynomial has."""
+    if curve is None:
+        return {}
+    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
+    shapes[ITSELF] = of_curve(space, curve)
+    return {stops: shape for stops, shape in shapes.items() if shape is not None}
+
+
+def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped: bool) -> Build:
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+        if "stops" in fixed:
+            values = values[0] * patterns[fixed["stops"]]
+        first = round(fixed.get("first", 0.0))
+        n = first + len(values)
+        coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
+        return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
+
+    return build
 
 
 def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:

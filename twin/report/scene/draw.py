@@ -117,13 +117,9 @@ def scene_html(
         *_motion_commands(frames, links, poses),
         *_stage_commands(box),
     ]
-    data = {
-        "outline": outline.tolist(),
-        "work": f"{FIRST_LINK}/{work}",
-        "tool": f"{FIRST_LINK}/{tool}",
-        "axes": [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes],
-        **_path_data(path, frames, factor),
-    }
+    axes = [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes]
+    places = {"work": f"{FIRST_LINK}/{work}", "tool": f"{FIRST_LINK}/{tool}"}
+    data = {"outline": outline.tolist(), **places, "axes": axes, **_path_data(path, frames, factor)}
     return viewer_page(
         "scene",
         commands,
