@@ -58,12 +58,8 @@ def compare(
     machine = first.machine
     notices = _same_control(first, second)
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))
-    if second.machine.name != machine.name or second.machine.names != machine.names:
-        raise InputError("calibrations of two machines", expected=f"two of {machine.name}", value=second.machine.name)
-    if tolerance_mm is not None and not 0.0 < tolerance_mm < np.inf:
-        raise InputError("--tolerance is out of place", expected="a positive number of mm", value=tolerance_mm)
     at = Conditions() if conditions is None else conditions
-    _checked(at, first, second)
+    _checked(at, first, second, tolerance_mm)
     progress("comparing", 0.0)
     names = _called(first, "the first"), _called(second, "the second")
     first, second, datum, moved = _in_one_datum(first, second)
@@ -201,8 +197,13 @@ def _same_control(first: Calibration, second: Calibration) -> list[str]:
     return []
 
 
-def _checked(at: Conditions, first: Calibration, second: Calibration) -> None:
-    """A temperature one of the two knows is fine."""
+def _checked(at: Conditions, first: Calibration, second: Calibration, tolerance_mm: float | None) -> None:
+    """Calibrations of one machine, a tolerance that can be; a temperature one of the two knows is fine."""
+    machine = first.machine
+    if second.machine.name != machine.name or second.machine.names != machine.names:
+        raise InputError("calibrations of two machines", expected=f"two of {machine.name}", value=second.machine.name)
+    if tolerance_mm is not None and not 0.0 < tolerance_mm < np.inf:
+        raise InputError("--tolerance is out of place", expected="a positive number of mm", value=tolerance_mm)
     extra = {effect.name: effect for side in (first, second) for effect in side.extra}
     at.check(replace(first, extra=tuple(extra.values())))
 
