@@ -56,15 +56,13 @@ def compare(
             a tolerance that is not positive.
     """
     machine = first.machine
-    notices = _same_control(first, second)
+    notices, named = _same_control(first, second), (_called(first, "the first"), _called(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))
-    at = Conditions() if conditions is None else conditions
-    _checked(at, first, second, tolerance_mm)
+    at = _checked(conditions, first, second, tolerance_mm)
     progress("comparing", 0.0)
-    names = _called(first, "the first"), _called(second, "the second")
     first, second, datum, moved = _in_one_datum(first, second)
-    pairs, apart = paired(first, second)
-    apart = tuple(one for one in apart if one.name not in moved)
+    pairs, alone = paired(first, second)
+    apart = tuple(one for one in alone if one.name not in moved)
     progress("comparing", 0.05)
     errors, whole = _judged(pairs, first, second)
     sides, left_out = _given(at, first, second)
@@ -75,8 +73,8 @@ def compare(
     found = Changes(
         machine=machine,
         warnings=merged(first.warnings, second.warnings),
-        first=names[0],
-        second=names[1],
+        first=named[0],
+        second=named[1],
         errors=errors,
         apart=apart,
         joint_p_value=whole.p_value,
@@ -197,8 +195,11 @@ def _same_control(first: Calibration, second: Calibration) -> list[str]:
     return []
 
 
-def _checked(at: Conditions, first: Calibration, second: Calibration, tolerance_mm: float | None) -> None:
-    """Calibrations of one machine, a tolerance that can be; a temperature one of the two knows is fine."""
+def _checked(
+    conditions: Conditions | None, first: Calibration, second: Calibration, tolerance_mm: float | None
+) -> Conditions:
+    """The conditions, of which one of the two has to know each temperature; calibrations of one machine, a tolerance that can be."""
+    at = Conditions() if conditions is None else conditions
     machine = first.machine
     if second.machine.name != machine.name or second.machine.names != machine.names:
         raise InputError("calibrations of two machines", expected=f"two of {machine.name}", value=second.machine.name)
@@ -206,6 +207,7 @@ def _checked(at: Conditions, first: Calibration, second: Calibration, tolerance_
         raise InputError("--tolerance is out of place", expected="a positive number of mm", value=tolerance_mm)
     extra = {effect.name: effect for side in (first, second) for effect in side.extra}
     at.check(replace(first, extra=tuple(extra.values())))
+    return at
 
 
 def _called(calibration: Calibration, otherwise: str) -> str:
