@@ -27,7 +27,7 @@ from twin.compensation.toolpath import Path, along, chords
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
 from twin.machine.effects.empirical import check_ranges
-from twin.nc.blocks import Dialect
+from twin.nc.dialect import Dialect
 
 SAMPLES_A_PIECE: Final = 5
 """Interior points at which every piece is re-simulated; more where it is long."""
@@ -35,14 +35,10 @@ POSES: Final = 100_000
 """Points checked at once, which bounds the memory it takes."""
 LARGEST_SPLIT: Final = 4096
 """Pieces a block may be split into; an error that needs more is not one that splitting cures."""
-VECTOR_DECIMALS: Final = {"apt": 9}
-"""Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
 RETURN: Final = 3.0
 """Least increments by which an axis is taken beyond a place and back so that it has turned: rounding may take one of them."""
 ORIENTED_RAD: Final = 1e-9
 """Less is the solver's own noise."""
-CUTTER_LOCATION_INCREMENT: Final = 1e-5
-"""mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
 
 
 @final
@@ -86,8 +82,8 @@ class Pieces:
         self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
         self.posted = posted
         self.increment = bench.increment.copy()
-        if dialect.name == "apt" and not posted:
-            self.increment[:3] = CUTTER_LOCATION_INCREMENT
+        if dialect.linear_increment_mm is not None and not posted:
+            self.increment[:3] = dialect.linear_increment_mm
         self.tcp_out = self.tcp & (not posted)
         self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
         # From outside the range there is no meant path to keep to; such a start is reported with its own block.
@@ -391,8 +387,8 @@ class Pieces:
         commands[np.ix_(plain, rotary)] = (np.round(words / increment) * increment + offset)[plain]
         rows = np.flatnonzero(~plain)
         if rows.size:
-            decimals = VECTOR_DECIMALS.get(self.dialect.name, 7)
-            vectors[rows] = np.round(self.space.nominal.forward(commands[rows]).axis, decimals)
+            axis = self.space.nominal.forward(commands[rows]).axis
+            vectors[rows] = np.round(axis, self.dialect.vector_decimals)
             unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
             for row, solutions in zip(rows, self.space.branches.all(unit), strict=True):
                 found = self.space.branches.nearest(solutions, commands[row, rotary])

@@ -28,11 +28,11 @@ from twin.compensation.rows import Rows, even_cuts, spacings
 from twin.compensation.toolpath import Follower, MotionColumns, check_domains, chords
 from twin.compensation.toolpath import Path as ToolPath
 from twin.nc.blocks import Notice
-from twin.nc.bulk import NewPositions
 from twin.nc.columns import MoveColumns
 from twin.nc.header import HEAD_LINES
-from twin.nc.iso import Iso
-from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
+from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.dialect import Iso
+from twin.nc.iso.stream import IsoReader, IsoRewriter, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 PRINTED_MM: Final = 2e-4

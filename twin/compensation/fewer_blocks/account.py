@@ -16,7 +16,8 @@ from twin.compensation.fewer_blocks.report import PathReport, RunReport, Shares
 from twin.compensation.fewer_blocks.verify import apart_mm, execute_words
 from twin.compensation.report import LineNote, Report
 from twin.compensation.toolpath import Path
-from twin.nc.blocks import Dialect, Program, Reading, Rewrite
+from twin.nc.blocks import Program, Reading, Rewrite
+from twin.nc.dialect import Dialect
 
 
 @final

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
 from twin._common.errors import OutputError
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.toolpath import WordSpace
-from twin.nc.blocks import AxisWords, Dialect, Move, Program, Reading, Rewrite
-from twin.nc.heidenhain_words import HEAD
-
-VECTOR_DECIMALS: Final = {"apt": 9}
-"""Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
+from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
+from twin.nc.dialect import Dialect
 
 
 @final
@@ -59,12 +56,10 @@ class Shortened(Dialect):
     def __init__(self, inner: Dialect, program: Program, reading: Reading) -> None:
         self.inner = inner
         self.name, self.suffixes = inner.name, inner.suffixes
+        self.vector_decimals, self.linear_increment_mm = inner.vector_decimals, inner.linear_increment_mm
+        self.cutter_locations = inner.cutter_locations
         self.program = program
         self.reading = reading
-
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines; see `Dialect.read`."""
-        return self.inner.read(data, source)
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """What the shortened program says, exact; any other as its language has it."""
@@ -77,6 +72,24 @@ class Shortened(Dialect):
     def commented(self, text: str, comments: Sequence[str]) -> str:
         """The text with comments at its head; see `Dialect.commented`."""
         return self.inner.commented(text, comments)
+
+    def posted(
+        self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+    ) -> str:
+        """The program in axis words of another language; see `Dialect.posted`."""
+        return self.inner.posted(program, reading, rewrites, axes, into)
+
+    def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
+        """A new program through points; see `Dialect.from_points`."""
+        return self.inner.from_points(names, points, feed, remark, title)
+
+    def is_remark(self, text: str) -> bool:
+        """Whether a line means nothing to the control."""
+        return self.inner.is_remark(text)
+
+    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
+        """Whether a line says nothing but where to go; see `Dialect.only_moves`."""
+        return self.inner.only_moves(text, names)
 
 
 def shortened(
@@ -110,7 +123,7 @@ def shortened(
     """
     by_line = {move.line: move for move in reading.moves}
     turns = any(move.vector is not None or move.named & set(space.axes.rotary) for move in reading.moves)
-    vectors = VECTOR_DECIMALS.get(dialect.name, 7)
+    vectors = dialect.vector_decimals
     rewrites = [
         _rewrite(move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors)
         for move, words in others
@@ -165,23 +178,6 @@ def tip_words(space: WordSpace, words: np.ndarray) -> np.ndarray:
     """(n, axes) tool-tip words of (n, axes) axis words."""
     tcp = np.ones(len(words), dtype=bool)
     return space.words(space.commands(words, ~tcp), tcp)
-
-
-def renumbered(program: Program, text: str, dialect: Dialect) -> str:
-    """The text with its blocks numbered one by one, where the program's were (plain language only)."""
-    if dialect.name != "heidenhain":
-        return text
-    numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
-    if numbers != list(range(numbers[0], numbers[0] + len(numbers)) if numbers else []):
-        return text
-    out, following = [], numbers[0] if numbers else 0
-    for line in dialect.read(text.encode("latin-1"), program.source).texts:
-        head = HEAD.match(line)
-        if head is not None and head[1]:
-            line = f"{line[: head.start(1)]}{str(following).zfill(len(head[1]) if head[1][0] == '0' else 1)}{line[head.end(1) :]}"
-            following += 1
-        out.append(line)
-    return "".join(out)
 
 
 def _rewrite(move: Move, words: np.ndarray, space: WordSpace, turns: bool, decimals: int) -> Rewrite:

@@ -16,17 +16,17 @@ from twin._common.errors import InputError
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.compensator import Compensation, Compensator
 from twin.compensation.fewer_blocks.account import Job, Written, account
-from twin.compensation.fewer_blocks.emit import renumbered, shortened
+from twin.compensation.fewer_blocks.emit import shortened
 from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
 from twin.compensation.fewer_blocks.report import PathReport
 from twin.compensation.fewer_blocks.runs import find_runs
-from twin.compensation.pieces import CUTTER_LOCATION_INCREMENT
 from twin.compensation.toolpath import follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Program
+from twin.nc.dialect import Dialect
 
 DEFAULT_TOLERANCE_MM: Final = 0.01
 
@@ -98,8 +98,8 @@ class Refitter:
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
         increment = self.bench.increment.copy()
-        if dialect.name == "apt" and not posted:
-            increment[:3] = CUTTER_LOCATION_INCREMENT
+        if dialect.linear_increment_mm is not None and not posted:
+            increment[:3] = dialect.linear_increment_mm
         fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
         reading = dialect.moves(program, space.axes, tcp=tcp)
         path = follow(program, reading, space)
@@ -107,7 +107,7 @@ class Refitter:
             raise InputError(
                 "no block that moves an axis to a known place", expected="a program with motion", file=program.source
             )
-        runs = find_runs(program, path, space)
+        runs = find_runs(program, dialect, path, space)
         fitted = []
         for i, run in enumerate(runs):
             say("fitting", 0.05 + 0.5 * i / len(runs))
@@ -137,7 +137,7 @@ class Refitter:
     def _written(self, job: Job, into: Dialect, say: Progress, *, posted: bool) -> Written:
         """The text: compensated where that is asked for, posted where it is to be another language."""
         if not self.compensated and not posted:
-            text = renumbered(job.program, job.short.program.text, job.dialect)
+            text = job.dialect.renumbered(job.program, job.short.program.text)
             return Written(text, into, posted, None, {}, frozenset())
         share = job.shares.compensation if self.compensated else job.shares.tolerance
         options = replace(self.bench.options, tolerance_mm=share * 1e-3)
@@ -147,7 +147,7 @@ class Refitter:
             lambda stage, fraction: say(stage, 0.55 + 0.35 * fraction),
             into=into if posted else None,
         )
-        text = result.text if posted else renumbered(job.program, result.text, job.dialect)
+        text = result.text if posted else job.dialect.renumbered(job.program, result.text)
         rewrites = {id(rewrite.move): rewrite for rewrite in result.rewrites}
         report = result.report if self.compensated else None
         return Written(text, into, posted, report, rewrites, _taken(result))
@@ -197,16 +197,15 @@ def refit(
     points = is_points(source)
     target = dialect_for(Path(output)) if output is not None else None
     if points:
-        iso = next(dialect for dialect in DIALECTS if dialect.name == "iso")
-        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target or iso, feed)
-        target = target or iso
+        target = target or DIALECTS[0]
+        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target, feed)
     else:
         if feed is not None:
             raise InputError(
                 "--feed for a program", expected="--feed with points only: a program has its own", value=feed
             )
         read, dialect = read_program(source)
-    if target is not None and target.name != dialect.name and dialect.name != "apt":
+    if target is not None and not dialect.becomes(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",

@@ -11,7 +11,8 @@ from twin.compensation.backlash import LostMotion
 from twin.compensation.fewer_blocks.distance import apart, lengths
 from twin.compensation.toolpath import WordSpace, along, follow
 from twin.kinematics.forward import Kinematics
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Program
+from twin.nc.dialect import Dialect
 
 PLACES: Final = 7
 """Places a block at which it is looked at: no multiple of those that fit and chords looked at."""
