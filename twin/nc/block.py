@@ -66,8 +66,8 @@ class Block:
     words: list[AxisWord] = field(default_factory=list)
     seen: int = 0
     vector_words: dict[int, Span] = field(default_factory=dict)
-    arc_words: list[Span] = field(default_factory=list)
-    last_m: list[Span] = field(default_factory=list)
-    moves: list[Move] = field(default_factory=list)
+    arc_words: tuple[Span, ...] = ()
+    last_m: tuple[Span, ...] = ()
+    moves: tuple[Move, ...] = ()
     forgets: tuple[int, ...] = ()
     switched: bool = False

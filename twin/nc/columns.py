@@ -139,3 +139,27 @@ class MoveBuilder:
                 np.array([move.position for move in moves]),
             )
         )
+
+
+@final
+class MoveList:
+    """Collects moves as `MoveBuilder` does, each as an object.
+
+    Args:
+        names: axis names.
+
+    Attributes:
+        moves: all of them.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self.moves: list[Move] = []
+
+    def add(self, move: Move) -> None:
+        """One move."""
+        self.moves.append(move)
+
+    def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
+        """Many, in columns."""
+        self.moves += MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Generic, TypeVar
 
 from twin._common.errors import InputError
@@ -75,8 +75,9 @@ class WordWriter(ABC, Generic[B]):
         vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
         edits: list[Edit] = []
         begin = self._begin(block, rewrite, edits)
+        row = rows[0]
         for word in block.words:
-            target = rows[0][word.axis]
+            target = row[word[0]]
             if target == target:
                 edits.append(self._replaced(block, word, target))
             else:
@@ -137,14 +138,18 @@ class WordWriter(ABC, Generic[B]):
 
     def _number(self, block: B, word: AxisWord, target: float) -> str:
         """The number of an axis word for a target."""
-        old = block.text[word.value_start : word.value_end]
+        axis, _, _, start, end, _, incremental, _ = word
+        old = block.text[start:end]
         value = number(old)
+        style = self.style
         if value == value:
-            self.style = style_of(old, self.style)
-            if self.signed and not self.style.plus:
-                self.style = self.style._replace(plus=True)
-        self._check(word.axis, word.incremental)
-        return self.said.replace(word.axis, old, value, target, block.inch, word.incremental, self.style)
+            style = style_of(old, style)
+            if self.signed and not style.plus:
+                style = style._replace(plus=True)
+            self.style = style
+        if incremental:
+            self._check(axis)
+        return self.said.replace(axis, old, value, target, block.inch, incremental, style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
         return word.value_start, word.value_end, self._number(block, word, target)
@@ -156,12 +161,13 @@ class WordWriter(ABC, Generic[B]):
 
     def _added(self, block: B, axis: int, target: float) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]
-        self._check(axis, block.incremental)
+        if block.incremental:
+            self._check(axis)
         text = self.said.say(axis, target, block.inch, block.incremental, self.style)
         return f"{name}{self.equals if len(name) > 1 else ''}{text}"
 
-    def _check(self, axis: int, incremental: bool) -> None:
-        if incremental and self.said.value[axis] != self.said.value[axis]:
+    def _check(self, axis: int) -> None:
+        if self.said.value[axis] != self.said.value[axis]:
             raise InputError(
                 f"{self.names[axis]} is incremental where its position is unknown",
                 expected="absolute position first",
@@ -192,7 +198,7 @@ class WordWriter(ABC, Generic[B]):
         return words
 
 
-def _drop(block: Block, spans: list[Span], edits: list[Edit]) -> list[str]:
+def _drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
     """Take words out of a block, with the spaces before them; their texts."""
     text = block.text
     for span in spans:

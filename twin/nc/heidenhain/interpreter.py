@@ -66,7 +66,8 @@ class HeidenhainInterpreter(Interpreter):
     def _plain_block(self, match: re.Match[str]) -> PathBlock | None:
         """Interpret a plain block by the words its pattern found; None where it has words that are not of its kind."""
         text = match.string
-        start, end = match.span(2)
+        spans = match.regs
+        start, end = spans[2]
         has_others = (match.lastindex or 0) > 2 + len(self._plain.axes)
         others = []
         if has_others:
@@ -77,11 +78,14 @@ class HeidenhainInterpreter(Interpreter):
         block.keyword_end = end
         unit = MM_PER_INCH if self.inch else 1.0
         for group, axis in self._plain.axes:
-            start, end = match.span(group)
+            start, end = spans[group]
             if end >= 0:
-                value = number(text[start:end]) * (unit if axis < self.linear else 1.0)
+                written = text[start:end]
+                value = number(written) if "," in written else float(written)
+                if axis < self.linear:
+                    value *= unit
                 block.seen |= 1 << axis
-                block.words.append(AxisWord(axis, start - 1, end, start, end, "", False, value))
+                block.words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
         for group, name in others:
             self._component(block, name, Span(*match.span(group)), text[match.start(group) - 2 : match.end(group)])
         feed = match.group(match.re.groups) if has_others else None
@@ -240,21 +244,21 @@ class HeidenhainInterpreter(Interpreter):
             what = "cycle call" if code in (89, 99) else "a function that changes what words mean"
             raise self.refuse(f"{what} {word}", vocabulary.EXPAND if code != 118 else vocabulary.BAKED)
         if code in vocabulary.LAST_M:
-            block.last_m.append(Span(match.start("misc"), match.end()))
+            block.last_m += (Span(match.start("misc"), match.end()),)
         self.switch_by(block, word)
         block.machine |= code in (91, 92)
         block.retracts |= code == 140
 
     def _sense(self, block: PathBlock, match: re.Match[str]) -> None:
         block.clockwise = match["sense"].endswith("-")
-        block.arc_words.append(Span(match.start("sense"), match.end()))
+        block.arc_words += (Span(match.start("sense"), match.end()),)
 
     def _radius(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "CR":
             raise self._stray(block, match)
         written = match.group(match.lastindex + 1) if match.lastindex else ""
         block.radius = self._value("R", written) * (MM_PER_INCH if self.inch else 1.0)
-        block.arc_words.append(Span(match.start("radius"), match.end()))
+        block.arc_words += (Span(match.start("radius"), match.end()),)
 
     def _vector(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "LN" or not match.lastindex:
@@ -275,7 +279,7 @@ class HeidenhainInterpreter(Interpreter):
         else:
             block.normal = block.normal or [0.0, 0.0, 0.0]
             block.normal[index] = value
-            block.normal_text.append(shown)
+            block.normal_text += (shown,)
 
     def _bad(self, block: PathBlock, match: re.Match[str]) -> None:
         raise self._stray(block, match)
@@ -314,7 +318,7 @@ class HeidenhainInterpreter(Interpreter):
             if block.keyword in ("C", "CR", "LN"):
                 raise self.refuse("machine coordinates in an arc", "an L block")
             position = self.machine_position(block)
-            block.moves.append(Move(self._line, kind, self.tcp, position, names, machine=True))
+            block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
             return
         start = self.position[: self.linear]
         self.take(block)
@@ -334,7 +338,7 @@ class HeidenhainInterpreter(Interpreter):
             raise self.refuse("DR outside a circular block", "C or CR")
         normal = None if block.normal is None else self.direction("surface normal", block.normal)
         position = tuple(self.position)
-        block.moves.append(Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc))
+        block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 
     def _arc(self, block: PathBlock, start: list[float]) -> Arc:
         if block.clockwise is None:

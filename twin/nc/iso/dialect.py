@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
-from twin.nc.columns import MoveBuilder
+from twin.nc.columns import MoveBuilder, MoveList
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import pieces_of
 from twin.nc.header import FEED, REMARK, first_lines, inserted
@@ -46,8 +46,10 @@ class Iso(Dialect):
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """See `Dialect.moves`."""
         reader = IsoReader(program.source, axes, tcp=tcp)
-        moves = tuple(move for stretch in stretches(program, axes.names) for move in reader.read(stretch))
-        return Reading(moves, tuple(reader.notices()), tuple(reader.left()))
+        found = MoveList(axes.names)
+        for stretch in stretches(program, axes.names):
+            reader.read_into(found, stretch)
+        return Reading(tuple(found.moves), tuple(reader.notices()), tuple(reader.left()))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""

@@ -17,6 +17,7 @@ from twin.nc.text import BOM, MM_PER_INCH, number
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NO_MOTION: Final = frozenset("STDHFPQM")
+_new = tuple.__new__
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -75,24 +76,27 @@ class IsoInterpreter(IsoMotion):
         """Interpret a plain block by the words its pattern found."""
         text = match.string
         block = IsoBlock(text, max(match.end(1), 0))
-        start, end = match.span(2)
+        spans = match.regs
+        start, end = spans[2]
         if end >= 0:
             self.motion = int(match.group(2))
             block.motion_word = Span(start - 1, end)
         unit = MM_PER_INCH if self.inch else 1.0
         for group, axis in self._plain.axes:
-            start, end = match.span(group)
+            start, end = spans[group]
             if end >= 0:
-                value = float(text[start:end]) * (unit if axis < self.linear else 1.0)
+                value = float(text[start:end])
+                if axis < self.linear:
+                    value *= unit
                 block.seen |= 1 << axis
-                block.words.append(AxisWord(axis, start - 1, end, start, end, "", self.incremental, value))
+                block.words.append(_new(AxisWord, (axis, start - 1, end, start, end, "", self.incremental, value)))
         others = []
         if (match.lastindex or 0) > 2 + len(self._plain.axes):
             for group, name in self._plain.others:
-                start, end = match.span(group)
+                start, end = spans[group]
                 if end >= 0:
                     others.append(Item(name, start - len(name) - (len(name) > 1), end, start, end, text[start:end]))
-            start, end = match.span(match.re.groups)
+            start, end = spans[-1]
             block.feed = Span(start, end) if end >= 0 else None
         self._state_to(block)
         self.move(block, others, machine=False)
@@ -148,12 +152,13 @@ class IsoInterpreter(IsoMotion):
         written, value = match.group(2, 3)
         letter = written.upper()
         if letter in self.index:
-            self._sort(block, Item(letter, match.start(2), match.end(), match.start(3), match.end(), value))
+            start, end = match.span(3)
+            block.items += (_new(Item, (letter, match.start(2), end, start, end, value)),)
         elif letter == "N" and not self._started:
             block.head = match.end()
             return
         elif letter == "G":
-            block.codes.append(Span(match.start(2), match.end(), self._code(value)))
+            block.codes += (Span(match.start(2), match.end(), self._code(value)),)
         elif letter == "F":
             if not value.isdigit() and number(value) != number(value):
                 raise self.no_number("F", value)
@@ -165,7 +170,10 @@ class IsoInterpreter(IsoMotion):
         self._started = True
 
     def _sort(self, block: IsoBlock, item: Item) -> None:
-        (block.items if item.name in self.index else block.others).append(item)
+        if item.name in self.index:
+            block.items += (item,)
+        else:
+            block.others += (item,)
 
     def _given(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
@@ -178,7 +186,7 @@ class IsoInterpreter(IsoMotion):
         """Take a name; whether the rest of the line is its own."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
-        block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
+        block.names += (Item(name, start, match.end(), start, match.end(), match.group(12) or ""),)
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
                 self.assign(variable, self.value_of(value))
@@ -243,7 +251,7 @@ class IsoInterpreter(IsoMotion):
         if len(word) < 2:
             raise self.no_number("M", value)
         if word in vocabulary.LAST_M:
-            block.last_m.append(Span(start, end, word))
+            block.last_m += (Span(start, end, word),)
         self.switch_by(block, word)
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:

@@ -58,7 +58,7 @@ class IsoMotion(Interpreter):
                 raise self.refuse("machine coordinates in an arc or a cycle", "a straight move")
             kind = Kind.RAPID if motion == 0 else Kind.LINEAR
             position = self.machine_position(block)
-            block.moves.append(Move(self._line, kind, self.tcp, position, self.named(block.seen), machine=True))
+            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.seen), machine=True),)
             return
         start = self.position[: self.linear]
         self.take(block)
@@ -85,13 +85,13 @@ class IsoMotion(Interpreter):
             self.note("block skip: taken as executed", once=True)
         kind = Kind.LINEAR if motion is None else _KINDS[motion]
         named = self.named(block.seen)
-        block.moves.append(Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc))
+        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
         if self.cycle is not None:
             self._drill(block, self.cycle)
 
     def take(self, block: IsoBlock) -> None:  # type: ignore[override]
         """Go where the words of a block say, the shorter or the said way round where they say so."""
-        turning = [word for word in block.words if word.form in vocabulary.WAYS]
+        turning = [word for word in block.words if word.form and word.form in vocabulary.WAYS]
         before = [self.position[word.axis] for word in turning]
         super().take(block)
         for word, last in zip(turning, before, strict=True):
@@ -134,7 +134,7 @@ class IsoMotion(Interpreter):
         if self.inch and axis < self.linear:
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
-        return AxisWord(axis, start, end, value_start, value_end, form, incremental, value)
+        return tuple.__new__(AxisWord, (axis, start, end, value_start, value_end, form, incremental, value))
 
     def _vector(self, block: IsoBlock, centre: list[Item]) -> tuple[float, float, float] | None:
         by_length = self.length_vector and self.tcp and self.motion in (None, 0, 1)
@@ -162,7 +162,7 @@ class IsoMotion(Interpreter):
         radius: float | None = None
         turns = 0
         for name, begin, end, _, _, text in items:
-            block.arc_words.append(Span(begin, end, name))
+            block.arc_words += (Span(begin, end, name),)
             wrapped = vocabulary.WRAPPED.fullmatch(text)
             value = self.value_of(wrapped.group(2) if wrapped else text)
             if value != value:
@@ -219,5 +219,5 @@ class IsoMotion(Interpreter):
         named = frozenset(self.names[2:3])
         for height, kind in ((cycle.approach, Kind.RAPID), (cycle.depth, Kind.LINEAR), (cycle.retract, Kind.RAPID)):
             self.position[2] = height
-            block.moves.append(Move(self._line, kind, False, tuple(self.position), named))
+            block.moves += (Move(self._line, kind, False, tuple(self.position), named),)
         block.dwell = cycle.dwell
