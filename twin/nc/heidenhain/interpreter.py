@@ -77,6 +77,7 @@ class HeidenhainInterpreter(Interpreter):
         block = PathBlock(text, start, self.inch, numbered=match.start(1) >= 0, keyword=text[start:end].upper())
         block.keyword_end = end
         unit = MM_PER_INCH if self.inch else 1.0
+        seen, words, position = 0, block.words, self.position
         for group, axis in self._plain.axes:
             start, end = spans[group]
             if end >= 0:
@@ -84,14 +85,23 @@ class HeidenhainInterpreter(Interpreter):
                 value = number(written) if "," in written else float(written)
                 if axis < self.linear:
                     value *= unit
-                block.seen |= 1 << axis
-                block.words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
-        for group, name in others:
-            self._component(block, name, Span(*match.span(group)), text[match.start(group) - 2 : match.end(group)])
+                seen |= 1 << axis
+                words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
+        block.seen = seen
         feed = match.group(match.re.groups) if has_others else None
         if feed is not None and feed[-1] in "xX":
             block.rapid_text = feed
-        self._move(block)
+        if others:
+            for group, name in others:
+                self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
+            self._move(block)
+            return block
+        for word in words:
+            position[word[0]] = word[-1]
+        if seen >> self.linear:
+            self.vector = None
+        kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
+        block.moves = (Move(self._line, kind, self.tcp, tuple(position), self.named(seen), False, self.vector),)
         return block
 
     def _body(self, block: PathBlock, body: str) -> None:
