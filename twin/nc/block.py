@@ -66,8 +66,8 @@ class Block:
     words: list[AxisWord] = field(default_factory=list)
     seen: int = 0
     vector_words: dict[int, Span] = field(default_factory=dict)
-    arc_words: tuple[Span, ...] = ()
-    last_m: tuple[Span, ...] = ()
+    arc_words: list[Span] = field(default_factory=list)
+    last_m: list[Span] = field(default_factory=list)
     moves: tuple[Move, ...] = ()
     forgets: tuple[int, ...] = ()
     switched: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 from twin.nc.block import Block
@@ -31,7 +31,7 @@ class PathBlock(Block):
     keyword: str = ""
     keyword_end: int = 0
     rapid_text: str = ""
-    normal_text: tuple[str, ...] = ()
+    normal_text: list[str] = field(default_factory=list)
     normal: list[float] | None = None
     tool: list[float] | None = None
     clockwise: bool | None = None

@@ -254,21 +254,21 @@ class HeidenhainInterpreter(Interpreter):
             what = "cycle call" if code in (89, 99) else "a function that changes what words mean"
             raise self.refuse(f"{what} {word}", vocabulary.EXPAND if code != 118 else vocabulary.BAKED)
         if code in vocabulary.LAST_M:
-            block.last_m += (Span(match.start("misc"), match.end()),)
+            block.last_m.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
         block.machine |= code in (91, 92)
         block.retracts |= code == 140
 
     def _sense(self, block: PathBlock, match: re.Match[str]) -> None:
         block.clockwise = match["sense"].endswith("-")
-        block.arc_words += (Span(match.start("sense"), match.end()),)
+        block.arc_words.append(Span(match.start("sense"), match.end()))
 
     def _radius(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "CR":
             raise self._stray(block, match)
         written = match.group(match.lastindex + 1) if match.lastindex else ""
         block.radius = self._value("R", written) * (MM_PER_INCH if self.inch else 1.0)
-        block.arc_words += (Span(match.start("radius"), match.end()),)
+        block.arc_words.append(Span(match.start("radius"), match.end()))
 
     def _vector(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "LN" or not match.lastindex:
@@ -289,7 +289,7 @@ class HeidenhainInterpreter(Interpreter):
         else:
             block.normal = block.normal or [0.0, 0.0, 0.0]
             block.normal[index] = value
-            block.normal_text += (shown,)
+            block.normal_text.append(shown)
 
     def _bad(self, block: PathBlock, match: re.Match[str]) -> None:
         raise self._stray(block, match)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 from twin.nc.block import Block, Span
@@ -56,10 +56,10 @@ class IsoBlock(Block):
     """
 
     skip: str = ""
-    codes: tuple[Span, ...] = ()
-    items: tuple[Item, ...] = ()
-    others: tuple[Item, ...] = ()
-    names: tuple[Item, ...] = ()
+    codes: list[Span] = field(default_factory=list)
+    items: list[Item] = field(default_factory=list)
+    others: list[Item] = field(default_factory=list)
+    names: list[Item] = field(default_factory=list)
     motion_word: Span | None = None
     feed: Span | None = None
     motion: int | None = None

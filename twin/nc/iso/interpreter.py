@@ -153,12 +153,12 @@ class IsoInterpreter(IsoMotion):
         letter = written.upper()
         if letter in self.index:
             start, end = match.span(3)
-            block.items += (_new(Item, (letter, match.start(2), end, start, end, value)),)
+            block.items.append(_new(Item, (letter, match.start(2), end, start, end, value)))
         elif letter == "N" and not self._started:
             block.head = match.end()
             return
         elif letter == "G":
-            block.codes += (Span(match.start(2), match.end(), self._code(value)),)
+            block.codes.append(Span(match.start(2), match.end(), self._code(value)))
         elif letter == "F":
             if not value.isdigit() and number(value) != number(value):
                 raise self.no_number("F", value)
@@ -170,10 +170,7 @@ class IsoInterpreter(IsoMotion):
         self._started = True
 
     def _sort(self, block: IsoBlock, item: Item) -> None:
-        if item.name in self.index:
-            block.items += (item,)
-        else:
-            block.others += (item,)
+        (block.items if item.name in self.index else block.others).append(item)
 
     def _given(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
@@ -186,7 +183,7 @@ class IsoInterpreter(IsoMotion):
         """Take a name; whether the rest of the line is its own."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
-        block.names += (Item(name, start, match.end(), start, match.end(), match.group(12) or ""),)
+        block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
                 self.assign(variable, self.value_of(value))
@@ -251,7 +248,7 @@ class IsoInterpreter(IsoMotion):
         if len(word) < 2:
             raise self.no_number("M", value)
         if word in vocabulary.LAST_M:
-            block.last_m += (Span(start, end, word),)
+            block.last_m.append(Span(start, end, word))
         self.switch_by(block, word)
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:

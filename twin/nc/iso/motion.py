@@ -162,7 +162,7 @@ class IsoMotion(Interpreter):
         radius: float | None = None
         turns = 0
         for name, begin, end, _, _, text in items:
-            block.arc_words += (Span(begin, end, name),)
+            block.arc_words.append(Span(begin, end, name))
             wrapped = vocabulary.WRAPPED.fullmatch(text)
             value = self.value_of(wrapped.group(2) if wrapped else text)
             if value != value:
