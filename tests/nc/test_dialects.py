@@ -9,7 +9,7 @@ import pytest
 
 from tests.nc.nc_support import AXES
 from twin.nc import DIALECTS, dialect_for
-from twin.nc.blocks import Kind, Rewrite
+from twin.nc.blocks import Kind, Program, Rewrite
 from twin.nc.dialect import Dialect
 
 EVERY = pytest.mark.parametrize("dialect", DIALECTS, ids=lambda one: one.name)
@@ -104,3 +104,18 @@ def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
     assert dialect.renumbered(program, text) == text
     with pytest.raises(ValueError, match="cannot be written"):
         dialect.posted(program, dialect.moves(program, AXES, tcp=False), [], AXES, dialect)
+
+
+@EVERY
+def test_lines_taken_out_leave_the_others_their_numbers(dialect: Dialect) -> None:
+    """A program may hold empty texts where lines were (`twin path`): they stay empty, and count."""
+    program = dialect.read(points_text(dialect).encode(), "test")
+    gone = dialect.moves(program, AXES, tcp=True).moves[1].line
+    texts = tuple("" if index == gone else text for index, text in enumerate(program.texts))
+    left = Program(program.source, program.dialect, texts)
+    before, after = (dialect.moves(one, AXES, tcp=True) for one in (program, left))
+    assert [move.line for move in after.moves] == [move.line for move in before.moves if move.line != gone]
+    row = np.array([[0.0, 0.0, -0.25, np.nan, np.nan]])
+    text = dialect.rewrite(left, AXES, after, [Rewrite(after.moves[-1], row)])
+    assert text.count("\n") == len(texts) - 1
+    np.testing.assert_allclose(positions(dialect, text), [POINTS[0], row[0, :3]], atol=1e-9)

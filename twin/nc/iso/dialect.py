@@ -15,7 +15,7 @@ from twin.nc.emit import pieces_of
 from twin.nc.header import FEED, REMARK, first_lines, inserted
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.stream import STRETCH_LINES, IsoReader, IsoRewriter, stretches
+from twin.nc.iso.stream import GONE, STRETCH_LINES, IsoReader, IsoRewriter, stretches
 from twin.nc.text import BOM, Style, newline_of, style_in
 
 _TAPE: Final = re.compile(
@@ -85,7 +85,7 @@ class Iso(Dialect):
                 stretches(program, axes.names), cuts, np.append(cuts[1:], len(moves)), strict=True
             )
         ]
-        return b"".join(out).decode("latin-1")
+        return b"".join(out).decode("latin-1").replace(GONE, "")
 
     def commented(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.commented`: behind tape mark and program number.
