@@ -30,7 +30,8 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.nc import dialect_for, find_program, read_program
-from twin.nc.blocks import Dialect, Program
+from twin.nc.blocks import Program
+from twin.nc.dialect import Dialect
 from twin.samples.dmu50_calibration import as_drawn
 
 

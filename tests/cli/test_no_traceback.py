@@ -33,7 +33,7 @@ from twin.machine.control import read_tables
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.measurement.table import load
-from twin.nc.heidenhain import Heidenhain
+from twin.nc.heidenhain.dialect import Heidenhain
 from twin.numerics.curves import POWER, CurveSpace
 from twin.planning import Kit
 from twin.report.identified import Identified

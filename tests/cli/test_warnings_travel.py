@@ -23,8 +23,8 @@ from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import joined, load
 from twin.nc import DIALECTS
-from twin.nc.heidenhain import Heidenhain
-from twin.nc.iso import Iso
+from twin.nc.heidenhain.dialect import Heidenhain
+from twin.nc.iso.dialect import Iso
 from twin.samples import thesis_plan
 
 COVARIANCE: Final = ", covariance: [[1.0, 0], [0, 2.0]]"

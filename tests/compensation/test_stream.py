@@ -20,8 +20,9 @@ from twin.compensation.toolpath import Setup
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.nc import iso_stream, read_program
-from twin.nc.iso_stream import IsoRewriter
+from twin.nc import read_program
+from twin.nc.iso import stream as iso_stream
+from twin.nc.iso.stream import IsoRewriter
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0

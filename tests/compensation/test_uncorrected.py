@@ -25,7 +25,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
-from twin.nc.iso import Iso
+from twin.nc.iso.dialect import Iso
 
 ARC = "G0 X100 Y5 Z-100\nG1 F500 Y2\nG3 X96 Y-2 I-4 J0\n"
 
@@ -111,7 +111,7 @@ def test_what_cannot_be_read_back_is_a_defect_not_bad_input(
     monkeypatch.setattr(Iso, "rewrite", wrong)
     with pytest.raises(OutputError, match=r"line \d+ of what would be written"):
         compensate(text, dmu50, calibration)
-    monkeypatch.setattr("twin.nc.iso_stream.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
+    monkeypatch.setattr("twin.nc.iso.stream.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
     part = tmp_path / "p.nc"
     part.write_text(text)
     with pytest.raises(OutputError, match=r"line \d+ of what would be written"):

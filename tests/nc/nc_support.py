@@ -9,7 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from hypothesis import strategies as st
 
-from twin.nc.blocks import AxisWords, Dialect, Move, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Move, Reading, Rewrite
+from twin.nc.dialect import Dialect
 
 AXES = AxisWords(
     linear=("X", "Y", "Z"),

@@ -24,15 +24,16 @@ from tests.nc.test_plain import (
     new_positions,
     outcome,
     shown,
+    way,
 )
-from twin.nc import iso_stream
 from twin.nc.blocks import AxisWords, Program, Reading
-from twin.nc.bulk import NewPositions
 from twin.nc.columns import MoveColumns
-from twin.nc.iso_plain import PlainInterpreter
-from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
-from twin.nc.plain import iso_plain
-from twin.nc.scan import scan
+from twin.nc.iso import stream as iso_stream
+from twin.nc.iso import vocabulary
+from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.interpreter import IsoInterpreter
+from twin.nc.iso.scan import scan
+from twin.nc.iso.stream import IsoReader, IsoRewriter, Stretch
 from twin.nc.text import Style, newline_of, style_in
 
 SEED = st.integers(0, 10**6)
@@ -63,7 +64,8 @@ def read(
 
 def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, size: int = 5) -> None:
     program = ISO.read(text.encode("latin-1"), "test")
-    whole = outcome(lambda: ISO.moves(program, axes, tcp=tcp))
+    with way("tokens"):
+        whole = outcome(lambda: ISO.moves(program, axes, tcp=tcp))
     found = outcome(lambda: read(program, axes, size, tcp))
     if isinstance(whole, str) or isinstance(found, str):
         assert whole == found
@@ -99,7 +101,9 @@ def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, si
             out.append(rewriter.write(stretch, moves, new))
         return b"".join(out).decode("latin-1")
 
-    assert outcome(written) == outcome(lambda: ISO.rewrite(program, axes, whole, rewrites.values()))
+    found = outcome(written)
+    with way("tokens"):
+        assert found == outcome(lambda: ISO.rewrite(program, axes, whole, rewrites.values()))
 
 
 @MANY
@@ -148,7 +152,7 @@ def test_what_one_way_leaves_to_the_other(name: str) -> None:
 def test_what_is_plain_is_what_the_pattern_says() -> None:
     """Lines, words, and numbers to the last bit, beside the regular expression and Python's own `float`."""
     rng = random.Random(5)
-    plain = iso_plain(AXES.names)
+    plain = vocabulary.plain(AXES.names)
     numbers = ["12.5", "0", "-0", "+5", "5.", "00.5", "0.120", "-0.0004", "12.34567", "007", "-.5", "+0.", "0.1", "8.7"]
     odd = ["1234567890", "1.2.3", ".", "", "- 5", "5,5", "1e3", "123456789.1234567", "+", "-", "12345678.1234567"]
     heads, codes = (
@@ -175,18 +179,18 @@ def test_what_is_plain_is_what_the_pattern_says() -> None:
             match = plain.pattern.fullmatch(line)
             if not seen.plain[i]:
                 digits = max((len(re.sub(r"\D", "", n)) for n in re.findall(r"[\d.]+", line)), default=0)
-                whole = match is not None and match.group(1) not in ("2", "02", "3", "03") and digits <= 15
+                whole = match is not None and match.group(2) not in ("2", "02", "3", "03") and digits <= 15
                 assert not (whole and line[-1] in "\r\n"), line
-                assert not seen.blank[i] or PlainInterpreter("p.nc", AXES, tcp=False).step(i, line) is None, line
+                assert not seen.blank[i] or IsoInterpreter("p.nc", AXES, tcp=False).step(i, line) is None, line
                 notes += bool(seen.blank[i])
                 continue
             found += 1
             assert match is not None, line
-            code = match.group(1)
+            code = match.group(2)
             assert (seen.code[i], seen.wide[i]) == ((-1, False) if code is None else (int(code), len(code) > 1))
             own = slice(seen.first[i], seen.first[i + 1])
             values = dict(zip(seen.words.axis[own].tolist(), seen.words.value[own].tolist(), strict=True))
-            wanted = {axis: match.group(group) for group, axis in enumerate(plain.axes, start=2) if match.group(group)}
+            wanted = {axis: match.group(group) for group, axis in plain.axes if match.group(group)}
             assert {axis: repr(value) for axis, value in values.items()} == {
                 axis: repr(float(text)) for axis, text in wanted.items()
             }

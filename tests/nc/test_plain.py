@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import beside
-from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
+from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import AxisWords, Kind, Rewrite
-from twin.nc.plain import iso_plain, plain_language
+from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
+from twin.nc.iso import stream
+from twin.nc.iso import vocabulary as iso_vocabulary
+from twin.nc.plain import NOTHING, Plain
 
-ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
+ISO, PLAIN = (dialect_for(Path(name)) for name in ("a.nc", "a.h"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
 LONG = AxisWords(("X", "Y", "Z"), ("B1", "C"), dict.fromkeys(("X", "Y", "Z", "B1", "C"), 0.001))
 ODD = AxisWords(("X", "Y", "Z"), ("N",), dict.fromkeys("XYZN", 0.001))
@@ -168,38 +172,6 @@ def mixed_plain(draw):
     return eol.join(lines) + draw(st.sampled_from([eol, ""]))
 
 
-APT_SPECIAL = [
-    *("RAPID", "UNITS/INCHES", "UNITS/MM", "$$ c", "", "GOTO/1,2,$\n3", "GOTO/1,2,3 $$ c", "FROM/1,2,3", "FEDRAT/500"),
-    *("GOTO/1E2,2,3", "PAINT/A,$", "MULTAX/ON", "FOO/1", "GOTO 1,2,3", "  ", "CYCLE/OFF,", "goto/1,2,3", "GO TO/1,2,3"),
-    *("MSYS/0,0,0,1,0,0,0,1,0", "MSYS/1", "CUTCOM/OFF", "GOHOME", "GOTO/1,2,3,0,0,1 $$ c", "FROM/1,2,3,0,0.6,0.8"),
-]
-APT_STRANGE = [
-    "GOTO/1,2",
-    "GOTO/1,2,3,0,0,0",
-    "GOTO/,1,2,3",
-    "GOTO/1,,3",
-    "GOTO/",
-    "GOTO/1,2,3,4",
-    "GOTO/1,2,3,",
-    "ARC",
-]
-
-
-@st.composite
-def mixed_apt(draw):
-    """The same in cutter locations."""
-
-    def plain():
-        tail = draw(st.sampled_from(["", "", ",0,0,1", ",0,0.6,0.8", ",0,0,2"]))
-        numbers = ",".join([draw(BAD if rarely(draw, 60) else GOOD) for _ in range(3)]) + tail
-        return draw(st.sampled_from(["GOTO/", "GOTO / ", " goto/"])) + numbers.replace(
-            ",", draw(st.sampled_from([",", ", ", " ,\t"]))
-        )
-
-    eol = draw(EOL)
-    return eol.join(lines_of(draw, plain, APT_SPECIAL, APT_STRANGE)) + draw(st.sampled_from([eol, ""]))
-
-
 def shown(reading):
     """A reading in a form that compares (NaN is NaN, sets have no order)."""
     return [repr(move._replace(named=tuple(sorted(move.named)))) for move in reading.moves], repr(reading.notices)
@@ -237,20 +209,34 @@ def new_positions(reading, seed, width):
     return rewrites
 
 
+@contextmanager
+def way(name):
+    """Read and write token by token, by the patterns of plain blocks, or (ISO) all plain blocks of a run at once."""
+    with pytest.MonkeyPatch.context() as patch:
+        if name == "tokens":
+            for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
+                patch.setattr(vocabulary, "plain", lambda names: Plain(NOTHING, (), ()))
+        patch.setattr(stream, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
+        yield
+
+
+def by_every_way(work):
+    """What comes of some work, by every way."""
+    for name in ("tokens", "plain", "runs"):
+        with way(name):
+            yield outcome(work)
+
+
 def check(dialect, text, seed, axes=AXES, *, tcp=False):
     program = dialect.read(text.encode("latin-1"), "test")
-    ways = [outcome(lambda way=way: dialect._moves(program, axes, tcp=tcp, short_way=way)) for way in (True, False)]
-    if isinstance(ways[0], str) or isinstance(ways[1], str):
-        assert ways[0] == ways[1]
+    general, *others = by_every_way(lambda: dialect.moves(program, axes, tcp=tcp))
+    if any(isinstance(reading, str) for reading in (general, *others)):
+        assert all(reading == general for reading in others)
         return
-    assert shown(ways[0]) == shown(ways[1])
-    reading = ways[0]
-    rewrites = new_positions(reading, seed, len(axes.names))
-    short, general = (
-        outcome(lambda way=way: dialect._rewrite(program, axes, reading, rewrites, short_way=way))
-        for way in (True, False)
-    )
-    assert short == general
+    assert all(shown(reading) == shown(general) for reading in others)
+    rewrites = new_positions(general, seed, len(axes.names))
+    first, *others = by_every_way(lambda: dialect.rewrite(program, axes, general, rewrites))
+    assert all(text == first for text in others)
 
 
 SEED = st.integers(0, 10**6)
@@ -280,15 +266,8 @@ def test_plain_language(text, seed, tcp):
         check(PLAIN, text, seed, tcp=tcp)
 
 
-@MANY
-@given(text=st.one_of(mixed_apt(), apt_program()), seed=SEED)
-def test_apt(text, seed):
-    if text.strip():
-        check(APT, text, seed)
-
-
-@pytest.mark.parametrize("short_way", [True, False])
-def test_fmax_is_a_rapid_of_its_own_block(short_way):
+@pytest.mark.parametrize("name", ["tokens", "plain"])
+def test_fmax_is_a_rapid_of_its_own_block(name):
     """Heidenhain: FMAX works block by block, every other feed until the next; either reader has to know one from the other."""
     lines = {
         "L X+0 Y+0 Z+0 B+0 C+0 R0 FMAX": Kind.RAPID,
@@ -303,10 +282,11 @@ def test_fmax_is_a_rapid_of_its_own_block(short_way):
     }
     text = "BEGIN PGM A MM\n" + "\n".join(lines) + "\nEND PGM A MM\n"
     program = PLAIN.read(text.encode(), "a.h")
-    reading = PLAIN._moves(program, AXES, tcp=False, short_way=short_way)
+    with way(name):
+        reading = PLAIN.moves(program, AXES, tcp=False)
     assert [move.kind for move in reading.moves] == list(lines.values())
     # Most of these blocks are of the short way, where it may be taken.
-    pattern = plain_language(AXES.names).pattern
+    pattern = heidenhain_vocabulary.plain(AXES.names).pattern
     assert sum(pattern.fullmatch(f"{line}\n") is not None for line in lines) >= 5
 
 
@@ -336,7 +316,6 @@ HANDED_ON = {
     ),
     "renumbering": (PLAIN, "0 L X+0 Y+0 Z+0\n1 L X+5 FMAX\n2 L X+7 M3\n; c\n3 L Y+5,5\n"),
     "letters": (PLAIN, "l x+0 y+0 z+0\nL X+5\nl x+7 m3\nL Y+5\nL X+1 M8\n"),
-    "locations": (APT, "GOTO/1,2,3,0,0,1\nGOTO/2,3,4\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/3,4,5 $$ c\nGOTO/3,4,6\n" * 3),
 }
 
 
@@ -359,7 +338,7 @@ def test_programs_of_others(suffix):
     ("plain", "yes", "no"),
     [
         (
-            iso_plain(AXES.names),
+            iso_vocabulary.plain(AXES.names),
             ["G1 X1.5\n", "X1", "N10G01X-.5Y+5.F500\r\n", "x1 c2", "G2 X1 Y1 I5 J0", "G1 X1 TURN=1", "X1 I0 J0 K1"],
             [
                 "\n",
@@ -378,7 +357,7 @@ def test_programs_of_others(suffix):
             ],
         ),
         (
-            plain_language(AXES.names),
+            heidenhain_vocabulary.plain(AXES.names),
             ["L X+1\n", "10 L X+1,5 Y-2 R0 FMAX", "l c+5 F500", "LN X+1 TX+0 TY+0 TZ+1"],
             ["L", "L F5", "LX+1", "L IX+1", "L X+1 M3", "L X+Q1", "C X+1 DR+", "L X+1 RL", "X+1", "L X+1 ~"],
         ),

@@ -11,7 +11,6 @@ from tests.nc.nc_support import AXES, iso_positions, plain_positions, read_moves
 from twin._common.errors import InputError
 from twin.nc import dialect_for, find_program, read_program
 from twin.nc.blocks import Kind, Rewrite
-from twin.nc.post import post
 
 APT = dialect_for(Path("a.cls"))
 TEXT = (
@@ -30,14 +29,14 @@ def posted(to):
     program = APT.read(TEXT.encode(), "dir/my part.cls")
     reading = APT.moves(program, AXES, tcp=True)
     rewrites = [Rewrite(m, np.array(r, dtype=float)) for m, r in zip(reading.moves, ROWS, strict=True)]
-    return post(program, reading, rewrites, AXES, to)
+    return APT.posted(program, reading, rewrites, AXES, dialect_for(Path(to)))
 
 
 WANTED = [(0, 0, 10, 0, 0), (1, 1, 5, 10, 20), (1.5, 1.25, 4, 36.87, 90), (1.5, 4, 4, 36.87, 90)]
 
 
 def test_iso():
-    text = posted("iso")
+    text = posted("a.nc")
     assert text.splitlines()[:3] == ["%", "(axis positions from cutter locations of dir/my part.cls)", "G21 G90 G94"]
     assert "(TOOL PATH/FINISH,TOOL,BALL  R5)" in text
     assert "(SPINDL/RPM,5000,CLW)" in text
@@ -49,7 +48,7 @@ def test_iso():
 
 
 def test_heidenhain():
-    text = posted("heidenhain")
+    text = posted("a.h")
     lines = text.splitlines()
     assert lines[0] == "0 BEGIN PGM MY_PART MM"
     assert lines[-1].endswith("END PGM MY_PART MM")
@@ -64,7 +63,7 @@ def test_a_move_nobody_solved_is_not_left_out_in_silence():
     program = APT.read(TEXT.encode(), "a.cls")
     reading = APT.moves(program, AXES, tcp=True)
     with pytest.raises(ValueError, match="line 5"):
-        post(program, reading, [Rewrite(reading.moves[1], np.zeros((1, 5)))], AXES, "iso")
+        APT.posted(program, reading, [Rewrite(reading.moves[1], np.zeros((1, 5)))], AXES, dialect_for(Path("a.nc")))
 
 
 def test_programs_by_name(tmp_path):

@@ -123,7 +123,7 @@ def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool)
     source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
-    if target.name != dialect.name and dialect.name != "apt":
+    if not dialect.becomes(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Final, Literal, final
+from typing import Literal, final
 
 import numpy as np
 
@@ -22,21 +22,13 @@ from twin.machine.conditions import Conditions
 from twin.machine.effects import ControlCorrection
 from twin.machine.iso16907 import BASIC, Scope, acts_as, iso_class
 from twin.machine.machine import Machine
+from twin.nc.dialect import Dialect
 from twin.uncertainty.at_tool import ToolUncertainty
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the fraction done."""
 Keep = Callable[[str], bool]
 KeepTable = Callable[[ControlCorrection], bool]
-CUTTER_LOCATION_INCREMENT: Final = 1e-5
-"""mm: cutter locations are no axis words; a post rounds them to the machine's increment later."""
-VECTOR_DECIMALS: Final = {"apt": 9}
-"""Decimals of a tool vector by dialect; 7 elsewhere (0.1 µrad)."""
-
-
-def vector_decimals(dialect: str) -> int:
-    """Decimals of a tool vector in a dialect."""
-    return VECTOR_DECIMALS.get(dialect, 7)
 
 
 @final
@@ -165,11 +157,11 @@ class Bench:
         """(n,) whether commands (mm, degrees) leave an axis's range."""
         return outside_range(self.machine, commands)
 
-    def printed_increment(self, dialect: str, *, posted: bool) -> np.ndarray:
+    def printed_increment(self, dialect: Dialect, *, posted: bool) -> np.ndarray:
         """(axes,) least increments of the words that come out of a program of a dialect, in their order."""
         increment = self.increment.copy()
-        if dialect == "apt" and not posted:
-            increment[:3] = CUTTER_LOCATION_INCREMENT
+        if dialect.linear_increment_mm is not None and not posted:
+            increment[:3] = dialect.linear_increment_mm
         return increment
 
     def aim(self, *, turns: bool) -> CorrectionAim:

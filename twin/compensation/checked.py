@@ -8,7 +8,7 @@ import numpy as np
 
 from twin._common.errors import InputError, OutputError
 from twin.compensation.solving.rows import counted
-from twin.nc.bulk import NewPositions
+from twin.nc.iso.bulk import NewPositions
 
 PRINTED_MM: Final = 2e-4
 """What printing may change of a word (mm, degrees): half a unit of the last decimal, of inch words too."""

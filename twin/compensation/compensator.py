@@ -28,8 +28,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
-from twin.nc.blocks import Dialect, Program, Reading, Rewrite
-from twin.nc.post import post
+from twin.nc.blocks import Program, Reading, Rewrite
+from twin.nc.dialect import Dialect
 
 
 @final
@@ -122,7 +122,7 @@ class Compensator:
         rewrites = tuple(_rewrites(found))
         say("writing", 0.8)
         if posted:
-            text = post(program, reading, rewrites, axes, "heidenhain" if written.name == "heidenhain" else "iso")
+            text = dialect.posted(program, reading, rewrites, axes, written)
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         if rewrites:
@@ -174,7 +174,9 @@ class Compensator:
         say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
         target = dialect if into is None else into
-        streams = dialect.name == target.name == "iso" and program.is_file() and not self.bench.lost.axes
+        streams = (
+            dialect.in_stretches and target.name == dialect.name and program.is_file() and not self.bench.lost.axes
+        )
         with command_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
@@ -254,7 +256,7 @@ def compensate_file(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     found, target = find_program(program), Path(output)
-    into = dialect_for(target) if dialect_of(found).name == "apt" else None
+    into = dialect_for(target) if dialect_of(found).cutter_locations else None
     return Compensator(machine, errors, options).compensate_file(found, target, progress, into=into)
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from twin._common.errors import InputError, nearest
 from twin._common.files import note_input, read_bytes
-from twin.nc.apt import Apt
-from twin.nc.blocks import Dialect, Program
-from twin.nc.heidenhain import Heidenhain
-from twin.nc.iso import Iso
+from twin.nc.apt.dialect import Apt
+from twin.nc.blocks import Program
+from twin.nc.dialect import Dialect
+from twin.nc.heidenhain.dialect import Heidenhain
+from twin.nc.iso.dialect import Iso
 
 _SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
@@ -21,14 +21,15 @@ def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
 
     Args:
         path: the program's path.
-        data: its bytes, where they are at hand: a ``.txt`` that begins with ``BEGIN PGM`` is plain language.
+        data: its bytes, where they are at hand: some suffixes are those of several languages.
 
     Raises:
         InputError: an unknown suffix.
     """
     suffix = path.suffix.lower()
-    if suffix == ".txt" and data is not None and re.match(rb"\s*\d*\s*BEGIN\s+PGM\s", data[:200], re.IGNORECASE):
-        return Heidenhain()
+    for dialect in DIALECTS:
+        if data is not None and suffix in dialect.shared_suffixes and dialect.begins.match(data[:200]):
+            return dialect
     for dialect in DIALECTS:
         if suffix in dialect.suffixes:
             return dialect

@@ -11,8 +11,7 @@ three times as long to make.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple, final, overload
@@ -208,48 +207,3 @@ class Rewrite:
     positions: np.ndarray
     vectors: np.ndarray | None = field(default=None)
     shares: np.ndarray | None = field(default=None)
-
-
-class Dialect(ABC):
-    """One language of NC programs."""
-
-    name: str
-    suffixes: tuple[str, ...]
-
-    @abstractmethod
-    def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines.
-
-        Raises:
-            InputError: empty, or not text.
-        """
-
-    @abstractmethod
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """Interpret a program; ``tcp``: whether the control's kinematics are on from the start.
-
-        Raises:
-            InputError: with file, line and value, on whatever cannot be understood or must not pass uncompensated.
-        """
-
-    @abstractmethod
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with the given moves replaced and every other byte kept.
-
-        Moves without a rewrite keep their text. A rewritten block carries every axis word whose value differs from
-        what the output program last said of that axis, whether or not the original wrote it.
-        """
-
-    @abstractmethod
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """The text with comments at its head, in this language's syntax; those that stand there already are not repeated.
-
-        Args:
-            text: the program; where lines are not numbered, its first part is enough.
-            comments: ASCII without brackets.
-        """
-
-
-def known(position: Sequence[float]) -> bool:
-    """Whether every entry of a position is known (no NaN)."""
-    return bool(np.all(np.isfinite(position)))

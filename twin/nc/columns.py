@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final, overload
 
@@ -52,7 +52,31 @@ class MoveColumns(Sequence[Move]):
             kind=Kind.RAPID if self.rapid[index] else Kind.LINEAR,
             tcp=bool(self.tcp[index]),
             position=tuple(self.position[index].tolist()),
-            named=frozenset(name for i, name in enumerate(self.names) if int(self.named[index]) >> i & 1),
+            named=self._names(int(self.named[index])),
+        )
+
+    def __iter__(self) -> Iterator[Move]:
+        named: dict[int, frozenset[str]] = {}
+        kinds = (Kind.LINEAR, Kind.RAPID)
+        columns = (self.line.tolist(), self.rapid.tolist(), self.tcp.tolist(), self.named.tolist())
+        rows = map(tuple, self.position.tolist())
+        for index, (line, rapid, tcp, bits, position) in enumerate(zip(*columns, rows, strict=True)):
+            move = self.special.get(index)
+            if move is None:
+                if bits not in named:
+                    named[bits] = self._names(bits)
+                move = Move(line, kinds[rapid], tcp, position, named[bits])
+            yield move
+
+    def _names(self, bits: int) -> frozenset[str]:
+        return frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
+
+    def part(self, first: int, last: int) -> MoveColumns:
+        """Some of them, one behind the other."""
+        cut = slice(first, last)
+        special = {index - first: move for index, move in self.special.items() if first <= index < last}
+        return MoveColumns(
+            self.names, self.line[cut], self.rapid[cut], self.tcp[cut], self.named[cut], self.position[cut], special
         )
 
     def turns(self, rotary: Sequence[str]) -> bool:
@@ -115,3 +139,27 @@ class MoveBuilder:
                 np.array([move.position for move in moves]),
             )
         )
+
+
+@final
+class MoveList:
+    """Collects moves as `MoveBuilder` does, each as an object.
+
+    Args:
+        names: axis names.
+
+    Attributes:
+        moves: all of them.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self.moves: list[Move] = []
+
+    def add(self, move: Move) -> None:
+        """One move."""
+        self.moves.append(move)
+
+    def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
+        """Many, in columns."""
+        self.moves += MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from twin.nc.blocks import AxisWords, Move, Reading, Rewrite
-from twin.nc.text import Grid, Style, format_number, grid, number
+from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
 SAME = 1e-10
@@ -50,31 +50,35 @@ class Said:
         value, decimals = self._step(axis, target, inch, incremental)
         return format_number(value, decimals, style)
 
-    def replace(self, axis: int, old: str, target: float, inch: bool, incremental: bool, style: Style) -> str:
-        """As `say`, in place of a number: that stays as it is where it says the same."""
+    def replace(
+        self, axis: int, old: str, number: float, target: float, inch: bool, incremental: bool, style: Style
+    ) -> str:
+        """As `say`, in place of a number as written: that stays as it is where it says the same."""
         value, decimals = self._step(axis, target, inch, incremental)
-        if -SAME < number(old) - value < SAME:
-            unsigned = old[0] not in "+-"
-            if not (number(old) == 0.0 and old[0] == "-") and not (unsigned and style.plus):
+        if -SAME < number - value < SAME:
+            first = old[0]
+            if (first != "-" or number != 0.0) and (first in "+-" or not style.plus):
                 return old
         return format_number(value, decimals, style)
-
-    def value_of(self, axis: int, text: str, inch: bool) -> float:
-        """What a written number means, mm or degrees."""
-        return number(text) * self._grids[inch][axis].unit
 
     def heard(self, axis: int, value: float, incremental: bool) -> None:
         """A word of a block that passes through said this (mm, degrees; NaN: something unknown)."""
         self.value[axis] = self.value[axis] + value if incremental else value
         self.stale[axis] = False
 
-    def missing(self, row: Sequence[float], written: Container[int], inch: bool) -> list[int]:
-        """The axes that need a word to be where they should be (a row of targets, NaN: anywhere)."""
+    def missing(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
+        """The axes that need a word to be where they should be.
+
+        Args:
+            row: targets, NaN: anywhere.
+            written: axes that have a word, as bits.
+            inch: whether the program is in inches.
+        """
         grids = self._grids[inch]
         found = []
         for axis, target in enumerate(row):
             said = self.value[axis]
-            if target != target or axis in written or (target == said and not self.stale[axis]):
+            if target != target or written >> axis & 1 or (target == said and not self.stale[axis]):
                 continue
             if said == said and not self.stale[axis]:
                 scale = grids[axis].step * grids[axis].unit
@@ -82,10 +86,6 @@ class Said:
                     continue
             found.append(axis)
         return found
-
-    def knows_all(self) -> bool:
-        """Whether every axis is known."""
-        return not any(map(math.isnan, self.value))
 
     def forget(self, which: Iterable[int]) -> None:
         """Make axes unknown."""

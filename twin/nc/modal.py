@@ -1,25 +1,28 @@
-"""What the interpreters of blocks share: positions, notices, and errors that carry their place."""
+"""What the interpreters of blocks share: positions, variables, notices, and errors that carry their place."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Protocol
+import re
+from collections.abc import Iterable
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Left, Notice
-from twin.nc.iso_block import AxisWord
+from twin.nc.arcs import Misfit
+from twin.nc.block import AxisWord, Block
+from twin.nc.blocks import Arc, AxisWords, Left, Notice
 from twin.nc.text import number, unit_vector
 
-
-class Forgetful(Protocol):
-    """A block that says which axes nobody knows the position of afterwards."""
-
-    forgets: tuple[int, ...]
+_REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
-class Modal:
+class Interpreter:
     """The state any language of words keeps.
+
+    Args:
+        source: the program's name.
+        axes: axis words.
+        tcp: whether the control's kinematics are on from the start.
+        tcp_on, tcp_off: words that switch them, those of the machine included.
 
     Attributes:
         position: last position said, mm and degrees, NaN where unknown.
@@ -27,35 +30,90 @@ class Modal:
         notices: what a reader of the report must know.
         left: axes left in places unknown.
         tcp: whether the control's kinematics are on.
+        tcp_by: what switched them last; empty: nothing yet.
     """
 
-    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
+    def __init__(
+        self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
+    ) -> None:
         self.source = source
         self.names = axes.names
         self.index = {name.upper(): i for i, name in enumerate(self.names)}
         self.linear = len(axes.linear)
+        self.inch = False
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
-        self.tcp = tcp
         self.left: list[Left] = []
+        self.tcp = tcp
+        self.tcp_by = ""
+        self.tcp_on = frozenset(tcp_on)
+        self.tcp_off = frozenset(tcp_off) - self.tcp_on
         self._line = 0
+        self._shown = ""
+        self._variables: dict[str, float] = {}
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
 
-    def refuse(self, what: str, value: object, expected: str, line: int | None = None) -> InputError:
-        """An error at the present line."""
-        return InputError(what, expected=expected, file=self.source, line=line or self._line + 1, value=value)
+    # ------------------------------------------------------------------ messages
+
+    def refuse(self, what: str, expected: str, value: object = None, line: int | None = None) -> InputError:
+        """Return an error at the present line; ``value``: what is wrong, the whole block if None."""
+        shown = self._shown.strip() if value is None else value
+        return InputError(what, expected=expected, file=self.source, line=line or self._line + 1, value=shown)
 
     def note(self, text: str, *, once: bool = False) -> None:
-        """A notice at the present line; ``once``: only the first time."""
-        if once:
-            if text in self._noted:
-                return
+        """Add a notice at the present line; ``once``: only the first time."""
+        if not (once and text in self._noted):
             self._noted.add(text)
-        self.notices.append(Notice(self._line, text))
+            self.notices.append(Notice(self._line, text))
 
-    def forget(self, block: Forgetful, which: Iterable[int], *, moved: bool | None = False) -> None:
+    def no_number(self, name: str, written: str) -> InputError:
+        """Return the error of a word without a number."""
+        return self.refuse(f"{name} has no number", "a number like 12.5", f"{name}{written}")
+
+    def no_axis(self, shown: str) -> InputError:
+        """Return the error of a word of an axis this machine does not have."""
+        return self.refuse("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
+
+    # ------------------------------------------------------------------ values
+
+    def value_of(self, text: str) -> float:
+        """Return a number, or that of a variable whose number is known; NaN for anything else."""
+        value = number(text)
+        if value == value:
+            return value
+        match = _REFERENCE.fullmatch(text)
+        if match is None:
+            return math.nan
+        value = self._variables.get(match.group(2).upper(), math.nan)
+        return -value if match.group(1) == "-" else value
+
+    def assign(self, name: str, value: float) -> None:
+        """Take an assignment; NaN makes the variable unknown."""
+        self._variables[name.upper()] = value
+
+    def named(self, bits: int) -> frozenset[str]:
+        """Return the names of a set of axes given as bits."""
+        names = self._named.get(bits)
+        if names is None:
+            names = self._named[bits] = frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
+        return names
+
+    def add(self, block: Block, word: AxisWord) -> None:
+        """Add an axis word to a block.
+
+        Raises:
+            InputError: the block has one of that axis.
+        """
+        if block.seen >> word.axis & 1:
+            raise self.refuse(f"axis {self.names[word.axis]} twice in one block", "each axis once")
+        block.seen |= 1 << word.axis
+        block.words.append(word)
+
+    # ------------------------------------------------------------------ state
+
+    def forget(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
         """Make axes unknown after a block.
 
         Args:
@@ -70,76 +128,87 @@ class Modal:
         for axis in axes:
             self.position[axis] = math.nan
 
-    def plain_words(self, values: Sequence[str | None], axes: Sequence[int], incremental: bool, unit: float) -> int:
-        """Take the words of a plain block to the position; the set of their axes as bits.
+    def switch(self, block: Block, on: bool, word: str) -> None:
+        """Switch the control's kinematics by a word, if it changes them."""
+        if on == self.tcp:
+            return
+        if not on:
+            if not self.tcp_by:
+                self.note(f"{word} switches the control's kinematics off")
+            self.vector = None
+        self.tcp = on
+        self.tcp_by = word if on else "off"
+        block.switched = True
+        self.forget(block, range(self.linear), moved=None)
 
-        Args:
-            values: plain numbers, None for an axis that has no word.
-            axes: their axes.
-            incremental: whether they count from the last position.
-            unit: mm per program unit.
+    def switch_by(self, block: Block, word: str) -> None:
+        """Switch the control's kinematics if a word is one of those that do."""
+        if word in self.tcp_on:
+            self.switch(block, True, word)
+        elif word in self.tcp_off:
+            self.switch(block, False, word)
 
-        Returns:
-            The set; empty (and nothing is taken) if a word counts from a position that is not known.
+    # ------------------------------------------------------------------ moves
+
+    def take(self, block: Block) -> None:
+        """Go where the words of a block say.
+
+        Raises:
+            InputError: a word counts from a position that is not known.
         """
-        position = self.position.copy()
-        seen = 0
-        for axis, text in zip(axes, values, strict=False):
-            if text is None:
-                continue
-            try:
-                value = float(text)
-            except ValueError:  # a decimal comma
-                value = number(text)
-            if axis < self.linear:
-                value *= unit
-            if incremental:
-                value = position[axis] + value
-                if value != value:
-                    return 0
-            position[axis] = value
-            seen |= 1 << axis
-        self.position = position
-        return seen
+        position = self.position
+        for word in block.words:
+            last = position[word.axis]
+            if word.incremental and last != last:
+                name = self.names[word.axis]
+                what = f"{name} is incremental where its position is unknown"
+                raise self.refuse(what, "absolute position first", name)
+            position[word.axis] = last + word.value if word.incremental else word.value
 
-    def named(self, bits: int) -> frozenset[str]:
-        """The names of a set of axes given as bits."""
-        names = self._named.get(bits)
-        if names is None:
-            names = self._named[bits] = frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
-        return names
+    def direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
+        """Return a vector at unit length.
 
-    def direction(self, what: str, components: list[float], shown: str) -> tuple[float, float, float]:
-        """A vector at unit length."""
+        Raises:
+            InputError: it has no length.
+        """
         vector, length = unit_vector((components[0], components[1], components[2]))
         if length == 0.0:
-            raise self.refuse(f"{what} of zero length", shown, "a direction")
+            raise self.refuse(f"{what} of zero length", "a direction")
         if abs(length - 1.0) > 1e-3:
             self.note(f"{what} of length {length:.6g} is taken as a direction")
         return vector
 
-    def machine_position(self, words: list[AxisWord], block: Forgetful) -> tuple[float, ...]:
-        """What a machine-coordinate block names; where that is in program coordinates is unknown."""
+    def turn_to(self, block: Block, vector: tuple[float, float, float]) -> None:
+        """Take a tool vector: where the rotary axes are is then the control's business.
+
+        Raises:
+            InputError: the block names rotary axes too.
+        """
+        if block.seen >> self.linear:
+            raise self.refuse("a tool vector and rotary axes in one block", "one of them")
+        self.vector = vector
+        for i in range(self.linear, len(self.position)):
+            self.position[i] = math.nan
+
+    def checked(self, found: Arc | Misfit) -> Arc:
+        """Return an arc.
+
+        Raises:
+            InputError: it is none.
+        """
+        if isinstance(found, Misfit):
+            raise self.refuse(found.what, found.expected)
+        return found
+
+    def machine_position(self, block: Block) -> tuple[float, ...]:
+        """Return what a machine-coordinate block names; where that is in program coordinates is unknown."""
         position = [math.nan] * len(self.names)
-        for word in words:
+        for word in block.words:
             position[word.axis] = word.value
-        which = {word.axis for word in words}
+        which = {word.axis for word in block.words}
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):
             self.vector = None
         self.forget(block, which, moved=None)
         return tuple(position)
-
-    def no_position(self, axis: int) -> InputError:
-        """An incremental word of an axis whose position is unknown."""
-        name = self.names[axis]
-        return self.refuse(f"{name} is incremental where its position is unknown", name, "absolute position first")
-
-    def no_number(self, name: str, written: str) -> InputError:
-        """A word without a number."""
-        return self.refuse(f"{name} has no number", f"{name}{written}", "a number like 12.5")
-
-    def no_axis(self, shown: str) -> InputError:
-        """A word of an axis this machine does not have."""
-        return self.refuse("unknown axis", shown, f"one of this machine's axes ({', '.join(self.names)})")

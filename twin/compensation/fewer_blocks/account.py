@@ -15,7 +15,8 @@ from twin.compensation.fewer_blocks.fewer import Fewer, Fitted
 from twin.compensation.fewer_blocks.report import PathReport, RunReport, Shares, UncertaintyContribution
 from twin.compensation.fewer_blocks.verify import Executed, apart_mm, execute_words
 from twin.compensation.toolpath import Path
-from twin.nc.blocks import Dialect, Program, Reading
+from twin.nc.blocks import Program, Reading
+from twin.nc.dialect import Dialect
 
 
 @final

@@ -14,11 +14,11 @@ from typing import NamedTuple, final
 import numpy as np
 
 from twin._common.errors import OutputError
-from twin.compensation.bench import Bench, vector_decimals
+from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.toolpath import WordSpace, turns_tool
-from twin.nc.blocks import Dialect, Move, Program, Reading, Rewrite
-from twin.nc.heidenhain_words import HEAD
+from twin.nc.blocks import Move, Program, Reading, Rewrite
+from twin.nc.dialect import Dialect
 
 
 @final
@@ -81,9 +81,9 @@ def shortened(
     Raises:
         OutputError: the text does not come out with a line for a line: a defect of `twin`.
     """
-    space, increment = bench.space, bench.printed_increment(dialect.name, posted=posted)
+    space, increment = bench.space, bench.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
-    turns, vectors = turns_tool(reading.moves, space.axes), vector_decimals(dialect.name)
+    turns, vectors = turns_tool(reading.moves, space.axes), dialect.vector_decimals
     rewrites = [
         _rewrite(move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors)
         for move, words in others
@@ -126,23 +126,6 @@ def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.
         linear = space.words(solved, tcp[turned])[:, :3]
         found[turned, :3] = np.round(linear / increment[:3]) * increment[:3]
     return np.asarray(found)
-
-
-def renumbered(program: Program, text: str, dialect: Dialect) -> str:
-    """The text with its blocks numbered one by one, where the program's were (plain language only)."""
-    if dialect.name != "heidenhain":
-        return text
-    numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
-    if numbers != list(range(numbers[0], numbers[0] + len(numbers)) if numbers else []):
-        return text
-    out, following = [], numbers[0] if numbers else 0
-    for line in dialect.read(text.encode("latin-1"), program.source).texts:
-        head = HEAD.match(line)
-        if head is not None and head[1]:
-            line = f"{line[: head.start(1)]}{str(following).zfill(len(head[1]) if head[1][0] == '0' else 1)}{line[head.end(1) :]}"
-            following += 1
-        out.append(line)
-    return "".join(out)
 
 
 def _rewrite(move: Move, words: np.ndarray, space: WordSpace, turns: bool, decimals: int) -> Rewrite:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -12,14 +11,12 @@ import numpy as np
 from twin._common.csv_tables import cells_of
 from twin._common.errors import InputError
 from twin._common.files import read_lines
-from twin.nc.blocks import AxisWords, Dialect, Program
-from twin.nc.text import Style, format_number
+from twin.nc.blocks import AxisWords, Program
+from twin.nc.dialect import Dialect
 
 POINT: Final = ("x_mm", "y_mm", "z_mm")
 VECTOR: Final = ("i", "j", "k")
 SUFFIX: Final = ".csv"
-DECIMALS: Final = 9
-"""Decimals of the points: a tenth of nothing a machine knows."""
 
 
 def is_points(path: Path) -> bool:
@@ -48,7 +45,7 @@ def points_program(
     """
     header, lines, values = _table(path, axes)
     vectors = header[3:] == VECTOR
-    if written.name == "apt" and len(header) > 3 and not vectors:
+    if written.cutter_locations and len(header) > 3 and not vectors:
         raise InputError(
             "rotary axes in cutter locations",
             expected="columns i,j,k, or -o with .nc or .h",
@@ -56,7 +53,7 @@ def points_program(
             line=lines[0] - 1,
             value=",".join(header),
         )
-    language = "apt" if vectors or written.name == "apt" else written.name
+    dialect = next(one for one in dialects if one.cutter_locations) if vectors else written
     if vectors:
         size = np.linalg.norm(values[:, 3:], axis=1)
         wrong = np.flatnonzero(np.abs(size - 1.0) > 1e-3)
@@ -69,8 +66,7 @@ def points_program(
                 line=lines[at],
                 value=",".join(f"{v:g}" for v in values[at, 3:]),
             )
-    text = _TEXTS[language](path, _names(header, axes), values, feed)
-    dialect = next(one for one in dialects if one.name == language)
+    text = dialect.from_points(_names(header, axes), values, feed, _shown(path), path.stem)
     return dialect.read(text.encode("latin-1", "replace"), str(path)), dialect
 
 
@@ -120,42 +116,6 @@ def _number(cell: str, column: str, path: Path, line: int) -> float:
 
 def _names(header: tuple[str, ...], axes: AxisWords) -> tuple[str, ...]:
     return axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
-
-
-def _word(name: str, value: float, *, plus: bool = False) -> str:
-    text = format_number(value, DECIMALS, Style(point=not plus, plus=plus))
-    return f"{name}{'=' if len(name) > 1 else ''}{text}"
-
-
-def _iso(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
-    rows = [" ".join(_word(name, value) for name, value in zip(names, row, strict=True)) for row in values.tolist()]
-    first = "" if feed is None else f" F{feed:g}"
-    body = "".join(f"{row}\n" for row in rows[1:])
-    return f"%\n({_shown(path)})\nG21 G90 G94\nG1 {rows[0]}{first}\n{body}M30\n%\n"
-
-
-def _heidenhain(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
-    title = re.sub(r"\W", "_", path.stem, flags=re.ASCII).upper() or "POINTS"
-    rows = [
-        " ".join(_word(name, value, plus=True) for name, value in zip(names, row, strict=True))
-        for row in values.tolist()
-    ]
-    lines = [f"BEGIN PGM {title} MM", f"; {_shown(path)}"]
-    lines += [f"L {row}" + (f" R0 F{feed:g}" if i == 0 and feed is not None else "") for i, row in enumerate(rows)]
-    lines += ["M30", f"END PGM {title} MM"]
-    return "".join(f"{i} {line}\n" for i, line in enumerate(lines))
-
-
-def _apt(path: Path, names: tuple[str, ...], values: np.ndarray, feed: float | None) -> str:
-    said = "" if feed is None else f"FEDRAT/{feed:g},MMPM\n"
-    rows = "".join(
-        "GOTO/" + ",".join(format_number(value, DECIMALS, Style(keep=5)) for value in row) + "\n"
-        for row in values.tolist()
-    )
-    return f"$$ {_shown(path)}\nUNITS/MM\n{said}{rows}FINI\n"
-
-
-_TEXTS: Final = {"iso": _iso, "heidenhain": _heidenhain, "apt": _apt}
 
 
 def _shown(path: Path) -> str:

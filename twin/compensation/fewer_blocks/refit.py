@@ -19,7 +19,7 @@ from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
 from twin.compensation.fewer_blocks.account import Job, account
-from twin.compensation.fewer_blocks.emit import Shortened, renumbered, shortened
+from twin.compensation.fewer_blocks.emit import Shortened, shortened
 from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
 from twin.compensation.fewer_blocks.report import PathReport, Shares
@@ -28,7 +28,8 @@ from twin.compensation.toolpath import Path, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
-from twin.nc.blocks import Dialect, Move, Program
+from twin.nc.blocks import Move, Program
+from twin.nc.dialect import Dialect
 
 DEFAULT_TOLERANCE_MM: Final = 0.01
 
@@ -99,13 +100,13 @@ class Refitter:
         space = self.bench.space
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
-        increment = self.bench.printed_increment(dialect.name, posted=posted)
+        increment = self.bench.printed_increment(dialect, posted=posted)
         fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
         reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
             raise motionless(program.source)
-        runs = find_runs(program, path, space)
+        runs = find_runs(program, dialect, path, space)
         fitted = []
         for i, run in enumerate(runs):
             say("fitting", 0.05 + 0.5 * i / len(runs))
@@ -118,7 +119,7 @@ class Refitter:
         result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
         if not posted:
-            text = renumbered(program, text, dialect)
+            text = dialect.renumbered(program, text)
         say("checking", 0.9)
         job = Job(program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.asked)
         report = account(fewer, job)
@@ -180,16 +181,15 @@ def refit(
     points = is_points(source)
     target = dialect_for(FilePath(output)) if output is not None else None
     if points:
-        iso = next(dialect for dialect in DIALECTS if dialect.name == "iso")
-        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target or iso, feed)
-        target = target or iso
+        target = target or DIALECTS[0]
+        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target, feed)
     else:
         if feed is not None:
             raise InputError(
                 "--feed for a program", expected="--feed with points only: a program has its own", value=feed
             )
         read, dialect = read_program(source)
-    if target is not None and target.name != dialect.name and dialect.name != "apt":
+    if target is not None and not dialect.becomes(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",

@@ -6,8 +6,6 @@ there may be comments. A curve is fitted from corner to corner.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -16,7 +14,7 @@ import numpy as np
 from twin.compensation.fewer_blocks.fit import PARTS, Polyline
 from twin.compensation.toolpath import Path, PathMotion, WordSpace
 from twin.nc.blocks import Kind, Program
-from twin.nc.plain import iso_plain, plain_language
+from twin.nc.dialect import Dialect
 
 FEWEST: Final = 3
 """Blocks of a run: in two there is nothing to save."""
@@ -28,19 +26,6 @@ LONG: Final = 10.0
 """A block longer than this many of the run's middle ones is a line of its own, not part of a curve."""
 SAME_MM: Final = 1e-9
 """Places nearer to each other are one."""
-
-_APT = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
-_REMARKS: Final = {
-    "iso": re.compile(
-        r"[ \t]*+(?:N\d++[ \t]*+)?+(?:\([^()\r\n]*+\)[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
-    ),
-    "heidenhain": re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII),
-    "apt": re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII),
-}
-"""Lines that mean nothing to the control, by language."""
-_COMMENT = re.compile(r"\([^()]*\)|;.*")
-_FEED = re.compile(r"(?<![A-Z])F[ \t]*(\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
-_FEED_MODE = re.compile(r"(?<![A-Z\d])G0*(9[345])(?![\d.])", re.ASCII | re.IGNORECASE)
 
 
 @final
@@ -59,10 +44,9 @@ class Run:
     words: np.ndarray
 
 
-def find_runs(program: Program, path: Path, space: WordSpace) -> list[Run]:
+def find_runs(program: Program, dialect: Dialect, path: Path, space: WordSpace) -> list[Run]:
     """The runs of a program, in order."""
-    plain = _plain_lines(program, path, space.axes.names)
-    remark = _REMARKS[program.dialect].fullmatch
+    plain = _plain_lines(program, dialect, path, space.axes.names)
     passed = {passage.before for passage in path.passages}
     per_line: dict[int, int] = {}
     for motion in path.motions:
@@ -84,7 +68,7 @@ def find_runs(program: Program, path: Path, space: WordSpace) -> list[Run]:
             close()
         if members:
             before = path.motions[members[-1]].move.line
-            if feed != plain[before] or not all(map(remark, program.texts[before + 1 : motion.move.line])):
+            if feed != plain[before] or not all(map(dialect.is_remark, program.texts[before + 1 : motion.move.line])):
                 close()
         if fits:
             members.append(i)
@@ -128,22 +112,14 @@ def _follows(before: PathMotion, motion: PathMotion) -> bool:
     return same and bool(np.array_equal(before.end, motion.start))
 
 
-def _plain_lines(program: Program, path: Path, names: tuple[str, ...]) -> dict[int, str]:
+def _plain_lines(program: Program, dialect: Dialect, path: Path, names: tuple[str, ...]) -> dict[int, str]:
     """Lines that say nothing but where to go, and the feed in force there; none while the feed is a time."""
-    if program.dialect == "apt":
-        pattern = _APT
-    else:
-        pattern = (iso_plain(names) if program.dialect == "iso" else plain_language(names)).pattern
     moving = {motion.move.line for motion in path.motions}
     found: dict[int, str] = {}
     feed, timed = "", False
     for index, text in enumerate(program.texts):
-        bare = _COMMENT.sub(" ", text) if program.dialect != "apt" else ""
-        if program.dialect == "iso":
-            modes: Sequence[str] = _FEED_MODE.findall(bare)
-            timed = modes[-1] == "93" if modes else timed
-        feeds = _FEED.findall(bare)
-        feed = feeds[-1] if feeds and feeds[-1] else feed
-        if index in moving and not timed and pattern.fullmatch(text):
+        said, times = dialect.feed_said(text)
+        feed, timed = said or feed, timed if times is None else times
+        if index in moving and not timed and dialect.only_moves(text, names):
             found[index] = feed
     return found

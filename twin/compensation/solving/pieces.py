@@ -13,13 +13,13 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import every
-from twin.compensation.bench import Bench, CorrectionAim, vector_decimals
+from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import Path
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
-from twin.nc.blocks import Dialect
+from twin.nc.dialect import Dialect
 
 ORIENTED_RAD: Final = 1e-9
 """Less is the solver's own noise."""
@@ -56,8 +56,8 @@ class Pieces:
         self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
         self.space = bench.space
         self.idle = aim.idle and not posted
-        self.increment = bench.printed_increment(dialect.name, posted=posted)
-        self.vector_decimals = vector_decimals(dialect.name)
+        self.increment = bench.printed_increment(dialect, posted=posted)
+        self.vector_decimals = dialect.vector_decimals
         columns = path.columns
         self.tcp, self.start, self.end = columns.tcp, columns.start, columns.end
         self.tcp_out = self.tcp & (not posted)

@@ -13,7 +13,7 @@ from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
-from twin.nc.iso_stream import IsoReader, Stretch
+from twin.nc.iso.stream import IsoReader, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18

@@ -27,7 +27,7 @@ from twin.compensation.solving.rows import even_cuts, spacings
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import Path as ToolPath
-from twin.nc.bulk import NewPositions
+from twin.nc.iso.bulk import NewPositions
 
 POSES: Final = 12 * PART_LINES
 """Solved and checked at once before any block is split: six of each of the short blocks in the longest part. Of longer blocks fewer

@@ -10,10 +10,10 @@ from twin._common.provenance import program_comments
 from twin.compensation.bench import Bench
 from twin.compensation.checked import check, unreadable
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, Read
-from twin.nc.bulk import NewPositions
 from twin.nc.header import HEAD_LINES
-from twin.nc.iso import Iso
-from twin.nc.iso_stream import IsoReader, IsoRewriter, Stretch
+from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.dialect import Iso
+from twin.nc.iso.stream import IsoReader, IsoRewriter, Stretch
 
 ISO: Final = Iso()
 

@@ -1,4 +1,4 @@
-"""Plain lines written all at once: the words of `twin.nc.scan` replaced as `twin.nc.iso_write.Writer.plain` replaces them one by one.
+"""Plain lines written all at once: words replaced as `twin.nc.iso.writer.IsoWriter` replaces them one by one.
 
 What a word looks like depends on the words before it (`twin.nc.text.style_of`): each says something of the style or leaves it as it
 was. So the style at every word is, part by part, what was said last, and that is found for all words together.
@@ -6,13 +6,13 @@ was. So the style at every word is, part by part, what was said last, and that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
 from twin.nc.emit import SAME, Said
-from twin.nc.scan import Scan, Words
+from twin.nc.iso.scan import Scan, Words
 from twin.nc.text import Style, grid
 
 LARGEST_STEPS: Final = 1e11
@@ -38,27 +38,14 @@ class NewPositions:
     positions: np.ndarray
     vectors: np.ndarray
 
+    def part(self, first: int, last: int) -> NewPositions:
+        """What replaces some moves, one behind the other."""
+        return replace(self, first=self.first[first:last], count=self.count[first:last])
+
     def rows(self, which: np.ndarray) -> np.ndarray:
         """The rows of some moves, move by move."""
         first, count = self.first[which], self.count[which]
         return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
-
-
-@final
-@dataclass(frozen=True)
-class Edits:
-    """Stretches of a text and what replaces them, in the order of the text.
-
-    Attributes:
-        start, end: (n,) of the text.
-        length: (n,) of what replaces it.
-        content: all of that, one behind the other.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
-    length: np.ndarray
-    content: np.ndarray
 
 
 @final
@@ -97,14 +84,19 @@ class Grids:
         self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
 
 
-def assembled(text: np.ndarray, edits: list[Edits]) -> bytes:
-    """A text with its edits done; they do not overlap, and those at one place are in order."""
-    start = np.concatenate([part.start for part in edits])
+def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray) -> bytes:
+    """A text with stretches replaced; they do not overlap, and those at one place are in order.
+
+    Args:
+        text: the text.
+        start: (n,) of each stretch, and
+        end: (n,) its end.
+        length: (n,) of what replaces it.
+        new: all of that, one behind the other.
+    """
     order = np.argsort(start, kind="stable")
-    start, end = start[order], np.concatenate([part.end for part in edits])[order]
-    length = np.concatenate([part.length for part in edits])
+    start, end = start[order], end[order]
     content_at = (np.cumsum(length) - length + len(text))[order]
-    source = np.concatenate([text, *(part.content for part in edits)])
     begins, lengths = np.empty(2 * len(start) + 1, dtype=np.int64), np.empty(2 * len(start) + 1, dtype=np.int64)
     begins[0], begins[2::2], begins[1::2] = 0, end, content_at
     lengths[1::2] = length[order]
@@ -113,22 +105,24 @@ def assembled(text: np.ndarray, edits: list[Edits]) -> bytes:
     behind = np.cumsum(lengths)
     places = np.repeat((begins - behind + lengths).astype(np.int32), lengths)
     places += np.arange(len(places), dtype=np.int32)
-    return source[places].tobytes()
-
-
-def replaced_line(scan: Scan, line: int, text: str) -> Edits:
-    """A whole line exchanged."""
-    content = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
-    return Edits(scan.start[line : line + 1], scan.end[line : line + 1], np.array([len(content)]), content)
+    return np.concatenate([text, new])[places].tobytes()
 
 
 def edited(
-    scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, habits: Habits, grids: Grids
-) -> tuple[Edits, Habits]:
+    scan: Scan,
+    whole: slice,
+    lines: np.ndarray,
+    count: np.ndarray,
+    targets: np.ndarray,
+    said: Said,
+    habits: Habits,
+    grids: Grids,
+) -> tuple[bytes, Habits]:
     """Plain lines, one behind the other but for blank ones, with new positions.
 
     Args:
         scan: the text.
+        whole: the stretch of it that they are in.
         lines: (lines,) which.
         count: (lines,) how many pieces each becomes.
         targets: (pieces, axes) their ends, mm and degrees; NaN in the columns of axes nobody writes.
@@ -137,7 +131,7 @@ def edited(
         grids: of the axes.
 
     Returns:
-        The edits, and the habits behind the last line.
+        That stretch, and the habits behind the last line.
     """
     pieces = _Pieces(scan, lines, count, targets, said, grids)
     of, words = pieces.of_word, pieces.words
@@ -177,12 +171,13 @@ def edited(
         ),
     )
     behind = np.where(extra, scan.end[lines][line], words.end[last_word])
-    edits = Edits(np.concatenate([words.start[new], behind]), np.concatenate([words.end[new], behind]), length, text)
+    start, end = np.concatenate([words.start[new], behind]), np.concatenate([words.end[new], behind])
+    written = _assembled(scan.text[whole], start - whole.start, end - whole.start, length, text)
     for i in range(len(grids.step)):
         if np.any(words.axis == i) or np.any(axis == i):
             said.value[i] = float(pieces.steps[-1, i] * grids.step[i])
             said.stale[i] = False
-    return edits, Habits(look.last(), bool(spaced[-1]), bool(lower[-1]))
+    return written, Habits(look.last(), bool(spaced[-1]), bool(lower[-1]))
 
 
 @final

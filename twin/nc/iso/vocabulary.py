@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
+
+from twin.nc.plain import VALUE, Plain, plain_blocks
+from twin.nc.text import number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
@@ -32,7 +36,6 @@ with arguments or without; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; and 
 
 LITERAL = re.compile(r"[+-]?[ \t]*+[\d.]++", re.ASCII)
 WRAPPED = re.compile(r"(AC|IC|DC|ACP|ACN)[ \t]*+\([ \t]*+(.*?)[ \t]*+\)", re.IGNORECASE | re.ASCII)
-REFERENCE = re.compile(rf"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|{_HASH})", re.ASCII)
 ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" is no group.
@@ -62,33 +65,28 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for code in codes}
 
-_EXPAND = "the cycle expanded into G0 and G1 blocks by the postprocessor"
-_LINEAR = "the path written as G0, G1, G2 and G3 by the postprocessor"
-_BAKED = "a program whose coordinates need no transformation (one work offset, given with --work-offset)"
-_FLAT = "one program with every block written out"
-
-
-def _cycle(code: str) -> tuple[str, str]:
-    return (f"canned cycle G{code}", _EXPAND)
+EXPAND = "the cycle expanded into G0 and G1 blocks by the postprocessor"
+LINEAR = "the path written as G0, G1, G2 and G3 by the postprocessor"
+BAKED = "a program whose coordinates need no transformation (one work offset, given with --work-offset)"
+FLAT = "one program with every block written out"
 
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
-        code: _cycle(code)
-        for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88")
+        code: (f"canned cycle G{code}", EXPAND)
+        for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88", "89")
     },
-    "89": _cycle("89"),
     **{
-        code: (f"thread or tapping G{code}", _LINEAR)
+        code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
     },
     **{
-        code: (f"curve G{code}", _LINEAR)
+        code: (f"curve G{code}", LINEAR)
         for code in ("2.2", "2.3", "2.4", "3.2", "3.3", "3.4", "5.2", "5.3", "6.1", "6.2")
     },
-    **{code: (f"curve G{code}", _LINEAR) for code in ("12", "13", "147", "148", "247", "248", "347", "348")},
+    **{code: (f"curve G{code}", LINEAR) for code in ("12", "13", "147", "148", "247", "248", "347", "348")},
     **{
-        code: (f"coordinate transformation G{code}", _BAKED)
+        code: (f"coordinate transformation G{code}", BAKED)
         for code in (
             *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
             *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
@@ -99,7 +97,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
     },
     "29": ("return from the reference point G29", "the position written as a G0 block"),
-    **{code: (f"macro call G{code}", _FLAT) for code in ("65", "66", "66.1", "72.1", "72.2")},
+    **{code: (f"macro call G{code}", FLAT) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
 LAST_M: frozenset[str] = frozenset(
@@ -137,4 +135,28 @@ CURVES: frozenset[str] = frozenset(
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
-EXPAND, LINEAR, BAKED, FLAT = _EXPAND, _LINEAR, _BAKED, _FLAT
+
+TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "TRAORI"})
+TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
+"""Words that switch the control's own kinematics on and off."""
+WAYS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
+"""Forms that say which way round a rotary axis goes to its value."""
+
+
+@lru_cache(maxsize=16)
+def plain(names: tuple[str, ...]) -> Plain:
+    """Plain blocks: ``N10 G1 X1.5 Y-2. F500``, arcs and tool vectors included; groups: N word, motion code, .., value of F."""
+    head = r"[ \t]*+(N\d++)?+[ \t]*+(?:G(0?[0-3])[ \t]*+)?+"
+    others = ("I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3")
+    return plain_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+")
+
+
+def canonical(word: str) -> str:
+    """A word as tables hold it: ``g01`` and ``G 1`` are ``G1``, ``G43.40`` is ``G43.4``."""
+    word = word.strip().upper()
+    if len(word) > 1 and word[0] in "GM":
+        value = number(word[1:])
+        if value == value and value >= 0:
+            return f"{word[0]}{value:g}" if value < 1e5 else f"{word[0]}{value:.0f}"
+        return word[0] if not word[1:2].isalpha() else word
+    return word

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
+
+from twin.nc.plain import Plain, plain_blocks
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
@@ -56,3 +59,19 @@ EXPAND = "the cycle expanded into L blocks by the postprocessor"
 LINEAR = "the path written as L, LN, CC/C and CR blocks by the postprocessor"
 BAKED = "a program whose coordinates need no transformation"
 FLAT = "one program with every block written out"
+
+
+@lru_cache(maxsize=16)
+def plain(names: tuple[str, ...]) -> Plain:
+    """Plain blocks: ``10 L X+1,5 Y-2 R0 F500``, and ``LN`` with its vectors; groups: block number, keyword, .., feed."""
+    head = r"[ \t]*+(?:(\d++)[ \t]*+)?+(LN?+)[ \t]++"
+    feed = r"(?:(F[ \t]*+MAX|F\d++(?:[.,]\d*+)?+)[ \t]*+)?+"
+    others = ("NX", "NY", "NZ", "TX", "TY", "TZ")
+    return plain_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
+
+
+def numbered_as(text: str, head: re.Match[str], number: int) -> str:
+    """A block with another number, as wide as the old one (``head``: of `HEAD`) where that begins with a zero."""
+    old = head.group(1)
+    new = str(number).zfill(len(old)) if old[0] == "0" else str(number)
+    return f"{text[: head.start(1)]}{new}{text[head.end(1) :]}"

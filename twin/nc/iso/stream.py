@@ -1,27 +1,31 @@
 """ISO programs in stretches: read, written and read back with the modal state carried from one to the next.
 
-What `twin.nc.iso.Iso` does with a whole program in memory, to the byte; runs of plain lines all at once (`twin.nc.scan`,
-`twin.nc.bulk`), every other line as there.
+Runs of plain lines are done all at once (`twin.nc.iso.scan`, `twin.nc.iso.bulk`), every other line by the interpreter and the writer of
+blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Left, Move, Notice, Rewrite
-from twin.nc.bulk import LARGEST_STEPS, Edits, Grids, Habits, NewPositions, assembled, edited, replaced_line
-from twin.nc.columns import MoveBuilder, MoveColumns
-from twin.nc.iso_plain import PlainInterpreter
-from twin.nc.iso_write import Writer
-from twin.nc.plain import iso_plain
-from twin.nc.scan import MOST_DIGITS, Scan, scan
+from twin.nc.blocks import AxisWords, Left, Move, Notice, Program, Rewrite
+from twin.nc.columns import MoveBuilder, MoveColumns, MoveList
+from twin.nc.iso.bulk import LARGEST_STEPS, Grids, Habits, NewPositions, edited
+from twin.nc.iso.interpreter import IsoInterpreter
+from twin.nc.iso.scan import MOST_DIGITS, Scan, scan
+from twin.nc.iso.writer import IsoWriter
 from twin.nc.text import BLANK, MM_PER_INCH, Style
+from twin.nc.writer import Pieces
 
 SHORTEST_RUN: Final = 12
 """Lines: fewer are quicker one by one."""
+STRETCH_LINES: Final = 4096
+"""Lines of a program in memory that are done together: little enough that what is made of them stays in cache."""
+GONE: Final = ";\0\n"
+"""A comment that no program has, in the place of a line that was taken out: the others keep their numbers."""
 
 
 @final
@@ -72,6 +76,13 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
         at = stop + 1
 
 
+def stretches(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
+    """A program in memory as stretches, `GONE` standing for lines without a character."""
+    for first in range(0, len(program.texts), STRETCH_LINES):
+        text = "".join(one or GONE for one in program.texts[first : first + STRETCH_LINES])
+        yield Stretch(text.encode("latin-1"), first, names)
+
+
 @final
 class IsoReader:
     """Reads a program stretch by stretch.
@@ -86,8 +97,7 @@ class IsoReader:
     """
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
-        self._interpreter = PlainInterpreter(source, axes, tcp=tcp)
-        self._match = iso_plain(axes.names).pattern.fullmatch
+        self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
         self._notices = self._left = 0
         self.drills = False
 
@@ -95,18 +105,20 @@ class IsoReader:
         """The moves of the next stretch.
 
         Raises:
-            InputError: as `twin.nc.blocks.Dialect.moves`.
+            InputError: as `twin.nc.dialect.Dialect.moves`.
         """
         found = MoveBuilder(self._interpreter.names)
+        self.read_into(found, stretch)
+        return found.moves()
+
+    def read_into(self, found: MoveBuilder | MoveList, stretch: Stretch) -> None:
+        """As `read`, but collected by somebody else."""
         scan, first = stretch.scan, stretch.first
         for begin, end, together in runs(scan.plain, scan.blank):
             at = begin
-            while at < end:
-                if together and self._run(stretch, at, end, found):
-                    break
+            while at < end and not (together and self._run(stretch, at, end, found)):
                 self._line(first + at, scan.line(at), found)
                 at += 1
-        return found.moves()
 
     def notices(self) -> list[Notice]:
         """Those that came since they were last asked for."""
@@ -120,14 +132,8 @@ class IsoReader:
         self._left += len(found)
         return found
 
-    def _line(self, line: int, text: str, found: MoveBuilder) -> None:
-        """One line as `twin.nc.iso.Iso` reads it."""
+    def _line(self, line: int, text: str, found: MoveBuilder | MoveList) -> None:
         if text in BLANK:
-            return
-        match = self._match(text)
-        move = None if match is None else self._interpreter.plain(line, match)
-        if move is not None:
-            found.add(move)
             return
         block = self._interpreter.step(line, text)
         if block is not None:
@@ -135,10 +141,10 @@ class IsoReader:
             for one in block.moves:
                 found.add(one)
 
-    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
+    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder | MoveList) -> bool:
         """Plain lines all at once; whether the state allows that."""
         state = self._interpreter
-        if not _settled(state):
+        if not state.settled:
             return False
         scan = stretch.scan
         lines = begin + np.flatnonzero(scan.plain[begin:end])
@@ -175,19 +181,27 @@ class IsoRewriter:
         tcp: whether the control's kinematics are on at its first move.
     """
 
-    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool) -> None:
-        self._interpreter = PlainInterpreter(source, axes, tcp=tcp)
-        self._writer = Writer(source, axes, newline, style, expand_cycles=False)
-        self._match = iso_plain(axes.names).pattern.fullmatch
+    def __init__(
+        self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, expand_cycles: bool = False
+    ) -> None:
+        self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
+        self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles)
         self._grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
 
-    def write(self, stretch: Stretch, moves: MoveColumns, new: NewPositions) -> bytes:
+    def write(
+        self,
+        stretch: Stretch,
+        moves: MoveColumns,
+        new: NewPositions,
+        pieces: Mapping[int, Mapping[int, Pieces]] | None = None,
+    ) -> bytes:
         """The next stretch with its moves replaced.
 
         Args:
             stretch: the stretch.
             moves: its moves.
             new: what replaces them.
+            pieces: the same by line and place in it, where that is known.
         """
         scan = stretch.scan
         at_line = moves.line - stretch.first
@@ -200,21 +214,20 @@ class IsoRewriter:
             moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))]
         )
         bulk &= scan.plain
-        edits: list[Edits] = []
+        out: list[bytes] = []
         for begin, end, together in runs(bulk, scan.blank):
             at = begin
             while at < end:
-                if together:
-                    edit = self._run(scan, at, end, move_of, moves, new)
-                    if edit is not None:
-                        edits.append(edit)
-                        break
-                text = scan.line(at)
-                written = self._line(stretch.first + at, text, int(move_of[at]), moves, new)
-                if written != text:
-                    edits.append(replaced_line(scan, at, written))
+                run = self._run(scan, at, end, move_of, moves, new) if together else None
+                if run is not None:
+                    out.append(run)
+                    break
+                line, text = stretch.first + at, scan.line(at)
+                mine = _pieces(int(move_of[at]), moves, new) if pieces is None else pieces.get(line)
+                block = self._interpreter.step(line, text)
+                out.append((text if block is None else self._writer.block(line, block, mine)).encode("latin-1"))
                 at += 1
-        return assembled(scan.text, edits) if edits else scan.data
+        return b"".join(out)
 
     def _countable(self, named: np.ndarray, positions: np.ndarray) -> bool:
         """Whether values can be counted in steps, each axis having one in all rows, or in none and no word either."""
@@ -225,29 +238,12 @@ class IsoRewriter:
             return False
         return bool(np.abs(positions[:, everywhere]).max(initial=0.0) < LARGEST_STEPS * self._grids.step.min())
 
-    def _line(self, line: int, text: str, which: int, moves: MoveColumns, new: NewPositions) -> str:
-        """One line as `twin.nc.iso.Iso` writes it."""
-        pieces = None
-        if which >= 0 and new.count[which]:
-            move: Move = moves[which]
-            part = slice(new.first[which], new.first[which] + new.count[which])
-            vectors = None if move.vector is None else new.vectors[part]
-            rewrite = Rewrite(move, new.positions[part], vectors)
-            pieces = {0: (rewrite, rewrite.positions.tolist())}
-        match = self._match(text)
-        if match is not None:
-            written = self._writer.plain(line, match, self._interpreter, pieces)
-            if written is not None:
-                return written
-        block = self._interpreter.step(line, text)
-        return text if block is None else self._writer.block(line, block, pieces)
-
     def _run(
         self, scan: Scan, begin: int, end: int, move_of: np.ndarray, moves: MoveColumns, new: NewPositions
-    ) -> Edits | None:
+    ) -> bytes | None:
         """Plain lines all at once; None (and nothing done) where the state does not allow that."""
         state, writer = self._interpreter, self._writer
-        if not _settled(state) or state.inch or state.feed_mode == "93" or writer.style.keep > MOST_DIGITS:
+        if not state.settled or state.inch or state.feed_mode == "93" or writer.style.keep > MOST_DIGITS:
             return None
         lines = begin + np.flatnonzero(scan.plain[begin:end])
         if not lines.size:
@@ -257,8 +253,15 @@ class IsoRewriter:
             return None
         which = move_of[lines]
         habits = Habits(writer.style, writer.spaced, writer.lower)
-        edits, habits = edited(
-            scan, lines, new.count[which], new.positions[new.rows(which)], writer.said, habits, self._grids
+        text, habits = edited(
+            scan,
+            slice(int(scan.start[begin]), int(scan.end[end - 1])),
+            lines,
+            new.count[which],
+            new.positions[new.rows(which)],
+            writer.said,
+            habits,
+            self._grids,
         )
         writer.style, writer.spaced, writer.lower = habits.style, habits.spaced, habits.lower
         coded = lines[scan.code[lines] >= 0]
@@ -266,12 +269,17 @@ class IsoRewriter:
             writer.wide = bool(scan.wide[coded[-1]])
         writer.motion = state.motion = int(motion[-1])
         state.position = moves.position[which[-1]].tolist()
-        return edits
+        return text
 
 
-def _settled(state: PlainInterpreter) -> bool:
-    """Whether plain lines mean no more than they say."""
-    return state.cycle is None and state.offset == state.used_offset and not state.incremental and state.vector is None
+def _pieces(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, Pieces] | None:
+    """What replaces a move as the writer of blocks takes it; -1: none."""
+    if which < 0 or not new.count[which]:
+        return None
+    move: Move = moves[which]
+    part = slice(new.first[which], new.first[which] + new.count[which])
+    rewrite = Rewrite(move, new.positions[part], None if move.vector is None else new.vectors[part])
+    return {0: (rewrite, rewrite.positions.tolist())}
 
 
 def _motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | None:

@@ -20,12 +20,6 @@ MOST_DIGITS: Final = 15
 """Decimal digits every whole number of which a double holds."""
 _WHOLE_DIGITS: Final = 9
 """As of `twin.nc.plain.VALUE`."""
-_WHOLE_POWERS: Final = 10 ** np.arange(MOST_DIGITS + 1)
-_POWERS: Final = 10.0 ** np.arange(MOST_DIGITS + 1)
-_ROOM: Final = 16
-_LAST: Final = np.array([0x0F0F0F0F0F0F0F0F & ~((1 << 8 * (8 - kept)) - 1) for kept in range(9)], dtype=np.uint64)
-"""Bits of the last 0 to 8 of eight characters that make digits of them; the last character is the highest byte."""
-_KEPT: Final = {8: np.uint64(0x00FF00FF00FF00FF), 16: np.uint64(0x0000FFFF0000FFFF), 32: np.uint64(0xFFFFFFFF)}
 _OTHER, _LETTER, _DIGIT, _SIGN, _POINT, _BLANK, _END = range(7)
 _FOLLOWS: Final = {
     _LETTER: (_DIGIT, _SIGN, _POINT),
@@ -38,8 +32,8 @@ _FOLLOWS: Final = {
 """Which kinds of character a plain line may have behind one another."""
 _NUMBER, _CODE, _FEED = -3, -2, -1
 _NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
-"""Of the lines that `twin.nc.iso_state.Interpreter.step` finds nothing in, those that are a comment and nothing else."""
-_MINUS, _PLUS, _ZERO = b"-+0"
+"""Of the lines that `twin.nc.iso.interpreter.Interpreter.step` finds nothing in, those that are a comment and nothing else."""
+_MINUS, _PLUS, _ZERO, _SPACE = b"-+0 "
 
 
 @final
@@ -187,7 +181,11 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     said, width = text[stops[codes] - 1] - _ZERO, whole[codes]
     good[codes] &= (said <= 1) & ((width == 1) | ((width == 2) & (text[begin[codes]] == _ZERO)))
     plain[line[~good]] = False
-    which = np.flatnonzero((axis >= 0) & plain[line])
+    known = plain[line]
+    which = np.flatnonzero((axis >= 0) & known)
+    # The numbers of plain lines, in order, one to a letter.
+    digits = np.where(numeric & np.repeat(plain, end - start), text, np.uint8(_SPACE)).tobytes()
+    values = np.fromstring(digits, sep=" ")[axis[known] >= 0]
     named = np.bincount(line[which], minlength=lines)
     plain &= named > 0
     motion, wide = np.full(lines, -1, dtype=np.int8), np.zeros(lines, dtype=bool)
@@ -199,7 +197,7 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
         axis=axis.take(which),
         start=begin.take(which).astype(np.int32),
         end=stops.astype(np.int32),
-        value=_values(data, at.take(which), stops, whole, fraction, sign == _MINUS),
+        value=values,
         sign=sign,
         whole=whole.astype(np.int16),
         fraction=fraction.astype(np.int16),
@@ -218,31 +216,3 @@ def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
         returns[:-1] &= ~ends[1:]
         ends |= returns
     return np.flatnonzero(ends)
-
-
-def _values(
-    data: bytes, point: np.ndarray, stop: np.ndarray, whole: np.ndarray, fraction: np.ndarray, negative: np.ndarray
-) -> np.ndarray:
-    """Numbers that have so many digits up to their points, and behind these so many up to where they stop."""
-    # Windows of eight characters each, as numbers; in front there is room for the first one's.
-    eights = np.ndarray(len(data) + _ROOM - 7, "<u8", bytes(_ROOM) + data, strides=(1,))
-    found = _whole_numbers(eights, point, whole) * _WHOLE_POWERS[fraction] + _whole_numbers(eights, stop, fraction)
-    values = found / _POWERS[fraction]
-    return np.where(negative, -values, values)
-
-
-def _whole_numbers(eights: np.ndarray, stop: np.ndarray, digits: np.ndarray) -> np.ndarray:
-    """Whole numbers of so many digits that stop there, at most `MOST_DIGITS`."""
-    found = _of_eight(eights[stop + (_ROOM - 8)], np.minimum(digits, 8))
-    more = np.flatnonzero(digits > 8)
-    if more.size:
-        found[more] += 10**8 * _of_eight(eights[stop[more] + (_ROOM - 16)], digits[more] - 8)
-    return found
-
-
-def _of_eight(window: np.ndarray, digits: np.ndarray) -> np.ndarray:
-    """The number that the last few of eight characters are: pairs of neighbours put together three times (a digit, two, four)."""
-    window &= _LAST[digits]
-    for width, shift in ((8, 10), (16, 100), (32, 10_000)):
-        window = ((window * shift) + (window >> width)) & _KEPT[width]
-    return window.astype(np.int64)

@@ -1,0 +1,121 @@
+"""What every language of the family has to do, whichever it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.nc.nc_support import AXES
+from twin.nc import DIALECTS, dialect_for
+from twin.nc.blocks import Kind, Program, Rewrite
+from twin.nc.dialect import Dialect
+
+EVERY = pytest.mark.parametrize("dialect", DIALECTS, ids=lambda one: one.name)
+POINTS = np.array([[1.0, 2.0, 3.0], [1.5, -2.25, 3.0], [0.0, 0.0, -0.125]])
+
+
+def points_text(dialect: Dialect) -> str:
+    return dialect.from_points(AXES.linear, POINTS, 500.0, "points of a table", "part-1")
+
+
+def positions(dialect: Dialect, text: str) -> np.ndarray:
+    program = dialect.read(text.encode("latin-1"), "test")
+    return np.array([move.position[:3] for move in dialect.moves(program, AXES, tcp=True).moves])
+
+
+def test_names_and_suffixes_are_of_one_language() -> None:
+    assert len({one.name for one in DIALECTS}) == len(DIALECTS)
+    suffixes = [suffix for one in DIALECTS for suffix in one.suffixes]
+    assert len(set(suffixes)) == len(suffixes)
+    assert {suffix for one in DIALECTS for suffix in one.shared_suffixes} <= set(suffixes)
+
+
+@EVERY
+def test_found_by_suffix(dialect: Dialect) -> None:
+    for suffix in dialect.suffixes:
+        assert suffix.startswith(".") and suffix == suffix.lower()
+        assert dialect_for(Path(f"A{suffix.upper()}")) is dialect
+    for suffix in dialect.shared_suffixes:
+        assert dialect_for(Path(f"a{suffix}"), points_text(dialect).encode()) is dialect
+
+
+@EVERY
+def test_points_come_back_with_their_feed(dialect: Dialect) -> None:
+    text = points_text(dialect)
+    np.testing.assert_allclose(positions(dialect, text), POINTS, atol=1e-9)
+    lines = dialect.read(text.encode(), "test").texts
+    program = dialect.read(text.encode(), "test")
+    moving = {move.line for move in dialect.moves(program, AXES, tcp=True).moves}
+    first = min(moving)
+    assert all(dialect.only_moves(lines[line], AXES.names) for line in moving - {first})
+    assert any(dialect.is_remark(line) and "points of a table" in line for line in lines)
+    assert not any(dialect.is_remark(lines[line]) for line in moving)
+    assert "500" in text and dialect.feed_said(lines[first])[0] in ("500", "")
+
+
+@EVERY
+def test_a_move_is_rewritten_and_every_other_byte_kept(dialect: Dialect) -> None:
+    text = points_text(dialect)
+    program = dialect.read(text.encode(), "test")
+    reading = dialect.moves(program, AXES, tcp=True)
+    assert dialect.rewrite(program, AXES, reading, []) == text
+    move = reading.moves[1]
+    row = np.array([[1.75, -2.5, 3.5, np.nan, np.nan]])
+    written = dialect.rewrite(program, AXES, reading, [Rewrite(move, row)])
+    assert written != text
+    np.testing.assert_allclose(positions(dialect, written)[1], row[0, :3])
+    changed = [a != b for a, b in zip(program.texts, dialect.read(written.encode(), "test").texts, strict=True)]
+    assert changed[move.line] and not any(changed[: move.line])
+
+
+@EVERY
+def test_comments_stand_once_and_change_no_move(dialect: Dialect) -> None:
+    text = points_text(dialect)
+    once = dialect.commented(text, ["made by a test"])
+    assert "made by a test" in once.lower()
+    assert dialect.commented(once, ["made by a test"]) == once
+    np.testing.assert_array_equal(positions(dialect, once), positions(dialect, text))
+    assert dialect.commented(text, []) == text
+
+
+@EVERY
+def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
+    """A language is either written in axis words, or what others take over."""
+    if dialect.cutter_locations:
+        assert all(dialect.becomes(other) for other in DIALECTS)
+        with pytest.raises(ValueError, match="no axis words"):
+            dialect.new_program(AXES)
+        return
+    assert [other for other in DIALECTS if dialect.becomes(other)] == [dialect]
+    writer = dialect.new_program(AXES)
+    writer.start("part.cls")
+    writer.comment("a remark ~()")
+    writer.move([0.0, 0.0, 10.0, 0.0, 90.0], rapid=True)
+    writer.feed = 250.0
+    writer.move([1.0, 0.0, 10.0, 0.0, 90.0], rapid=False)
+    writer.finish()
+    text = "".join(writer.out)
+    program = dialect.read(text.encode(), "test")
+    moves = dialect.moves(program, AXES, tcp=False).moves
+    assert [move.kind for move in moves] == [Kind.RAPID, Kind.LINEAR]
+    np.testing.assert_allclose([move.position for move in moves], [[0, 0, 10, 0, 90], [1, 0, 10, 0, 90]])
+    assert dialect.renumbered(program, text) == text
+    with pytest.raises(ValueError, match="cannot be written"):
+        dialect.posted(program, dialect.moves(program, AXES, tcp=False), [], AXES, dialect)
+
+
+@EVERY
+def test_lines_taken_out_leave_the_others_their_numbers(dialect: Dialect) -> None:
+    """A program may hold empty texts where lines were (`twin path`): they stay empty, and count."""
+    program = dialect.read(points_text(dialect).encode(), "test")
+    gone = dialect.moves(program, AXES, tcp=True).moves[1].line
+    texts = tuple("" if index == gone else text for index, text in enumerate(program.texts))
+    left = Program(program.source, program.dialect, texts)
+    before, after = (dialect.moves(one, AXES, tcp=True) for one in (program, left))
+    assert [move.line for move in after.moves] == [move.line for move in before.moves if move.line != gone]
+    row = np.array([[0.0, 0.0, -0.25, np.nan, np.nan]])
+    text = dialect.rewrite(left, AXES, after, [Rewrite(after.moves[-1], row)])
+    assert text.count("\n") == len(texts) - 1
+    np.testing.assert_allclose(positions(dialect, text), [POINTS[0], row[0, :3]], atol=1e-9)

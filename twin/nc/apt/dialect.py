@@ -1,0 +1,137 @@
+"""APT cutter locations (``.cls``, ``.apt``) as a dialect: ``GOTO/x,y,z,i,j,k`` in the work frame."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin.nc.apt.reader import AptReader
+from twin.nc.apt.statements import Statement, statement_at, statements
+from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
+from twin.nc.blocks import AxisWords, Kind, Program, Reading, Rewrite
+from twin.nc.dialect import Dialect
+from twin.nc.emit import pieces_of
+from twin.nc.header import first_lines, inserted
+from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of, number
+
+_REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
+_LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
+_NOT_PER_MINUTE: Final = frozenset({"MMPR", "IPR", "PERREV", "INVERS"})
+
+
+@final
+class Apt(Dialect):
+    """APT cutter locations: tool-tip coordinates and tool vectors, whatever the machine's kinematics."""
+
+    name = "apt"
+    suffixes = (".cls", ".apt")
+    vector_decimals = VECTOR_DECIMALS
+    linear_increment_mm = 1e-5
+    cutter_locations = True
+
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+        """See `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
+        reader = AptReader(program.source, axes)
+        for statement in statements(program.texts):
+            reader.step(statement)
+        return Reading(tuple(reader.moves), tuple(reader.notices))
+
+    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+        """See `Dialect.rewrite`."""
+        by_line = pieces_of(reading, rewrites, axes)
+        if not by_line:
+            return program.text
+        reader = AptReader(program.source, axes)
+        writer = AptWriter(newline_of(program))
+        for statement in statements(program.texts):
+            before = len(reader.moves)
+            reader.step(statement)
+            pieces = by_line.get(statement.line) if len(reader.moves) > before else None
+            if pieces is None:
+                writer.keep(statement.raw, tilts=len(reader.moves) > before and len(statement.texts) == 6)
+            else:
+                writer.location(statement, *pieces[0], reader.unit)
+        return "".join(writer.out)
+
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`: behind ``PARTNO``."""
+        lines = first_lines(text)
+        at = place = 0
+        while place < len(lines):
+            statement, after = statement_at(lines, place)
+            if statement.word == "PARTNO":
+                at = after
+            elif statement.word:
+                break
+            place = after
+        return inserted(text, lines, at, comments, "$$ {}".format, _comment)
+
+    def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
+        """See `Dialect.from_points`."""
+        said = "" if feed is None else f"FEDRAT/{feed:g},MMPM\n"
+        style = Style(keep=5)
+        rows = [",".join(format_number(value, 9, style) for value in row) for row in points.tolist()]
+        return f"$$ {remark}\nUNITS/MM\n{said}" + "".join(f"GOTO/{row}\n" for row in rows) + "FINI\n"
+
+    def is_remark(self, text: str) -> bool:
+        """See `Dialect.is_remark`."""
+        return _REMARK.fullmatch(text) is not None
+
+    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.only_moves`."""
+        return _LOCATION.fullmatch(text) is not None
+
+    def posted(
+        self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+    ) -> str:
+        """See `Dialect.posted`."""
+        by_line = pieces_of(reading, rewrites, axes)
+        writer = into.new_program(axes)
+        writer.start(program.source)
+        unit = 1.0
+        move_of = {move.line: move for move in reading.moves}
+        for statement in statements(program.texts):
+            move = move_of.get(statement.line)
+            if move is not None:
+                rewrite, rows = by_line.get(statement.line, {}).get(0, (None, []))
+                if rewrite is None:
+                    raise ValueError(f"the move of line {statement.line + 1} has no position")
+                if not np.all(np.isfinite(rewrite.positions)):
+                    raise ValueError(f"the move of line {statement.line + 1} has an unknown axis position")
+                for row in rows:
+                    writer.move(row, rapid=move.kind is Kind.RAPID)
+            elif statement.word == "UNITS":
+                unit = MM_PER_INCH if statement.arguments and statement.texts[0].upper().startswith("INCH") else 1.0
+            elif statement.word == "FEDRAT":
+                writer.feed = _feed(statement, unit, writer.feed)
+                if _words(statement) & _NOT_PER_MINUTE:
+                    writer.comment(" ".join(statement.raw.split()))
+            elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
+                writer.comment(" ".join(statement.raw.split()))
+        writer.finish()
+        return "".join(writer.out)
+
+
+def _words(statement: Statement) -> set[str]:
+    return {text.upper() for text in statement.texts}
+
+
+def _feed(statement: Statement, unit: float, last: float) -> float:
+    """The feed of a ``FEDRAT`` in mm/min; what is not per minute leaves the last one."""
+    values = [v for v in (number(text) for text in statement.texts) if math.isfinite(v) and v > 0]
+    words = _words(statement)
+    if not values or words & _NOT_PER_MINUTE:
+        return last
+    if "IPM" in words:
+        return values[0] * MM_PER_INCH
+    return values[0] * (1.0 if "MMPM" in words else unit)
+
+
+def _comment(line: str) -> str | None:
+    """The text of a line that is a comment, or nothing; None of any other."""
+    body = line.strip()
+    return body[2:].strip() if body.startswith("$$") else None if body else ""

@@ -1,0 +1,167 @@
+"""The interpreter of APT statements: what each says in full out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin.nc.apt.statements import Statement
+from twin.nc.blocks import AxisWords, Kind, Move, Notice
+from twin.nc.emit import Vector
+from twin.nc.text import MM_PER_INCH, number, unit_vector
+
+_PASSED = frozenset(
+    """SPINDL COOLNT LOADTL TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD
+    SELECTL SELECT TPRINT TMARK LEADER INTOL OUTTOL TOLER PPRINT DISPLY TLDATA TURRET CLAMP AUXFUN PREFUN SEQNO OPTION
+    PREGO RETRCT CLEARP LINTOL MCHTOL REWIND INSERT MODE UNITS CUTCOM CYCLE ORIGIN PITCH CLRSRF TOOL SET CHKSUM LOAD
+    UNLOAD AIR MCHFIN NOPOST ARCSLP RESET PROGRAM TOOLPATH ENDOFPATH CATPROCESS TLAXIS REMARK BREAK PLABEL ISTOP
+    CONTRL DATE TIME VERSION OPERATION PROCESS""".split()
+)
+_REFUSED: dict[str, tuple[str, str]] = {
+    "GODLTA": ("incremental GODLTA", "absolute GOTO statements"),
+    **{
+        word: (f"curve {word}", "cutter locations linearised by CAM")
+        for word in ("CIRCLE", "ARC", "HELIX", "NURBS", "SPLINE", "MOVARC", "CONE", "CYLNDR", "ELLIPS", "POLYGN")
+    },
+    **{
+        word: (f"coordinate transformation {word}", "locations in one work frame")
+        for word in ("ROTATE", "TRANS", "COPY", "MIRROR", "MATRIX", "ROTABL", "ROTHED", "TRACUT", "INDEX", "REFSYS")
+    },
+    **{
+        word: (f"contour motion {word}", "GOTO statements written out by CAM")
+        for word in ("GOFWD", "GOBACK", "GOLFT", "GORGT", "GOUP", "GODOWN", "GO", "TLON", "TLLFT", "TLRGT", "INDIRV")
+    },
+    **{
+        word: ("control flow", "one program with every statement written out")
+        for word in ("CALL", "MACRO", "TERMAC", "LOOPST", "LOOPND", "JUMPTO", "IF", "DO", "TRANTO")
+    },
+}
+_IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+@final
+class AptReader:
+    """Interprets statements in order."""
+
+    def __init__(self, source: str, axes: AxisWords) -> None:
+        self.source = source
+        self.names = frozenset(axes.linear)
+        self.rotary = (math.nan,) * len(axes.rotary)
+        self.moves: list[Move] = []
+        self.notices: list[Notice] = []
+        self.unit = 1.0
+        self.rapid = False
+        self.vector: Vector = (0.0, 0.0, 1.0)
+        self._noted: set[str] = set()
+        self._line = 0
+
+    def refuse(self, what: str, value: object, expected: str) -> InputError:
+        """An error at the present statement."""
+        return InputError(what, expected=expected, file=self.source, line=self._line + 1, value=value)
+
+    def note(self, text: str, *, once: bool = False) -> None:
+        """A notice at the present statement."""
+        if not (once and text in self._noted):
+            self._noted.add(text)
+            self.notices.append(Notice(self._line, text))
+
+    def step(self, statement: Statement) -> None:
+        """Interpret one statement.
+
+        Raises:
+            InputError: with file, line and value, on whatever must not pass.
+        """
+        word = statement.word
+        if not word:
+            return
+        self._line = statement.line
+        if word in _MEANINGS:
+            _MEANINGS[word](self, statement)
+        elif word in _REFUSED:
+            what, expected = _REFUSED[word]
+            raise self.refuse(what, statement.raw.strip(), expected)
+        elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
+            self.note(f"a statement that is not understood passes through: {statement.raw.strip()[:60]}")
+
+    def _rapid(self, statement: Statement) -> None:
+        self.rapid = statement.word == "RAPID"
+
+    def _units(self, statement: Statement) -> None:
+        unit = statement.texts[0].upper() if statement.arguments else ""
+        if unit not in ("MM", "INCHES", "INCH"):
+            raise self.refuse("a unit that is not one", statement.raw.strip(), "UNITS/MM or UNITS/INCHES")
+        self.unit = 1.0 if unit == "MM" else MM_PER_INCH
+
+    def _home(self, statement: Statement) -> None:
+        self.note("GOHOME passes through uncompensated")
+
+    def _insert(self, statement: Statement) -> None:
+        self.note("INSERT passes text to the control that is not understood here")
+
+    def _frame(self, statement: Statement) -> None:
+        if [number(text) for text in statement.texts] != _IDENTITY[: len(statement.texts)]:
+            self.note("MSYS is not the identity: locations are taken in it, the work frame", once=True)
+
+    def _origin(self, statement: Statement) -> None:
+        if any(number(text) != 0.0 for text in statement.texts):
+            shown = statement.raw.strip()
+            raise self.refuse("coordinate transformation ORIGIN", shown, "locations in one work frame")
+
+    def _cycle(self, statement: Statement) -> None:
+        if not statement.arguments or statement.texts[0].upper() not in ("OFF", "NOMORE"):
+            raise self.refuse("canned cycle", statement.raw.strip(), "the cycle expanded into GOTO statements")
+
+    def _cutcom(self, statement: Statement) -> None:
+        if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
+            shown = statement.raw.strip()
+            raise self.refuse("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
+
+    def _mode(self, statement: Statement) -> None:
+        if any(text.upper().startswith("INCR") for text in statement.texts):
+            raise self.refuse("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
+
+    def _goto(self, statement: Statement) -> None:
+        texts = statement.texts
+        shown = statement.raw.strip()
+        if len(texts) not in (3, 6):
+            raise self.refuse(f"a location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
+        values = []
+        for text in texts:
+            value = number(text.replace("D", "E").replace("d", "e"))
+            if value != value:
+                raise self.refuse("a coordinate that is not a number", text or shown, "a number like 12.5")
+            values.append(value)
+        if len(values) == 6:
+            vector, length = unit_vector((values[3], values[4], values[5]))
+            if length == 0.0:
+                raise self.refuse("tool vector of zero length", shown, "a direction")
+            if abs(length - 1.0) > 1e-3:
+                self.note(f"tool vector of length {length:.6g} is taken as a direction")
+            self.vector = vector
+        unit = self.unit
+        position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
+        kind = Kind.LINEAR
+        if statement.word == "FROM":
+            kind = Kind.RAPID
+        elif self.rapid:
+            kind, self.rapid = Kind.RAPID, False
+        self.moves.append(Move(self._line, kind, True, position, self.names, vector=self.vector))
+
+
+_MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], None]]] = {
+    "CUTCOM": AptReader._cutcom,
+    "CYCLE": AptReader._cycle,
+    "FEDRAT": AptReader._rapid,
+    "FROM": AptReader._goto,
+    "GOHOME": AptReader._home,
+    "GOTO": AptReader._goto,
+    "INSERT": AptReader._insert,
+    "MODE": AptReader._mode,
+    "MSYS": AptReader._frame,
+    "ORIGIN": AptReader._origin,
+    "RAPID": AptReader._rapid,
+    "UNITS": AptReader._units,
+}
+"""What statements do that may change what locations mean, by their major word."""

@@ -1,0 +1,89 @@
+"""The writer of APT statements: locations replaced, every other byte kept."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, final
+
+from twin.nc.apt.statements import Statement
+from twin.nc.blocks import Kind, Rewrite
+from twin.nc.emit import vector_texts
+from twin.nc.text import Style, apply_edits, ending, format_number, style_of
+
+POSITION_DECIMALS: Final = 5
+VECTOR_DECIMALS: Final = 9
+_EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.ASCII)
+
+
+@final
+class AptWriter:
+    """Writes statements, remembering the vector said last.
+
+    Args:
+        newline: the line ending the program uses.
+    """
+
+    def __init__(self, newline: str) -> None:
+        self.newline = newline
+        self.out: list[str] = []
+        self._said: tuple[str, str, str] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
+
+    def keep(self, raw: str, *, tilts: bool) -> None:
+        """A statement that stays as it is; ``tilts``: it says a tool vector."""
+        self.out.append(raw)
+        if tilts:
+            self._said = None
+
+    def location(self, statement: Statement, rewrite: Rewrite, rows: list[list[float]], unit: float) -> None:
+        """The pieces of a location.
+
+        Args:
+            statement: the statement.
+            rewrite: what replaces it.
+            rows: its positions, as lists.
+            unit: mm per program unit.
+        """
+        raw, fields = statement.raw, statement.fields
+        style = Style()
+        decimals = [max(POSITION_DECIMALS, _decimals(text)) for _, _, text in fields[:3]]
+        edits: list[tuple[int, int, str]] = []
+        for (start, end, text), places, target in zip(fields, decimals, rows[0], strict=False):
+            if target == target:
+                style = style_of(text, style)._replace(keep=places, comma=False)
+                edits.append((start, end, format_number(target / unit, places, style)))
+        vectors: list[list[float] | None] = [None] * len(rows) if rewrite.vectors is None else rewrite.vectors.tolist()
+        written = len(fields) == 6
+        texts = self._vector(vectors[0], again=written)
+        if written:
+            edits += [(start, end, text) for (start, end, _), text in zip(fields[3:], texts, strict=False)]
+            self._said = self._said if texts else None
+        elif texts:
+            edits.append((fields[2].end, fields[2].end, f",{','.join(texts)}"))
+        end_of_line = ending(raw)
+        newline = end_of_line or self.newline
+        lines = [apply_edits(raw, edits) + ("" if end_of_line or len(rows) == 1 else newline)]
+        head = raw[: fields[0].start]
+        goto = head if "$" not in head and statement.word == "GOTO" else "GOTO/"
+        rapid = f"RAPID{newline}" if rewrite.move.kind is Kind.RAPID else ""
+        for row, vector in zip(rows[1:], vectors[1:], strict=True):
+            numbers = [
+                format_number(target / unit, places, style._replace(keep=places))
+                for target, places in zip(row, decimals, strict=False)
+            ]
+            lines.append(f"{rapid}{goto}{','.join([*numbers, *self._vector(vector, again=False)])}{newline}")
+        if not end_of_line and len(rows) > 1:
+            lines[-1] = lines[-1].removesuffix(newline)
+        self.out += lines
+
+    def _vector(self, vector: list[float] | None, *, again: bool) -> tuple[str, ...]:
+        """The components of a tool vector, none where it is the one said last; ``again``: even then."""
+        if vector is None:
+            return ()
+        texts = vector_texts(vector, VECTOR_DECIMALS, False)
+        new = again or texts != self._said
+        self._said = texts
+        return texts if new else ()
+
+
+def _decimals(text: str) -> int:
+    return 0 if _EXPONENT.fullmatch(text) else min(12, len(text.partition(".")[2]))

@@ -1,0 +1,1 @@
+"""Heidenhain plain language."""

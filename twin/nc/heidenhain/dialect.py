@@ -1,0 +1,164 @@
+"""Heidenhain plain language as a dialect."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
+from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
+from twin.nc.emit import pieces_of
+from twin.nc.header import FEED, REMARK, first_lines, inserted, missing
+from twin.nc.heidenhain import vocabulary
+from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
+from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
+from twin.nc.heidenhain.writer import HeidenhainWriter
+from twin.nc.text import BLANK, Style, lines_in, newline_of, style_in
+
+_REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
+
+
+@final
+class Heidenhain(Dialect):
+    """Heidenhain plain language."""
+
+    name = "heidenhain"
+    suffixes = (".h",)
+    shared_suffixes = (".txt",)
+    begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
+
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+        """See `Dialect.moves`."""
+        interpreter = HeidenhainInterpreter(program.source, axes, tcp=tcp)
+        moves: list[Move] = []
+        for index, text in enumerate(program.texts):
+            if text not in BLANK or interpreter.continued:
+                moves += interpreter.step(index, text).moves
+        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
+
+    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+        """See `Dialect.rewrite`."""
+        by_line = pieces_of(reading, rewrites, axes)
+        if not by_line:
+            return program.text
+        interpreter = HeidenhainInterpreter(program.source, axes, tcp=reading.moves[0].tcp)
+        style = style_in(program.texts, Style(plus=True))
+        writer = HeidenhainWriter(program.source, axes, newline_of(program), style)
+        for index, text in enumerate(program.texts):
+            pieces = by_line.get(index)
+            writer.block(interpreter.step(index, text), None if pieces is None else pieces[0])
+        return writer.text()
+
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`: behind ``BEGIN PGM``; the numbers of later blocks grow by those inserted."""
+        lines = first_lines(text)
+        at = next((i + 1 for i, line in enumerate(lines) if _body(line).upper().split()[:2] == ["BEGIN", "PGM"]), 0)
+        number = None if at == 0 else HEAD.match(lines[at - 1])
+        if number is None or number.group(1) is None:
+            return inserted(text, lines, at, comments, "; {}".format, _comment)
+        first = int(number.group(1)[:15]) + 1
+        new = missing(lines[at:], comments, _comment)
+        return inserted(
+            text,
+            lines,
+            at,
+            comments,
+            lambda line: f"{first + new.index(line)} ; {line}",
+            _comment,
+            lambda rest: _renumbered(rest, len(new)),
+        )
+
+    def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
+        """See `Dialect.from_points`."""
+        program = re.sub(r"\W", "_", title, flags=re.ASCII).upper() or "POINTS"
+        rows = [f"L {words}" for words in points_words(names, points, Style(plus=True))]
+        rows[0] += "" if feed is None else f" R0 F{feed:g}"
+        lines = [f"BEGIN PGM {program} MM", f"; {remark}", *rows, "M30", f"END PGM {program} MM"]
+        return "".join(f"{i} {line}\n" for i, line in enumerate(lines))
+
+    def is_remark(self, text: str) -> bool:
+        """See `Dialect.is_remark`."""
+        return _REMARK.fullmatch(text) is not None
+
+    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.only_moves`."""
+        return vocabulary.plain(names).pattern.fullmatch(text) is not None
+
+    def feed_said(self, text: str) -> tuple[str, bool | None]:
+        """See `Dialect.feed_said`."""
+        feeds = FEED.findall(REMARK.sub(" ", text))
+        return feeds[-1] if feeds else "", None
+
+    def renumbered(self, program: Program, text: str) -> str:
+        """See `Dialect.renumbered`."""
+        numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
+        if not numbers or numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+            return text
+        out, following = [], numbers[0]
+        for line in self.read(text.encode("latin-1"), program.source).texts:
+            head = HEAD.match(line)
+            if head is not None and head[1]:
+                line = numbered_as(line, head, following)
+                following += 1
+            out.append(line)
+        return "".join(out)
+
+    def new_program(self, axes: AxisWords) -> NewProgram:
+        """See `Dialect.new_program`."""
+        return _NewHeidenhain(axes, Style(plus=True))
+
+
+@final
+class _NewHeidenhain(NewProgram):
+    _title = "PROGRAM"
+
+    def start(self, source: str) -> None:
+        """See `NewProgram.start`."""
+        stem = source.replace("\\", "/").rpartition("/")[2].partition(".")[0]
+        title = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in stem).upper()
+        self._title = title or self._title
+        self._line(f"BEGIN PGM {self._title} MM")
+        self.comment(f"axis positions from cutter locations of {source}")
+
+    def comment(self, text: str) -> None:
+        """See `NewProgram.comment`."""
+        self._line(f"; {as_comment(text, '~')}")
+
+    def finish(self) -> None:
+        """See `NewProgram.finish`."""
+        self._line("M30")
+        self._line(f"END PGM {self._title} MM")
+
+    def _block(self, words: list[str], rapid: bool, feed: str) -> None:
+        end = ["R0", "FMAX"] if rapid else ["R0", f"F{feed}"] if feed else []
+        self._line(" ".join(["L", *words, *end]))
+
+    def _line(self, text: str) -> None:
+        self.out.append(f"{len(self.out)} {text}\n")
+
+
+def _body(line: str) -> str:
+    head = HEAD.match(line)
+    return line[0 if head is None else head.end() :].strip()
+
+
+def _comment(line: str) -> str | None:
+    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    body = _body(line)
+    return body[1:].strip() if body.startswith(";") else None if body else ""
+
+
+def _renumbered(text: str, by: int) -> str:
+    """Numbered blocks with larger numbers; a block that goes on over several lines has one."""
+    parts: list[str] = []
+    continued = False
+    for line in lines_in(text.encode("latin-1")):
+        head = HEAD.match(line)
+        if not continued and head is not None and head.group(1) is not None:
+            line = numbered_as(line, head, int(head.group(1)[:15]) + by)
+        parts.append(line)
+        continued = line.strip().endswith("~")
+    return "".join(parts)

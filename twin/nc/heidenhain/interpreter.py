@@ -1,0 +1,403 @@
+"""The interpreter of Heidenhain plain language: blocks in, what each says in full out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin.nc.arcs import Misfit, arc_by_centre, arc_by_radius
+from twin.nc.block import AxisWord, Span
+from twin.nc.blocks import Arc, AxisWords, Kind, Move
+from twin.nc.heidenhain import vocabulary
+from twin.nc.heidenhain.block import PathBlock
+from twin.nc.modal import Interpreter
+from twin.nc.text import MM_PER_INCH, number
+
+_PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
+
+
+@final
+class HeidenhainInterpreter(Interpreter):
+    """Reads blocks in order, keeping what is modal.
+
+    Attributes:
+        continued: whether the next line continues the present block (a cycle's parameters).
+    """
+
+    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
+        on = {"M128", *(word.upper() for word in axes.tcp_on)}
+        off = {"M129", *(word.upper() for word in axes.tcp_off)}
+        super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
+        self.plane = _PLANES["Z"]
+        self.centre: dict[int, float] = {}
+        self.continued = False
+        self._plain = vocabulary.plain(self.names)
+
+    def step(self, line: int, text: str) -> PathBlock:
+        """Interpret one line.
+
+        Args:
+            line: 0-based index of the line.
+            text: its text.
+
+        Raises:
+            InputError: with file, line and value.
+        """
+        self._line, self._shown = line, text
+        found = None if self.continued else self._plain.pattern.fullmatch(text)
+        block = None if found is None else self._plain_block(found)
+        if block is not None:
+            return block
+        head = vocabulary.HEAD.match(text)
+        begin = head.end() if head else 0
+        block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
+        block.keyword_end = begin
+        body = text[begin:].strip(" \t\r\n\f\x1a")
+        if self.continued:
+            block.numbered = False
+            self.continued = body.endswith("~")
+            self._assignments(body)
+        elif body and body[0] not in ";*%":
+            self._body(block, body)
+        return block
+
+    def _plain_block(self, match: re.Match[str]) -> PathBlock | None:
+        """Interpret a plain block by the words its pattern found; None where it has words that are not of its kind."""
+        text = match.string
+        spans = match.regs
+        start, end = spans[2]
+        has_others = (match.lastindex or 0) > 2 + len(self._plain.axes)
+        others = []
+        if has_others:
+            others = [(group, name) for group, name in self._plain.others if match.start(group) >= 0]
+            if others and end - start < 2:
+                return None
+        block = PathBlock(text, start, self.inch, numbered=match.start(1) >= 0, keyword=text[start:end].upper())
+        block.keyword_end = end
+        unit = MM_PER_INCH if self.inch else 1.0
+        seen, words, position = 0, block.words, self.position
+        for group, axis in self._plain.axes:
+            start, end = spans[group]
+            if end >= 0:
+                written = text[start:end]
+                value = number(written) if "," in written else float(written)
+                if axis < self.linear:
+                    value *= unit
+                seen |= 1 << axis
+                words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
+        block.seen = seen
+        feed = match.group(match.re.groups) if has_others else None
+        if feed is not None and feed[-1] in "xX":
+            block.rapid_text = feed
+        if others:
+            for group, name in others:
+                self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
+            self._move(block)
+            return block
+        for word in words:
+            position[word[0]] = word[-1]
+        if seen >> self.linear:
+            self.vector = None
+        kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
+        block.moves = (Move(self._line, kind, self.tcp, tuple(position), self.named(seen), False, self.vector),)
+        return block
+
+    def _body(self, block: PathBlock, body: str) -> None:
+        found = vocabulary.KEYWORD.match(body)
+        keyword = "" if found is None else found.group().upper()
+        if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
+            self._path(block, "", block.head)
+        elif found is None:
+            raise self.refuse("a block that is not understood", "a plain-language block such as L X+10 FMAX", body)
+        elif keyword in ("L", "LN", "C", "CR"):
+            self._path(block, keyword, block.head + found.end())
+        elif keyword == "CC":
+            self._pole(block, block.head + found.end())
+        else:
+            self.continued = body.endswith("~")
+            self._shown = body
+            self._statement(block, keyword, body)
+
+    # ------------------------------------------------------------------ statements
+
+    def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
+        upper = " ".join(body.split(";")[0].upper().split())
+        if keyword in vocabulary.REFUSED_PATHS:
+            raise self.refuse(f"path function {keyword}", vocabulary.LINEAR)
+        if keyword in _STATEMENTS:
+            _STATEMENTS[keyword](self, block, body, upper)
+        elif keyword[0] == "Q":
+            self._assignments(body)
+        elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
+            raise self.refuse("a word without a number", f"a number after {keyword}")
+        elif keyword not in vocabulary.PASSED:
+            what = "probing" if keyword == "TCH" else "a statement that is not understood"
+            self.note(f"{what} passes through, every axis is unknown afterwards: {body[:60]}")
+            self.forget(block, range(len(self.names)), moved=keyword == "TCH")
+
+    def _begin(self, block: PathBlock, body: str, upper: str) -> None:
+        unit = vocabulary.UNIT.match(body)
+        if unit is None or unit.group(1).upper() not in ("MM", "INCH"):
+            raise self.refuse("a unit that is not one", "BEGIN PGM name MM or INCH")
+        self.inch = unit.group(1).upper() == "INCH"
+
+    def _tool(self, block: PathBlock, body: str, upper: str) -> None:
+        axis = vocabulary.TOOL_AXIS.match(body) if "CALL" in upper else None
+        if axis is not None:
+            self.plane = _PLANES[axis.group(1).upper()]
+
+    def _call(self, block: PathBlock, body: str, upper: str) -> None:
+        if upper.startswith(("CALL", "IF")):
+            raise self.refuse("subprogram call or repetition", vocabulary.FLAT)
+
+    def _transform(self, block: PathBlock, body: str, upper: str) -> None:
+        if "RESET" not in upper:
+            name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
+            raise self.refuse(f"coordinate transformation {name}", vocabulary.BAKED)
+
+    def _tilt(self, block: PathBlock, body: str, upper: str) -> None:
+        if not upper.startswith("PLANE RESET"):
+            raise self.refuse("coordinate transformation PLANE", vocabulary.BAKED)
+        if "STAY" not in block.text.upper():
+            self.note("PLANE RESET may move the rotary axes; they are unknown afterwards")
+            self.forget(block, range(self.linear, len(self.names)))
+
+    def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
+        if upper.startswith("CYCL CALL"):
+            raise self.refuse("cycle call", vocabulary.EXPAND)
+        found = vocabulary.CYCLE.match(body)
+        if found is None:
+            raise self.refuse("a cycle without its number", "CYCL DEF and a number")
+        cycle, part, rest = int(found.group(1)), found.group(2), found.group(3).split(";")[0].strip(" \t\r\n~")
+        if cycle in vocabulary.RUN_AT_ONCE:
+            raise self.refuse(f"cycle {cycle} runs where it is defined", vocabulary.EXPAND)
+        if cycle == 247:
+            self.note("CYCL DEF 247 chooses a preset: its offset is the one given with --work-offset")
+        elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
+            what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
+            raise self.refuse(what, vocabulary.BAKED)
+        self._assignments(body)
+
+    def _fn(self, block: PathBlock, body: str, upper: str) -> None:
+        found = vocabulary.FN.match(body)
+        if found is None:
+            raise self.refuse("a parameter function without its number", "FN 0: Q1 = +5")
+        if 9 <= int(found.group(1)) <= 12:
+            raise self.refuse("control flow", vocabulary.FLAT)
+        self._assignments(found.group(2))
+
+    def _assignments(self, body: str) -> None:
+        for name, text in vocabulary.ASSIGNED.findall(body):
+            self.assign(name, number(text.strip()))
+
+    def _function(self, block: PathBlock, body: str, upper: str) -> None:
+        if upper.startswith("FUNCTION RESET TCPM"):
+            self.switch(block, False, "FUNCTION RESET TCPM")
+        elif upper.startswith("FUNCTION TCPM"):
+            self.switch(block, True, "FUNCTION TCPM")
+        elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
+            raise self.refuse("a function that changes what words mean", vocabulary.BAKED)
+
+    # ------------------------------------------------------------------ words of paths
+
+    def _path(self, block: PathBlock, keyword: str, at: int) -> None:
+        block.keyword, block.keyword_end = keyword, at
+        for match in vocabulary.TOKEN.finditer(block.text, at):
+            take = _TOKENS.get(match.lastgroup or "")
+            if take is not None:
+                take(self, block, match)
+        if block.retracts:
+            self.note("M140 retracts along the tool axis; the linear axes are unknown afterwards")
+        if block.words or block.vector_words or (keyword in ("C", "CR") and block.clockwise is not None):
+            self._move(block)
+        elif keyword in ("C", "CR"):
+            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+        if block.retracts:
+            self.forget(block, range(self.linear), moved=True)
+
+    def _axis_word(self, match: re.Match[str]) -> AxisWord:
+        prefix, name, written = match.group(2, 3, 4)
+        axis = self.index.get(name.upper(), -1)
+        if axis < 0:
+            raise self.no_axis(match.group().strip())
+        value = self._value(name, written)
+        if axis < self.linear and self.inch:
+            value *= MM_PER_INCH
+        return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "", bool(prefix), value)
+
+    def _value(self, name: str, written: str) -> float:
+        value = self.value_of(written)
+        if value == value:
+            return value
+        if "Q" in written.upper():
+            what = f"the value of {name} is not known here"
+            raise self.refuse(what, "a number, or a Q parameter set to one", written)
+        raise self.no_number(name, written)
+
+    def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
+        self.add(block, self._axis_word(match))
+
+    def _feed(self, block: PathBlock, match: re.Match[str]) -> None:
+        if match["feed"][-3:].upper() == "MAX":
+            block.rapid_text = match["feed"]
+
+    def _side(self, block: PathBlock, match: re.Match[str]) -> None:
+        if match["side"].upper() != "R0":
+            raise self.refuse(f"cutter radius compensation {match['side']}", "the tool centre path (R0)")
+
+    def _misc(self, block: PathBlock, match: re.Match[str]) -> None:
+        code = int(match.group(match.lastindex + 1) if match.lastindex else 0)
+        word = f"M{code}"
+        if code in vocabulary.REFUSED_M:
+            what = "cycle call" if code in (89, 99) else "a function that changes what words mean"
+            raise self.refuse(f"{what} {word}", vocabulary.EXPAND if code != 118 else vocabulary.BAKED)
+        if code in vocabulary.LAST_M:
+            block.last_m.append(Span(match.start("misc"), match.end()))
+        self.switch_by(block, word)
+        block.machine |= code in (91, 92)
+        block.retracts |= code == 140
+
+    def _sense(self, block: PathBlock, match: re.Match[str]) -> None:
+        block.clockwise = match["sense"].endswith("-")
+        block.arc_words.append(Span(match.start("sense"), match.end()))
+
+    def _radius(self, block: PathBlock, match: re.Match[str]) -> None:
+        if block.keyword != "CR":
+            raise self._stray(block, match)
+        written = match.group(match.lastindex + 1) if match.lastindex else ""
+        block.radius = self._value("R", written) * (MM_PER_INCH if self.inch else 1.0)
+        block.arc_words.append(Span(match.start("radius"), match.end()))
+
+    def _vector(self, block: PathBlock, match: re.Match[str]) -> None:
+        if block.keyword != "LN" or not match.lastindex:
+            raise self._stray(block, match)
+        name, written = match.group(match.lastindex + 1, match.lastindex + 2)
+        self._component(block, name, Span(match.end() - len(written), match.end(), name), match["vector"])
+
+    def _component(self, block: PathBlock, name: str, span: Span, shown: str) -> None:
+        """Take a component of a tool vector or of a surface normal."""
+        value = self._value(name, block.text[span.start : span.end])
+        index = "XYZ".index(name[1].upper())
+        if name[0] in "tT":
+            if index in block.vector_words:
+                raise self.refuse(f"{name} twice in one block", "each word once")
+            block.tool = block.tool or [0.0, 0.0, 0.0]
+            block.tool[index] = value
+            block.vector_words[index] = span
+        else:
+            block.normal = block.normal or [0.0, 0.0, 0.0]
+            block.normal[index] = value
+            block.normal_text.append(shown)
+
+    def _bad(self, block: PathBlock, match: re.Match[str]) -> None:
+        raise self._stray(block, match)
+
+    def _stray(self, block: PathBlock, match: re.Match[str]) -> InputError:
+        shown = block.text[match.start(match.lastgroup or 0) :].split(";")[0].strip()
+        letter = shown[:1].upper()
+        if letter in self.index or letter in "FMRI":
+            return self.refuse(f"{letter} has no number", f"a number after {letter}", shown)
+        if letter in "XYZABCUVW":
+            return self.no_axis(shown)
+        return self.refuse("a word that is not understood", "axis words, R0, F and M", shown)
+
+    # ------------------------------------------------------------------ moves
+
+    def _pole(self, block: PathBlock, at: int) -> None:
+        found: dict[int, float] = {}
+        for match in vocabulary.TOKEN.finditer(block.text, at):
+            if match.lastgroup == "note":
+                continue
+            if match.lastgroup != "axis":
+                raise self._stray(block, match)
+            if self.index.get(match.group(3).upper(), self.linear) >= self.linear:
+                raise self.no_axis(match.group().strip())
+            word = self._axis_word(match)
+            found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
+        if found:
+            self.centre.update(found)
+        else:
+            self.centre = dict(enumerate(self.position[: self.linear]))
+
+    def _move(self, block: PathBlock) -> None:
+        kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
+        names = self.named(block.seen)
+        if block.machine:
+            if block.keyword in ("C", "CR", "LN"):
+                raise self.refuse("machine coordinates in an arc", "an L block")
+            position = self.machine_position(block)
+            block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
+            return
+        start = self.position[: self.linear]
+        self.take(block)
+        if block.tool is not None:
+            vector = self.direction("tool vector", block.tool)
+            if not self.tcp:
+                what = "a tool vector while the control's kinematics are off"
+                raise self.refuse(what, "M128 or FUNCTION TCPM first")
+            self.turn_to(block, vector)
+        elif block.seen >> self.linear:
+            self.vector = None
+        arc: Arc | None = None
+        if block.keyword in ("C", "CR"):
+            kind = Kind.ARC
+            arc = self._arc(block, start)
+        elif block.arc_words:
+            raise self.refuse("DR outside a circular block", "C or CR")
+        normal = None if block.normal is None else self.direction("surface normal", block.normal)
+        position = tuple(self.position)
+        block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
+
+    def _arc(self, block: PathBlock, start: list[float]) -> Arc:
+        if block.clockwise is None:
+            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+        a, b, _ = self.plane
+        from_, to = (start[a], start[b]), (self.position[a], self.position[b])
+        if block.keyword == "CR":
+            if block.radius is None:
+                raise self.refuse("CR without a radius", "R+10 or R-10")
+            return self.checked(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
+        if a in self.centre and b in self.centre:
+            centre = (self.centre[a], self.centre[b])
+            return self.checked(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
+        return self.checked(Misfit("a circular block without its centre", "CC before it"))
+
+
+_TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
+    "axis": HeidenhainInterpreter._axis,
+    "side": HeidenhainInterpreter._side,
+    "feed": HeidenhainInterpreter._feed,
+    "sense": HeidenhainInterpreter._sense,
+    "radius": HeidenhainInterpreter._radius,
+    "vector": HeidenhainInterpreter._vector,
+    "misc": HeidenhainInterpreter._misc,
+    "bad": HeidenhainInterpreter._bad,
+}
+"""What each kind of `vocabulary.TOKEN` does; those that are not here pass."""
+
+_STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str, str], None]]] = {
+    "BEGIN": HeidenhainInterpreter._begin,
+    "CALL": HeidenhainInterpreter._call,
+    "CYCL": HeidenhainInterpreter._cycle,
+    "FN": HeidenhainInterpreter._fn,
+    "FUNCTION": HeidenhainInterpreter._function,
+    "IF": HeidenhainInterpreter._call,
+    "PLANE": HeidenhainInterpreter._tilt,
+    "POLARKIN": HeidenhainInterpreter._transform,
+    "SEL": HeidenhainInterpreter._call,
+    "TOOL": HeidenhainInterpreter._tool,
+    "TRANS": HeidenhainInterpreter._transform,
+}
+"""What statements do, by their first word."""
+
+
+def _cancels(cycle: int, rest: str) -> bool:
+    """Whether the values of a transformation cycle are those that cancel it."""
+    values = [number(text) for text in vocabulary.NUMBERS.findall(rest)]
+    if cycle in (11, 26):
+        return bool(values) and all(value == 1.0 for value in values)
+    if cycle in (8, 19) and not rest:
+        return True
+    return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)

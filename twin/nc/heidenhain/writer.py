@@ -1,0 +1,110 @@
+"""The writer of plain language: moves replaced in their blocks, blocks renumbered where lines were inserted."""
+
+from __future__ import annotations
+
+from typing import final
+
+from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.emit import vector_texts
+from twin.nc.heidenhain.block import PathBlock
+from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
+from twin.nc.text import Style
+from twin.nc.writer import Edit, Pieces, WordWriter
+
+VECTOR_DECIMALS = 7
+
+
+@final
+class HeidenhainWriter(WordWriter[PathBlock]):
+    """Writes a program block by block, remembering what the output said.
+
+    Args:
+        source, axes, newline, style: as of `WordWriter`.
+    """
+
+    equals = ""
+    signed = True
+
+    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style) -> None:
+        super().__init__(source, axes, newline, style)
+        self._out: list[str] = []
+        self._numbered: list[bool] = []
+        self._inserted = False
+
+    def text(self) -> str:
+        """The whole output, blocks renumbered where lines were inserted among numbered ones."""
+        if not self._inserted:
+            return "".join(self._out)
+        parts = []
+        following = -1
+        for text, numbered in zip(self._out, self._numbered, strict=True):
+            head = HEAD.match(text) if numbered else None
+            if head is not None and head.group(1) is not None:
+                following = int(head.group(1)[:15]) if following < 0 else following + 1
+                text = numbered_as(text, head, following)
+            parts.append(text)
+        return "".join(parts)
+
+    def block(self, block: PathBlock, pieces: Pieces | None) -> None:
+        """Write one block, its move replaced if there are pieces."""
+        if block.forgets:
+            self.said.forget(block.forgets)
+        if block.switched:
+            self._vector_text = None
+        lines = [block.text]
+        if pieces is not None and block.moves:
+            if block.words:
+                self.lower = block.text[block.words[-1].value_start - 1].islower()
+            lines = self.rewritten(block, pieces)
+            if block.forgets and not block.switched:
+                self.said.forget(block.forgets)
+        elif block.moves:
+            self.heard(block)
+        self._out += lines
+        self._numbered += [block.numbered] * len(lines)
+        self._inserted |= block.numbered and len(lines) > 1
+
+    def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
+        keyword = block.text[block.head : block.keyword_end]
+        if rewrite.move.kind is Kind.ARC:
+            keyword = "l" if keyword.islower() else "L"
+        return keyword
+
+    def _insert(self, block: PathBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
+        text = block.text
+        if tool and begin.upper() == "L":  # only LN blocks take a vector
+            begin = "ln" if begin.islower() else "LN"
+        if block.keyword and begin != text[block.head : block.keyword_end]:
+            edits.append((block.head, block.keyword_end, begin))
+        words = " ".join(added + tool)
+        if words:
+            at = max((word.end for word in block.words), default=block.keyword_end)
+            if block.keyword or block.words:
+                edits.append((at, at, f" {words}"))
+            else:
+                edits.append((at, at, f"L {words} "))
+            if not block.keyword and block.words:
+                edits.append((block.head, block.head, "L "))  # a paraxial block moves one axis only
+        indent = text[: block.head] if block.numbered or not text[: block.head].strip() else ""
+        return f"{indent}{begin if block.keyword else 'L'} "
+
+    def _tails(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
+        return [block.rapid_text] * len(rewrite.positions) if block.rapid_text else []
+
+    def _later(self, block: PathBlock, row: list[float], vector: list[float] | None) -> list[str]:
+        words = self._missing(block, row, 0)
+        if vector is not None:
+            before = self._vector_text
+            if block.keyword == "LN":
+                self._vector_text = None  # an LN block says its vectors in full
+            tool = self._vector(block, vector, None)
+            if words or self._vector_text != before:
+                words += [*block.normal_text, *tool]
+        return words
+
+    def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
+        x, y, z = vector_texts(vector, VECTOR_DECIMALS, True)
+        return (x.replace(".", ","), y.replace(".", ","), z.replace(".", ",")) if self.style.comma else (x, y, z)
+
+    def _vector_names(self, block: PathBlock) -> tuple[str, ...]:
+        return ("TX", "TY", "TZ")

@@ -1,0 +1,183 @@
+"""ISO programs as a dialect."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final, final
+
+import numpy as np
+
+from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
+from twin.nc.columns import MoveBuilder, MoveList
+from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
+from twin.nc.emit import pieces_of
+from twin.nc.header import FEED, REMARK, first_lines, inserted
+from twin.nc.iso import vocabulary
+from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.stream import GONE, STRETCH_LINES, IsoReader, IsoRewriter, stretches
+from twin.nc.text import BOM, Style, newline_of, style_in
+
+_TAPE: Final = re.compile(
+    r"%.*|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
+    re.IGNORECASE,
+)
+"""Lines before which nothing may stand: tape mark, program number or name, ``PROC``."""
+_NUMBER: Final = re.compile(r"[ \t]*(?:/\d?[ \t]*)?(?:N\d+[ \t]*)?", re.IGNORECASE)
+_ROUND: Final = re.compile(r"\(([^()]*)\)[ \t]*;?")
+_SIEMENS: Final = re.compile(
+    r"%_N_|\b(?:TRAORI|TRAFOOF|SUPA|ORIWKS|ORIMKS|FGROUP|CYCLE\d+|PROC|MSG)\b|\$[APSM]\w*_|=[ \t]*(?:AC|IC|DC|ACP|ACN)[ \t]*\(",
+    re.IGNORECASE,
+)
+_REMARK: Final = re.compile(
+    r"[ \t]*+(?:N\d++[ \t]*+)?+(?:\([^()\r\n]*+\)[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
+)
+_FEED_MODE: Final = re.compile(r"(?<![A-Z\d])G0*(9[345])(?![\d.])", re.ASCII | re.IGNORECASE)
+
+
+@final
+class Iso(Dialect):
+    """G-code."""
+
+    name = "iso"
+    suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
+    in_stretches = True
+
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+        """See `Dialect.moves`."""
+        reader = IsoReader(program.source, axes, tcp=tcp)
+        found = MoveList(axes.names)
+        for stretch in stretches(program, axes.names):
+            reader.read_into(found, stretch)
+        return Reading(tuple(found.moves), tuple(reader.notices()), tuple(reader.left()))
+
+    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+        """See `Dialect.rewrite`."""
+        by_line = pieces_of(reading, rewrites, axes)
+        if not by_line:
+            return program.text
+        writer = IsoRewriter(
+            program.source,
+            axes,
+            newline_of(program),
+            style_in(program.texts, Style(point=True)),
+            # A switch of kinematics before the first move makes the start irrelevant, else the first move shows it.
+            tcp=reading.moves[0].tcp,
+            # A cycle is written out where one of its strokes, or the block that it follows, is rewritten.
+            expand_cycles=any(
+                before.line == move.line in by_line
+                for before, move in zip(reading.moves, reading.moves[1:], strict=False)
+            ),
+        )
+        columns = MoveBuilder(axes.names)
+        for move in reading.moves:
+            columns.add(move)
+        moves = columns.moves()
+        entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]
+        count = np.array([0 if entry is None else len(entry[1]) for entry in entries])
+        rows = [entry[0].positions for entry in entries if entry is not None]
+        positions = np.concatenate([np.zeros((0, len(axes.names))), *rows])
+        new = NewPositions(np.cumsum(count) - count, count, positions, np.zeros((0, 3)))
+        cuts = np.searchsorted(moves.line, np.arange(0, len(program.texts), STRETCH_LINES))
+        out = [
+            writer.write(stretch, moves.part(first, last), new.part(first, last), by_line)
+            for stretch, first, last in zip(
+                stretches(program, axes.names), cuts, np.append(cuts[1:], len(moves)), strict=True
+            )
+        ]
+        return b"".join(out).decode("latin-1").replace(GONE, "")
+
+    def commented(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.commented`: behind tape mark and program number.
+
+        In round brackets, or behind a semicolon where the program's own comments or words are those of a SINUMERIK.
+        """
+        lines = first_lines(text)
+        at = place = 0
+        while place < len(lines) and (_is_tape(lines[place]) or _comment(lines[place]) is not None):
+            at = place + 1 if _is_tape(lines[place]) else at
+            place += 1
+        style = "; {}" if _uses_semicolon(lines) else "({})"
+        return inserted(text, lines, at, comments, style.format, _comment)
+
+    def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
+        """See `Dialect.from_points`."""
+        first, *others = points_words(names, points, Style(point=True))
+        said = "" if feed is None else f" F{feed:g}"
+        body = "".join(f"{words}\n" for words in others)
+        return f"%\n({remark})\nG21 G90 G94\nG1 {first}{said}\n{body}M30\n%\n"
+
+    def is_remark(self, text: str) -> bool:
+        """See `Dialect.is_remark`."""
+        return _REMARK.fullmatch(text) is not None
+
+    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.only_moves`."""
+        return vocabulary.plain(names).pattern.fullmatch(text) is not None
+
+    def feed_said(self, text: str) -> tuple[str, bool | None]:
+        """See `Dialect.feed_said`."""
+        bare = REMARK.sub(" ", text)
+        feeds, modes = FEED.findall(bare), _FEED_MODE.findall(bare)
+        return feeds[-1] if feeds else "", modes[-1] == "93" if modes else None
+
+    def new_program(self, axes: AxisWords) -> NewProgram:
+        """See `Dialect.new_program`."""
+        return _NewIso(axes, Style(point=True))
+
+
+@final
+class _NewIso(NewProgram):
+    _code = -1
+
+    def start(self, source: str) -> None:
+        """See `NewProgram.start`."""
+        self.out.append("%\n")
+        self.comment(f"axis positions from cutter locations of {source}")
+        self.out.append("G21 G90 G94\n")
+
+    def comment(self, text: str) -> None:
+        """See `NewProgram.comment`."""
+        self.out.append(f"({as_comment(text, '()')})\n")
+
+    def finish(self) -> None:
+        """See `NewProgram.finish`."""
+        self.out.append("M30\n%\n")
+
+    def _block(self, words: list[str], rapid: bool, feed: str) -> None:
+        code = 0 if rapid else 1
+        head = [f"G{code}"] if code != self._code else []
+        self._code = code
+        self.out.append(" ".join([*head, *words, *([f"F{feed}"] if feed else [])]) + "\n")
+
+
+def _is_tape(line: str) -> bool:
+    return _TAPE.match(line.removeprefix(BOM).strip()) is not None
+
+
+def _bare(line: str) -> str:
+    """A line without its skip mark and number."""
+    return line[_NUMBER.match(line).end() :].strip()  # type: ignore[union-attr]  # it matches anything
+
+
+def _comment(line: str) -> str | None:
+    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    body = _bare(line.removeprefix(BOM))
+    if body.startswith(";"):
+        return body[1:].strip()
+    if not body:
+        return ""
+    found = _ROUND.fullmatch(body)
+    return None if found is None else found.group(1).strip()
+
+
+def _uses_semicolon(lines: Sequence[str]) -> bool:
+    if any(map(_SIEMENS.search, lines)):
+        return True
+    for body in map(_bare, lines):
+        if body.startswith("("):
+            return False
+        # A semicolon at the end of a line is the end of a block; with text behind it a comment.
+        if body.partition(";")[2].strip():
+            return True
+    return False

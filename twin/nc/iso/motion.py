@@ -1,0 +1,223 @@
+"""What ISO blocks do to the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from twin.nc.arcs import PLANES, Misfit, arc_by_centre, arc_by_radius
+from twin.nc.block import AxisWord, Span
+from twin.nc.blocks import Arc, AxisWords, Kind, Move
+from twin.nc.iso import vocabulary
+from twin.nc.iso.block import Drilling, IsoBlock, Item
+from twin.nc.modal import Interpreter
+from twin.nc.text import MM_PER_INCH, number
+
+CENTRE: Final = {"I": 0, "J": 1, "K": 2}
+SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
+_KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
+
+
+class IsoMotion(Interpreter):
+    """The modal state that decides what axis words mean, and what blocks do to it."""
+
+    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
+        on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
+        off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
+        super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
+        self.motion: int | None = None
+        self.plane = 17
+        self.incremental = False
+        self.absolute_centre = False
+        self.feed_mode = "94"
+        self.length_vector = False
+        self.offset: str | None = None
+        self.offset_line = 0
+        self.used_offset: str | None = None
+        self.cycle: Drilling | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether a plain line means no more than it says."""
+        return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
+
+    def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
+        """Make the moves of a block whose axis words are known.
+
+        Args:
+            block: the block.
+            centre: its words of a centre, a radius, full turns or a tool vector.
+            machine: whether its axis words are machine coordinates.
+
+        Raises:
+            InputError: a word contradicts another or the modal state.
+        """
+        motion = self.motion
+        if machine:
+            if centre or self.cycle is not None:
+                raise self.refuse("machine coordinates in an arc or a cycle", "a straight move")
+            kind = Kind.RAPID if motion == 0 else Kind.LINEAR
+            position = self.machine_position(block)
+            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.seen), machine=True),)
+            return
+        start = self.position[: self.linear]
+        self.take(block)
+        vector = self._vector(block, centre) if centre else None
+        arc: Arc | None = None
+        if motion is None:
+            self.note("axes move before any of G0, G1, G2, G3: taken as a linear move", once=True)
+        elif motion >= 2:
+            if vector is not None or (self.length_vector and self.tcp):
+                raise self.refuse("an arc with a tool vector", vocabulary.LINEAR)
+            arc = self._arc(block, centre, start)
+        elif centre and vector is None:
+            first = centre[0]
+            shown = block.text[first.start : first.end]
+            raise self.refuse(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
+        self._use_offset()
+        if vector is not None:
+            self.turn_to(block, vector)
+        elif block.seen >> self.linear:
+            self.vector = None
+        if self.vector is not None:
+            block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
+        if block.skip:
+            self.note("block skip: taken as executed", once=True)
+        kind = Kind.LINEAR if motion is None else _KINDS[motion]
+        named = self.named(block.seen)
+        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
+        if self.cycle is not None:
+            self._drill(block, self.cycle)
+
+    def take(self, block: IsoBlock) -> None:  # type: ignore[override]
+        """Go where the words of a block say, the shorter or the said way round where they say so."""
+        turning = [word for word in block.words if word.form and word.form in vocabulary.WAYS]
+        before = [self.position[word.axis] for word in turning]
+        super().take(block)
+        for word, last in zip(turning, before, strict=True):
+            if last == last:
+                turn = (word.value - last) % 360.0
+                if (word.form == "ACN" and turn > 0.0) or (word.form == "DC" and turn > 180.0):
+                    turn -= 360.0
+                self.position[word.axis] = round(last + turn, 9)
+
+    def _use_offset(self) -> None:
+        if self.offset is None or self.offset == self.used_offset:
+            return
+        if self.used_offset is not None:
+            expected = f"one work offset in a program (moves so far are in G{self.used_offset})"
+            raise self.refuse("a second work offset", expected, f"G{self.offset}", self.offset_line + 1)
+        self.used_offset = self.offset
+
+    # ------------------------------------------------------------------ words
+
+    def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
+        """Return an axis word with its value.
+
+        Raises:
+            InputError: that is not known, and the block is not in machine coordinates.
+        """
+        name, start, end, value_start, value_end, text = item
+        axis = self.index[name]
+        form = ""
+        value = number(text)
+        if value != value:
+            wrapped = vocabulary.WRAPPED.fullmatch(text)
+            if wrapped is not None:
+                form, text = wrapped.group(1).upper(), wrapped.group(2)
+                value_start, value_end = value_start + wrapped.start(2), value_start + wrapped.end(2)
+            value = self.value_of(text)
+            if value != value and not machine:
+                if vocabulary.LITERAL.fullmatch(text):
+                    raise self.no_number(name, text)
+                raise self.refuse(f"the value of {name} is not known here", "a number, or a variable set to one", text)
+        if self.inch and axis < self.linear:
+            value *= MM_PER_INCH
+        incremental = form == "IC" or (form == "" and self.incremental)
+        return tuple.__new__(AxisWord, (axis, start, end, value_start, value_end, form, incremental, value))
+
+    def _vector(self, block: IsoBlock, centre: list[Item]) -> tuple[float, float, float] | None:
+        by_length = self.length_vector and self.tcp and self.motion in (None, 0, 1)
+        components = [0.0, 0.0, 0.0]
+        for name, start, end, value_start, value_end, text in centre:
+            index = SPINDLE_VECTOR.get(name)
+            if index is None and by_length:
+                index = CENTRE.get(name)
+            if index is None:
+                continue
+            if not self.tcp:
+                raise self.refuse(f"tool vector {name} while the control's kinematics are off", "TRAORI first", text)
+            components[index] = self.value_of(text)
+            if components[index] != components[index]:
+                raise self.no_number(name, text)
+            if index in block.vector_words:
+                raise self.refuse(f"{name} twice in one block", "each word once")
+            block.vector_words[index] = Span(value_start, value_end, block.text[start:end])
+        return self.direction("tool vector", components) if block.vector_words else None
+
+    def _arc(self, block: IsoBlock, items: list[Item], start: list[float]) -> Arc:
+        a, b, _ = plane = PLANES[self.plane]
+        scale = MM_PER_INCH if self.inch else 1.0
+        centre: dict[int, float] = {}
+        radius: float | None = None
+        turns = 0
+        for name, begin, end, _, _, text in items:
+            block.arc_words.append(Span(begin, end, name))
+            wrapped = vocabulary.WRAPPED.fullmatch(text)
+            value = self.value_of(wrapped.group(2) if wrapped else text)
+            if value != value:
+                raise self.no_number(name, text)
+            if name in ("R", "CR"):
+                radius = value * scale
+            elif name not in CENTRE:
+                if value != int(value) or not 0 <= value < 1e6:
+                    raise self.refuse(f"{name} is not a number of turns", "a whole number", text)
+                turns = int(value) if name == "TURN" else max(0, int(value) - 1)
+            elif CENTRE[name] in centre:
+                raise self.refuse(f"{name} twice in one block", "each word once")
+            else:
+                axis = CENTRE[name]
+                absolute = wrapped.group(1).upper() == "AC" if wrapped else self.absolute_centre
+                centre[axis] = value * scale + (0.0 if absolute else start[axis])
+                if axis not in (a, b):
+                    raise self.refuse(f"{name} outside the plane G{self.plane}", "a centre in the plane")
+        clockwise = self.motion == 2
+        from_, to = (start[a], start[b]), (self.position[a], self.position[b])
+        if radius is not None and not centre:
+            return self.checked(arc_by_radius(plane, from_, to, radius, clockwise, turns))
+        if centre and radius is None:
+            middle = (centre.get(a, start[a]), centre.get(b, start[b]))
+            return self.checked(arc_by_centre(plane, from_, to, middle, clockwise, turns))
+        return self.checked(Misfit("an arc needs either a centre or a radius", "I, J, K or R (CR=)"))
+
+    # ------------------------------------------------------------------ drilling
+
+    def drilling(self, name: str, arguments: str) -> Drilling | None:
+        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be told.
+
+        Args:
+            name: the cycle.
+            arguments: its argument list, with parentheses.
+        """
+        wanted = {"CYCLE81": 5, "CYCLE82": 6}.get(name)
+        texts = [part.strip() for part in arguments[1:-1].split(",")]
+        if self.plane != 17 or self.tcp or wanted is None or not 4 <= len(texts) <= wanted:
+            return None
+        texts += [""] * (6 - len(texts))
+        retract, reference, distance, depth, relative, dwell = (self.value_of(text) if text else 0.0 for text in texts)
+        if not texts[3]:
+            depth = reference - abs(relative)
+        approach = reference + abs(distance)
+        if not (depth < reference and retract >= approach and math.isfinite(dwell + depth)):
+            return None
+        unit = MM_PER_INCH if self.inch else 1.0
+        return Drilling(approach * unit, depth * unit, f"G4 F{texts[5]}" if dwell > 0 else "", retract * unit)
+
+    def _drill(self, block: IsoBlock, cycle: Drilling) -> None:
+        if self.incremental or self.tcp or self.vector is not None or block.last_m:
+            raise self.refuse("canned cycle", vocabulary.EXPAND)
+        named = frozenset(self.names[2:3])
+        for height, kind in ((cycle.approach, Kind.RAPID), (cycle.depth, Kind.LINEAR), (cycle.retract, Kind.RAPID)):
+            self.position[2] = height
+            block.moves += (Move(self._line, kind, False, tuple(self.position), named),)
+        block.dwell = cycle.dwell

@@ -1,0 +1,253 @@
+"""The writer of ISO programs: moves replaced in their blocks, every other byte kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin.nc.block import AxisWord, Span
+from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.emit import vector_texts
+from twin.nc.iso.block import IsoBlock
+from twin.nc.iso.vocabulary import WAYS
+from twin.nc.text import Style, ending, format_number, number, style_of
+from twin.nc.writer import Edit, Pieces, WordWriter
+
+VECTOR_DECIMALS: Final = 7
+_CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
+
+
+@final
+class IsoWriter(WordWriter[IsoBlock]):
+    """Writes an ISO program block by block, remembering what the output said.
+
+    Args:
+        source, axes, newline, style: as of `WordWriter`.
+        expand_cycles: whether drilling cycles are written out.
+
+    Attributes:
+        motion: motion code in force in the output (None: before the first, or uncertain).
+        spaced: whether words stand apart.
+        wide: whether motion words have two digits.
+    """
+
+    def __init__(
+        self, source: str, axes: AxisWords, newline: str, style: Style, *, expand_cycles: bool = False
+    ) -> None:
+        super().__init__(source, axes, newline, style)
+        self.expand_cycles = expand_cycles
+        self.motion: int | None = None
+        self.spaced = True
+        self.wide = False
+
+    @property
+    def separator(self) -> str:  # type: ignore[override]
+        """What stands between words."""
+        return " " if self.spaced else ""
+
+    def block(self, line: int, block: IsoBlock, pieces: Mapping[int, Pieces] | None) -> str:
+        """The output for one block.
+
+        Args:
+            line: 0-based index of its line.
+            block: as interpreted.
+            pieces: what replaces its moves, by the move's place in the block.
+        """
+        self._line = line
+        if block.switched or block.forgets:
+            self.said.forget(block.forgets)
+            if block.switched:
+                self._vector_text = None
+        moves = block.moves
+        if pieces and 0 in pieces:
+            self._see(block)
+            text = "".join(self.rewritten(block, pieces[0]))
+        elif moves:
+            text = self._kept(block)
+        else:
+            text = block.text
+            if block.motion_word is not None:
+                self.motion = block.motion
+            if block.cycle_word is not None and self.expand_cycles:
+                at = block.cycle_word.start
+                text = f"{text[:at]};{text[at:]}"
+        self._doubt(block)
+        if len(moves) > 1 and self.expand_cycles:
+            text += self._strokes(block, pieces or {}, text)
+        elif len(moves) > 1:
+            self.said.heard(2, moves[-1].position[2], False)
+        return text
+
+    def _doubt(self, block: IsoBlock) -> None:
+        """Behind a block that the operator can skip, nothing it said is certain."""
+        if block.skip:
+            self.said.doubt(range(len(self.names)))
+            self._vector_text = None
+            self.motion = None
+
+    def _kept(self, block: IsoBlock) -> str:
+        """A block whose move stays: its text, with the motion word it relied on where the output's differs."""
+        text = block.text
+        self.heard(block)
+        if block.motion_word is None and block.motion is not None and self.motion != block.motion:
+            starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
+            at = min(starts, default=block.head)
+            separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
+            text = f"{text[:at]}{self._g(block.motion)}{separator}{text[at:]}"
+        if block.motion is not None:
+            self.motion = block.motion
+        return text
+
+    def _strokes(self, block: IsoBlock, pieces: Mapping[int, Pieces], text: str) -> str:
+        """The strokes of a drilling cycle, written out as blocks."""
+        end = ending(block.text) or self.newline
+        out = [] if ending(text) else [end]
+        for place in range(1, len(block.moves)):
+            move = block.moves[place]
+            for row in pieces[place][1] if place in pieces else [list(move.position)]:
+                words = self._missing(block, row, 0)
+                code = _CODE[move.kind]
+                if words and self.motion != code:
+                    words.insert(0, self._g(code))
+                    self.motion = code
+                if words:
+                    out.append(block.skip + " ".join(words) + end)
+            if place == 2 and block.dwell:
+                out.append(block.skip + block.dwell + end)
+        self._doubt(block)
+        return "".join(out)
+
+    # ------------------------------------------------------------------ one block
+
+    def _see(self, block: IsoBlock) -> None:
+        """How this program spaces words and writes letters."""
+        words, text = block.words, block.text
+        if words:
+            first = words[0].start
+            if len(words) > 1:
+                self.spaced = text[words[1].start - 1] in " \t"
+            elif first > 0 and (block.motion_word is not None or block.head > 0):
+                self.spaced = text[first - 1] in " \t"
+            self.lower = text[first].islower()
+        elif block.motion_word is not None:
+            self.lower = text[block.motion_word.start] == "g"
+
+    def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
+        """Make the motion word say a straight move; the word to insert, if one is needed."""
+        code = _CODE[rewrite.move.kind] if block.motion is not None else None
+        before, self.motion = self.motion, self.motion if code is None else code
+        span = block.motion_word
+        if span is not None:
+            self.motion = code
+            self.wide = len(block.text[span.start + 1 : span.end].strip()) > 1
+            if block.motion != code:
+                edits.append((span.end - 1, span.end, str(code)))
+            return ""
+        return "" if code is None or before == code else self._g(code)
+
+    def _insert(self, block: IsoBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
+        text, separator = block.text, self.separator
+        words = added + tool
+        if begin and block.words:
+            first = min(word.start for word in block.words)
+            edits.append((first, first, f"{begin}{separator}"))
+        elif begin:
+            words = [begin, *words]
+        if not words:
+            return block.skip
+        joined = separator.join(words)
+        if block.words or block.motion_word is not None:
+            at = max([word.end for word in block.words] or [block.motion_word.end if block.motion_word else 0])
+            glue = separator or (" " if not text[at - 1].isdigit() and text[at - 1] != "." else "")
+            edits.append((at, at, f"{glue}{joined}"))
+            return block.skip
+        at = block.head
+        before = separator if at > 0 and text[at - 1 : at].isalnum() else ""
+        after = separator if text[at:].strip() and not text[at : at + 1].isspace() else ""
+        edits.append((at, at, f"{before}{joined}{after}"))
+        return block.skip
+
+    def _tails(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
+        """Inverse time feeds, each for its piece."""
+        if not block.inverse_time or block.motion is None or _CODE[rewrite.move.kind] != 1:
+            return []
+        span, rows = block.feed, len(rewrite.positions)
+        if span is None:
+            raise InputError(
+                "an inverse time block without F cannot be split",
+                expected="an F word in every block of G93",
+                file=self.source,
+                line=self._line + 1,
+                value=block.text.strip(),
+            )
+        factors = [float(rows)] * rows if rewrite.shares is None else (1.0 / rewrite.shares).tolist()
+        feeds = [self._faster(block, span, factor) for factor in factors]
+        edits.append((span.start, span.end, feeds[0]))
+        letter = block.text[span.start - 1]
+        return [f"{letter if letter.upper() == 'F' else 'F'}{feed}" for feed in feeds]
+
+    def _faster(self, block: IsoBlock, span: Span, factor: float) -> str:
+        """An inverse time feed for one of several pieces."""
+        old = block.text[span.start : span.end]
+        value = number(old)
+        decimals = max(4, len(old.partition(".")[2]))
+        return format_number((value if math.isfinite(value) else 0.0) * factor, decimals, style_of(old, self.style))
+
+    # ------------------------------------------------------------------ words
+
+    def _g(self, code: int) -> str:
+        return f"{'g' if self.lower else 'G'}{'0' if self.wide else ''}{code}"
+
+    def _number(self, block: IsoBlock, word: AxisWord, target: float) -> str:
+        if word.form not in WAYS:
+            return super()._number(block, word, target)
+        old = block.text[word.value_start : word.value_end]
+        value = number(old)
+        self.style = style_of(old, self.style) if value == value else self.style
+        self.said.say(word.axis, target, block.inch, False, self.style)
+        turn = self.said.value[word.axis] % 360.0
+        return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
+
+    def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
+        if not word.form:
+            return word.value_start, word.value_end, self._number(block, word, target)
+        head = self._head(block, word, target)
+        new = self._number(block, word, target)
+        return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
+
+    def _head(self, block: IsoBlock, word: AxisWord, target: float) -> str:
+        """What stands before the value of a word with a way round; one that is no longer needed becomes the short way.
+
+        ``C=ACP(30)`` from 30 stays there, but ``C=ACP(29.999)`` would go round once.
+        """
+        if word.form not in ("ACP", "ACN"):
+            return ""
+        head = block.text[word.start : word.value_start]
+        if abs(target - self.said.value[word.axis]) > 180.0:
+            return head
+        at = head.upper().rindex(word.form)
+        return f"{head[:at]}{'DC' if head[at].isupper() else 'dc'}{head[at + 3 :]}"
+
+    def _later(self, block: IsoBlock, row: list[float], vector: list[float] | None) -> list[str]:
+        forms = {word.axis: word for word in block.words if word.form}
+        if not forms:
+            return super()._later(block, row, vector)
+        words = []
+        for axis in self.said.missing(row, 0, block.inch):
+            word = forms.get(axis)
+            if word is None:
+                words.append(self._added(block, axis, row[axis]))
+            else:
+                before = self._head(block, word, row[axis]) or block.text[word.start : word.value_start]
+                after = block.text[word.value_end : word.end]
+                words.append(f"{before}{self._number(block, word, row[axis])}{after}")
+        return words + ([] if vector is None else self._vector(block, vector, None))
+
+    def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
+        return vector_texts(vector, VECTOR_DECIMALS, False)
+
+    def _vector_names(self, block: IsoBlock) -> tuple[str, ...]:
+        names = block.vector_names or ()
+        return tuple(name.lower() for name in names) if self.lower else names

@@ -1,0 +1,206 @@
+"""What the writers of languages of words share: blocks rewritten word by word, every other byte kept."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Generic, TypeVar
+
+from twin._common.errors import InputError
+from twin.nc.block import AxisWord, Block, Span
+from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.emit import Said
+from twin.nc.text import Style, apply_edits, ending, number, style_of
+
+Pieces = tuple[Rewrite, list[list[float]]]
+"""What replaces a move, and its positions as lists."""
+Edit = tuple[int, int, str]
+
+
+B = TypeVar("B", bound=Block)
+
+
+class WordWriter(ABC, Generic[B]):
+    """Writes a program block by block, remembering what the output said.
+
+    Args:
+        source: the program's name.
+        axes: axis words.
+        newline: the line ending it uses.
+        style: of its numbers.
+
+    Attributes:
+        said: what the output last said of every axis.
+        lower: whether letters are small.
+    """
+
+    separator = " "
+    equals = "="
+    signed = False
+    """Whether every number carries a sign."""
+
+    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style) -> None:
+        self.source = source
+        self.names = axes.names
+        self.linear = len(axes.linear)
+        self.newline = newline
+        self.style = style
+        self.said = Said(axes)
+        self.lower = False
+        self._line = 0
+        self._vector_text: tuple[str, str, str] | None = None
+
+    def heard(self, block: B) -> None:
+        """Take note of a block whose move stays."""
+        move = block.moves[0]
+        for word in block.words:
+            if move.machine:
+                self.said.forget((word.axis,))
+            elif word.form in ("DC", "ACP", "ACN"):
+                self.said.heard(word.axis, move.position[word.axis], False)
+            else:
+                self.said.heard(word.axis, word.value, word.incremental)
+        if block.vector_words or block.seen >> self.linear:
+            self._vector_text = None
+
+    def rewritten(self, block: B, pieces: Pieces) -> list[str]:
+        """The lines that replace a block.
+
+        Args:
+            block: the block; its first move is replaced.
+            pieces: by what.
+        """
+        rewrite, rows = pieces
+        many = len(rows) > 1
+        vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
+        edits: list[Edit] = []
+        begin = self._begin(block, rewrite, edits)
+        row = rows[0]
+        for word in block.words:
+            target = row[word[0]]
+            if target == target:
+                edits.append(self._replaced(block, word, target))
+            else:
+                self.said.heard(word.axis, word.value, word.incremental)
+        added = self._missing(block, rows[0], block.seen)
+        tool: list[str] = []
+        if vectors is not None:
+            tool = self._vector(block, vectors[0], edits)
+        elif block.vector_words:
+            self._vector_text = None
+        if rewrite.move.kind is Kind.ARC:
+            _drop(block, block.arc_words, edits)
+        tails = self._tails(block, rewrite, edits) if many else []
+        last_m = _drop(block, block.last_m, edits) if many else []
+        begin = self._insert(block, begin, added, tool, edits)
+        lines = [apply_edits(block.text, edits) if edits else block.text]
+        if not many:
+            return lines
+        end = ending(block.text)
+        lines[0] += "" if end else self.newline
+        for place in range(1, len(rows)):
+            words = self._later(block, rows[place], None if vectors is None else vectors[place])
+            if words and tails:
+                words.append(tails[place])
+            if place == len(rows) - 1:
+                words += last_m
+            if words:
+                lines.append(f"{begin}{self.separator.join(words)}{end or self.newline}")
+        if not end:
+            lines[-1] = lines[-1].removesuffix(self.newline)
+        return lines
+
+    @abstractmethod
+    def _begin(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> str:
+        """Make a block one that goes straight; what it has to begin with."""
+
+    @abstractmethod
+    def _insert(self, block: B, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
+        """Put the words that a block lacks where they belong; what the lines of later pieces begin with."""
+
+    @abstractmethod
+    def _tails(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
+        """What stands at the end of each of several pieces, for the first one as an edit; empty for nothing."""
+
+    @abstractmethod
+    def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
+        """The components of a tool vector as this program writes them."""
+
+    @abstractmethod
+    def _vector_names(self, block: B) -> Sequence[str]:
+        """The names of the tool vector's words, none where the block can have none."""
+
+    def _later(self, block: B, row: list[float], vector: list[float] | None) -> list[str]:
+        """The words of a piece behind the first."""
+        return self._missing(block, row, 0) + ([] if vector is None else self._vector(block, vector, None))
+
+    # ------------------------------------------------------------------ words
+
+    def _number(self, block: B, word: AxisWord, target: float) -> str:
+        """The number of an axis word for a target."""
+        axis, _, _, start, end, _, incremental, _ = word
+        old = block.text[start:end]
+        value = number(old)
+        style = self.style
+        if value == value:
+            style = style_of(old, style)
+            if self.signed and not style.plus:
+                style = style._replace(plus=True)
+            self.style = style
+        if incremental:
+            self._check(axis)
+        return self.said.replace(axis, old, value, target, block.inch, incremental, style)
+
+    def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
+        return word.value_start, word.value_end, self._number(block, word, target)
+
+    def _missing(self, block: B, row: list[float], written: int) -> list[str]:
+        """Words for the axes that are not where they should be; ``written``: those that have one, as bits."""
+        axes = self.said.missing(row, written, block.inch)
+        return [self._added(block, axis, row[axis]) for axis in axes]
+
+    def _added(self, block: B, axis: int, target: float) -> str:
+        name = self.names[axis].lower() if self.lower else self.names[axis]
+        if block.incremental:
+            self._check(axis)
+        text = self.said.say(axis, target, block.inch, block.incremental, self.style)
+        return f"{name}{self.equals if len(name) > 1 else ''}{text}"
+
+    def _check(self, axis: int) -> None:
+        if self.said.value[axis] != self.said.value[axis]:
+            raise InputError(
+                f"{self.names[axis]} is incremental where its position is unknown",
+                expected="absolute position first",
+                file=self.source,
+                line=self._line + 1,
+                value=self.names[axis],
+            )
+
+    def _vector(self, block: B, vector: list[float], edits: list[Edit] | None) -> list[str]:
+        """Words of a tool vector: replaced where the block has them (edits), the others returned."""
+        names = self._vector_names(block)
+        if not names:
+            if block.vector_words:
+                self._vector_text = None
+            return []
+        texts = self._vector_words(vector)
+        written = block.vector_words if edits is not None else {}
+        if texts == self._vector_text and not written:
+            return []
+        self._vector_text = texts
+        words = []
+        for index, text in enumerate(texts):
+            span = written.get(index)
+            if span is not None and edits is not None:
+                edits.append((span.start, span.end, text))
+            elif not written or self.signed or float(text) != 0.0:
+                words.append(f"{names[index]}{text}")
+        return words
+
+
+def _drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
+    """Take words out of a block, with the spaces before them; their texts."""
+    text = block.text
+    for span in spans:
+        edits.append((len(text[: span.start].rstrip(" \t")), span.end, ""))
+    return [text[span.start : span.end] for span in spans]
