@@ -189,7 +189,6 @@ UNITS = {
     "identification": ["µm", "µrad", "mm", "°"],
     "map": ["µm", "mm, °"],
     "pose uncertainty": ["µm"],
-    "monte carlo": ["µm"],
     "population": ["µm"],
     "forecast": ["µm", "µrad", "mm"],
 }
