@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from twin.compensation.toolpath import axis_words
 from twin.compute.native import compiler
 from twin.compute.parallel import Workers
 from twin.diagnosis.candidates.flaws import flaw
-from twin.diagnosis.judgement.evidence import evidence
 from twin.diagnosis.wording import words
 from twin.identification.axis_run import AxisLayout, load_readings
 from twin.identification.spread import FitStatistics
@@ -185,13 +183,6 @@ def test_a_curve_with_more_terms_than_its_readings_have_stops() -> None:
     assert flaw(space, curve, np.arange(1.0, 5.0), np.eye(4)) == ""
 
 
-def test_an_effect_without_a_sentence_of_its_own_is_still_named() -> None:
-    quantity = SimpleNamespace(name="size", value=3.0, u=0.5, unit="um")
-    form: Any = SimpleNamespace(candidate=SimpleNamespace(effect="new_effect", where="X"))
-    found: Any = SimpleNamespace(quantities=((quantity,),), effects=((),))
-    assert evidence(form, found, 0) == "X: an error of the kind new effect (6 standard uncertainties)"
-
-
 def test_a_number_that_is_not_finite_is_unknown_in_words() -> None:
     nan, inf = float("nan"), float("inf")
     assert words.measured(3.0, inf, "µm") == words.measured(3.0, nan, "µm") == "3 µm, uncertainty unknown"
@@ -205,7 +196,7 @@ def test_a_fit_without_degrees_of_freedom_is_written_and_read(dmu50: twin.Machin
     path = tmp_path / "i.json"
     path.write_text(sample("identified").replace('"reduced_chi2": 1.0', '"reduced_chi2": null').replace("0.4", "null"))
     read = Identified.load(path, twin.Calibration.zero(dmu50))
-    assert np.isnan(read.reduced_chi2) and np.isnan(read.p_value)
+    assert read.misfit.reduced_chi2 is None and read.misfit.p_value is None
 
 
 def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(

@@ -65,7 +65,7 @@ def test_z_is_read_from_the_wrong_end(dmu50: Machine, calibration: Calibration) 
     """Listing 3.4 indexes Z's table, which runs from 0 down, with a negative number."""
     method = ThesisMethod(calibration, Kinematics(dmu50, Calibration.zero(dmu50)))
     curve = calibration.curves["E_ZZ"]
-    read = method._read("E_ZZ", np.array([-50.0, 0.0]))
+    read = method._read("E_Z", 2, np.array([[0.0, 0.0, -50.0, 0.0, 0.0], np.zeros(5)]))
     assert read == pytest.approx([curve(-351.0) - curve(0.0), 0.0])
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.uncertainty.population import Draws, Part
+from twin.uncertainty.population import Draws, Tally
 
 
 def squared(shared: int, task: int) -> int:
@@ -29,7 +29,7 @@ def refusing(shared: int, task: int) -> int:
     return task
 
 
-def drawn_and_once_dead(shared: tuple[Draws, Path], task: tuple[int, int]) -> Part:
+def drawn_and_once_dead(shared: tuple[Draws, Path], task: tuple[int, int]) -> Tally:
     """Machines; the first worker that has the third task ends as if somebody had pulled the plug."""
     draws, mark = shared
     if task[0] == 2 and not mark.exists():
