@@ -90,13 +90,13 @@ class Rival(Method):
             placed = readings(load(table, own), own, Calibration.default(own), None)
         except InputError as error:
             return str(error)
-        problem, known, _ = placed.without(placed.bad)
+        posed = placed.without(placed.bad)
         # What may be wrong with the calibration itself is never hidden here, and a plain regression cannot ask for it.
-        choice = [candidate for candidate in known.candidates if candidate.effect not in UNHIDDEN]
+        choice = [candidate for candidate in posed.known.candidates if candidate.effect not in UNHIDDEN]
         origin = {candidate.key: candidate.origin for candidate in choice}
         causes = [
             {"effect": key[0], "where": key[1], "origin": origin[key], "parameters": [], "equivalent": []}
-            for key in self.names(problem, choice)
+            for key in self.names(posed.problem, choice)
         ]
         verdict = "explained" if causes else "consistent"
         said = {"schema": SCHEMA, "verdict": verdict, "causes": causes, "unexplained": None, "gain": None}

@@ -110,7 +110,6 @@ def load_urdf(path: Path) -> pin.Model:
 def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
     """Raise `InputError` unless the axes and frames of a machine file are in its URDF, each once, with a range."""
     joints = [name for name in source.names if name != "universe"]
-    bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
     seen: set[str] = set()
     used: set[str] = set()
     for index, entry in enumerate(entries.axes):
@@ -144,6 +143,11 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
                 raise fail("range", "a linear axis without limits", "range: [lower, upper] in mm", entry.range)
         elif not entry.range[0] < entry.range[1]:
             raise fail("range", "an empty range", "[lower, upper] with lower < upper", list(entry.range))
+    _check_frames(entries, source, path, lines)
+
+
+def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
+    bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
     for key in ("tool", "work"):
         if getattr(entries.frames, key) not in bodies:
             raise InputError(

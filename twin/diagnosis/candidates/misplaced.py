@@ -6,9 +6,10 @@ E_CB, or puts a rotary axis's errors before the whole chain (Ellingsdalen 2021, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations, zip_longest
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -62,48 +63,88 @@ MISPLACED: Final = Specification(
 )
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class _Curves:
+    """The calibration's curves.
+
+    Attributes:
+        given: what candidates are made from.
+        motions: the curves.
+        functions: of the state, one a curve.
+        index: of each axis's first error component.
+    """
+
+    given: Given
+    motions: Sequence[ErrorMotion]
+    functions: Functions
+    index: Mapping[str, int]
+
+    def of(self, axis: Axis) -> dict[int, int]:
+        """Component → number of the curve, of one axis."""
+        return {split_name(m.name)[0]: k for k, m in enumerate(self.motions) if m.frame.axis == axis.name}
+
+
 def misplaced(given: Given) -> Catalogue:
     """Every curve as another component, every axis's curves at another joint and before the chain, and what is exchanged."""
-    machine, data, calibration, state = given.machine, given.data, given.calibration, given.state
-    index = {axis.name: first_component(machine, axis.name) for axis in machine.axes}
-    motions = [effect for effect in calibration.effects if isinstance(effect, ErrorMotion)]
+    motions = [effect for effect in given.calibration.effects if isinstance(effect, ErrorMotion)]
     if not motions:
         return Catalogue(())
-    curves = known(np.stack([np.broadcast_to(_values(motion, state), len(data)) for motion in motions], axis=1))
-    found = []
-    for k, motion in enumerate(motions):
+    count, index = (
+        len(given.data),
+        {axis.name: first_component(given.machine, axis.name) for axis in given.machine.axes},
+    )
+    values = [np.broadcast_to(_values(motion, given.state), count) for motion in motions]
+    curves = _Curves(given, motions, known(np.stack(values, axis=1)), index)
+    every = (_as_others, _exchanged_names, _at_other_joints, _exchanged_axes)
+    return Catalogue(tuple(candidate for some in every for candidate in some(curves)))
+
+
+def _as_others(curves: _Curves) -> Iterator[Candidate]:
+    for k, motion in enumerate(curves.motions):
         component, _, name = split_name(motion.name)
+        at = curves.index[name]
         for other, letter in enumerate(DIRECTIONS):
             if other != component and (other < 3) == _kind(motion):
-                parts = [(index[name] + component, curves, k, -1.0), (index[name] + other, curves, k, 1.0)]
-                where = f"{motion.name} as E_{letter}{name}"
-                found.append(_one(where, of_components(parts), _renamed(motion, f"E_{letter}{name}", calibration)))
-    for (k, one), (n, other_motion) in combinations(enumerate(motions), 2):
-        if one.frame == other_motion.frame and _kind(one) == _kind(other_motion):
-            at = index[one.frame.axis]
-            places = [at + split_name(motion.name)[0] for motion in (one, other_motion)]
+                meant = f"E_{letter}{name}"
+                parts = [(at + component, curves.functions, k, -1.0), (at + other, curves.functions, k, 1.0)]
+                build = _renamed(motion, meant, curves.given.calibration)
+                yield _one(f"{motion.name} as {meant}", of_components(parts), build)
+
+
+def _exchanged_names(curves: _Curves) -> Iterator[Candidate]:
+    for (k, one), (n, other) in combinations(enumerate(curves.motions), 2):
+        if one.frame == other.frame and _kind(one) == _kind(other):
+            first, second = (curves.index[one.frame.axis] + split_name(motion.name)[0] for motion in (one, other))
             parts = [
-                (i, curves, c, sign)
-                for i, way in zip(places, (1.0, -1.0), strict=True)
+                (place, curves.functions, c, sign)
+                for place, way in ((first, 1.0), (second, -1.0))
                 for c, sign in ((n, way), (k, -way))
             ]
-            found.append(_swapped_names(one, other_motion, of_components(parts)))
-    for axis in machine.axes:
-        own = {split_name(m.name)[0]: k for k, m in enumerate(motions) if m.frame.axis == axis.name}
+            yield _swapped_names(one, other, of_components(parts))
+
+
+def _at_other_joints(curves: _Curves) -> Iterator[Candidate]:
+    data, axes = curves.given.data, curves.given.machine.axes
+    for axis in axes:
+        own = curves.of(axis)
         if not own:
             continue
-        taken = [(index[axis.name] + i, curves, k, -1.0) for i, k in own.items()]
-        for other_axis in machine.axes:
-            if other_axis.name != axis.name and other_axis.side == axis.side:
-                placed = [(index[other_axis.name] + i, curves, k, 1.0) for i, k in own.items()]
-                found.append(_one(f"{axis.name} at {other_axis.name}", of_components([*taken, *placed])))
-        before = _before_the_chain(own, curves, data.carrier == axis.side)
-        found.append(_one(f"{axis.name} at {BASE}", scaled_to([*of_components(taken).parts, *before])))
-    for a, b in combinations(machine.axes, 2):
-        column = _swapped_axes(a, b, motions, state, index) if a.side == b.side and a.linear == b.linear else None
-        if column is not None:
-            found.append(_one(f"{a.name} and {b.name} exchanged", column))
-    return Catalogue(tuple(found))
+        taken = [(curves.index[axis.name] + i, curves.functions, k, -1.0) for i, k in own.items()]
+        for other in axes:
+            if other.name != axis.name and other.side == axis.side:
+                placed = [(curves.index[other.name] + i, curves.functions, k, 1.0) for i, k in own.items()]
+                yield _one(f"{axis.name} at {other.name}", of_components([*taken, *placed]))
+        before = _before_the_chain(own, curves.functions, data.carrier == axis.side)
+        yield _one(f"{axis.name} at {BASE}", scaled_to([*of_components(taken).parts, *before]))
+
+
+def _exchanged_axes(curves: _Curves) -> Iterator[Candidate]:
+    for a, b in combinations(curves.given.machine.axes, 2):
+        if a.side == b.side and a.linear == b.linear:
+            column = _swapped_axes(a, b, curves.motions, curves.given.state, curves.index)
+            if column is not None:
+                yield _one(f"{a.name} and {b.name} exchanged", column)
 
 
 def _kind(motion: ErrorMotion) -> bool:
