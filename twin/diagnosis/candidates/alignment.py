@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -69,7 +68,12 @@ def _parts(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]
     return [(name, later & of) for name, of in some if 0 < np.count_nonzero(later & of) < np.count_nonzero(of)]
 
 
-def frame_shifts(given: Given) -> Catalogue:
+def alignments(given: Given) -> Catalogue:
+    """The frame of the instrument, and every target, from each round on."""
+    return Catalogue((*_frame_shifts(given), *_target_shifts(given)))
+
+
+def _frame_shifts(given: Given) -> list[Candidate]:
     """The frame of the instrument from each round on; of each station by itself where there are several."""
     found = []
     for name, later in _later(given):
@@ -79,18 +83,16 @@ def frame_shifts(given: Given) -> Catalogue:
             where = f"round {name}" if alone else f"station {station} from round {name}"
             columns = reading(FRAME, mask, UM)
             found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Cell(columns),), 1.0))
-    return Catalogue(tuple(found))
+    return found
 
 
-def target_shifts(given: Given) -> Catalogue:
+def _target_shifts(given: Given) -> list[Candidate]:
     """Every target from each round on."""
-    return Catalogue(
-        tuple(
-            Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(reading(PLACE, mask, UM)),), 1.0)
-            for name, later in _later(given)
-            for target, mask in _parts(later, given.data.target)
-        )
-    )
+    return [
+        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(reading(PLACE, mask, UM)),), 1.0)
+        for name, later in _later(given)
+        for target, mask in _parts(later, given.data.target)
+    ]
 
 
-SOURCES: Final[Sequence[Source]] = (Source((FRAME_SHIFT,), frame_shifts), Source((TARGET_SHIFT,), target_shifts))
+SOURCE: Final = Source((FRAME_SHIFT, TARGET_SHIFT), alignments)

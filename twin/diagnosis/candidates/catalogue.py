@@ -24,7 +24,7 @@ from twin.measurement.table import Measurements
 SOURCES: Final[tuple[Source, ...]] = (
     machine_effects.SOURCE,
     curves.SOURCE,
-    *alignment.SOURCES,
+    alignment.SOURCE,
     refraction_scale.SOURCE,
     affine_scale.SOURCE,
     station_drift.SOURCE,

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin.diagnosis.candidates.candidate import Build, Candidate, Catalogue, Cell, Given, Source
-from twin.diagnosis.candidates.flaws import ITSELF, STOPS, of_curve, without_constant
+from twin.diagnosis.candidates.flaws import mistakes
 from twin.diagnosis.candidates.signatures import first_component, of_components
 from twin.machine.effects import Effect, ErrorMotion, unit_of
 from twin.machine.effects.error_motion import (
@@ -54,7 +54,7 @@ def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
     own = 2 if specification is STRAIGHTNESS else 1
     if count <= own:
         return None
-    patterns = _mistakes(space, curve)
+    patterns = mistakes(space, curve)
     functions = _shaped(space, at, tuple(patterns.values()))
     at_frame = first_component(given.machine, axis.name) + component
     columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
@@ -79,15 +79,6 @@ def _tried(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[
     if axis.linear and axis.lower is not None and axis.upper is not None:
         return (axis.lower, axis.upper), DEGREES
     return None
-
-
-def _mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
-    """What one mistake did to the calibration's polynomial: one number, not as many as the polynomial has."""
-    if curve is None:
-        return {}
-    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
-    shapes[ITSELF] = of_curve(space, curve)
-    return {stops: shape for stops, shape in shapes.items() if shape is not None}
 
 
 def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped: bool) -> Build:

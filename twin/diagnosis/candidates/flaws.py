@@ -130,6 +130,15 @@ def _given(space: CurveSpace, curve: Curve) -> np.ndarray:
     return np.asarray(np.linalg.solve(space.transform, _padded(curve.coefficients, space.count)))
 
 
+def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
+    """What one mistake did to the calibration's polynomial, by `STOPS` or `ITSELF`: one number, not as many as the polynomial has."""
+    if curve is None:
+        return {}
+    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
+    shapes[ITSELF] = of_curve(space, curve)
+    return {stops: shape for stops, shape in shapes.items() if shape is not None}
+
+
 def times(factor: float) -> str:
     """In words: what the machine does is the calibration's curve with a factor."""
     if abs(factor) < 0.1:

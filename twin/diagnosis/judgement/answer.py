@@ -15,7 +15,7 @@ from twin.diagnosis.judgement.absorbed import looks_like
 from twin.diagnosis.judgement.causes import Judged
 from twin.diagnosis.judgement.extend import Extended, extend
 from twin.diagnosis.judgement.gain import gain, of_file
-from twin.diagnosis.judgement.left import expected_um, p_value, trends, unexplained
+from twin.diagnosis.judgement.left import misfit_of
 from twin.diagnosis.problem.pool import Pool
 from twin.diagnosis.problem.problem import plain, rms, unwhitened
 from twin.diagnosis.result import Unexplained, Verdict
@@ -39,7 +39,8 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
     """
     sized, found = judged.sized, judged.sized.found
     problem, network = found.problem, found.problem.network
-    left = unexplained(sized)
+    misfit = misfit_of(sized)
+    left = misfit.left
     unnamed = extend(sized, calibration) if empirical and left is not None else None
     if left is not None and unnamed is not None:
         left = replace(left, extension=unnamed.extension)
@@ -50,23 +51,21 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
     after = of_file(problem, extended, instrument) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
-    chances = [p_value(problem, found.posed.scatter), *(cause.p_value for cause in judged.causes)]
-    chances += [float(np.exp(trace.log_paid)) for trace in found.structure.traces]
     return Diagnosis(
         verdict=_verdict(judged, left),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(unwhitened(problem, problem.projected), network.read),
-        expected_rms_um=expected_um(problem),
+        expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
-        p_value=min(chances),
+        p_value=min([misfit.p_value, *(cause.p_value for cause in judged.causes)]),
         causes=judged.causes,
         unexplained=left,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
         not_evaluated=found.posed.known.not_evaluated,
         next_measurement=judged.next_measurement,
-        trends=trends(found),
+        trends=misfit.trends,
         ranking=_ranking(found.pool),
         # Last: it puts the pool back to what was tried.
         gain=gain(sized, (residual, after), left, unnamed) if changed else None,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, final
 
 import numpy as np
 
@@ -21,7 +22,36 @@ SMALL: Final = 0.01
 """Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
 
 
-def unexplained(sized: Sized) -> Unexplained | None:
+@final
+@dataclass(frozen=True)
+class Misfit:
+    """The misfit of the readings.
+
+    Attributes:
+        p_value: chance of as large a one without any cause.
+        expected_um: RMS a coordinate that the scatter lets expect.
+        trends: columns it goes with, one by one, before any cause is taken out.
+        left: what the causes leave of it; None where that is no more than scatter.
+    """
+
+    p_value: float
+    expected_um: float
+    trends: tuple[Trend, ...]
+    left: Unexplained | None
+
+
+def misfit_of(sized: Sized) -> Misfit:
+    """The misfit, and what the causes leave of it.
+
+    Args:
+        sized: the causes, with their sizes.
+    """
+    problem, found = sized.found.problem, sized.found
+    chances = [_p_value(problem, found.posed.scatter), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
+    return Misfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
+
+
+def _unexplained(sized: Sized) -> Unexplained | None:
     """What the causes leave: the patterns, or more scatter than stated."""
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
@@ -39,15 +69,15 @@ def unexplained(sized: Sized) -> Unexplained | None:
         return Unexplained(share, columns, carrier, text, size)
     after = problem.chi2 - sized.estimate.explained
     share = float((after - problem.dof) / excess) if forms else 1.0
-    more = p_value(problem, found.posed.scatter, after, len(forms))
+    more = _p_value(problem, found.posed.scatter, after, len(forms))
     if more >= LARGE or (forms and share <= SMALL):
         return None
-    size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * expected_um(problem)
+    size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * _expected_um(problem)
     what = "more scatter than stated" + (" is left" if forms else "")
     return Unexplained(share, (), "both", f"{what}, without any pattern in the columns given", size)
 
 
-def trends(found: Findings) -> tuple[Trend, ...]:
+def _trends(found: Findings) -> tuple[Trend, ...]:
     """Columns the misfit goes with, one by one, before any cause is taken out."""
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
     best: dict[tuple[str, str], Trace] = {}
@@ -60,7 +90,7 @@ def trends(found: Findings) -> tuple[Trend, ...]:
     )
 
 
-def p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitted: int = 0) -> float:
+def _p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitted: int = 0) -> float:
     """Chance of as large a misfit without any cause, or of a misfit once some numbers were fitted."""
     chi2, dof = problem.chi2 if chi2 is None else chi2, max(problem.dof - fitted, 1)
     if np.isfinite(scatter.dof):
@@ -68,7 +98,7 @@ def p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitte
     return float(chi2_sf(chi2, dof))
 
 
-def expected_um(problem: Problem) -> float:
+def _expected_um(problem: Problem) -> float:
     """RMS a coordinate that the scatter lets expect, µm."""
     variances = np.einsum("nii->ni", problem.network.covariance)[problem.network.read]
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6

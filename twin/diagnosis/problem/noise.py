@@ -14,7 +14,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.sweep import Block, Signatures
+from twin.diagnosis.problem.sweep import signatures_of
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
@@ -67,7 +67,7 @@ def from_repeats(
         for column in cell.columns
     ]
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    nuisance = Signatures(view, columns).at(Block(view, slice(None)))
+    nuisance = signatures_of(view, columns)
     every = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
     every *= read[:, :, None]
     total = np.zeros((len(size), *every.shape[1:]))
@@ -96,7 +96,7 @@ def from_the_rest(
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.by_setup(view, setup, by_setup)
     read = network.read[view.rows]
-    taken = Signatures(view, columns).at(Block(view, slice(None)))
+    taken = signatures_of(view, columns)
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
     every = np.einsum(
         "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, taken], axis=2)

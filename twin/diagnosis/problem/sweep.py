@@ -305,3 +305,8 @@ def _codes(groups: Sequence[np.ndarray], count: int) -> _Codes:
     ends = np.cumsum([code.size for code in codes])[:-1]
     own = [place.reshape(code.shape) for place, code in zip(np.split(places, ends), codes, strict=True)]
     return pairs, lower, own, twins
+
+
+def signatures_of(view: View, columns: Sequence[Column]) -> np.ndarray:
+    """(points, 3, columns) signatures at all points of a view, of few columns."""
+    return Signatures(view, columns).at(Block(view, slice(None)))
