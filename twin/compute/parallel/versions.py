@@ -12,7 +12,7 @@ from typing import Final
 from twin.compute.native import compiler, loading
 
 PACKAGES: Final = ("numpy", "scipy", "casadi", "pin")
-SOURCES: Final = (".py", ".cpp", ".hpp")
+SOURCES: Final = (".py", ".cpp", ".hpp", ".j2")
 
 
 @cache
