@@ -26,8 +26,8 @@ from twin.identification.axis_run import (
     to_dict,
     to_text,
 )
-from twin.machine.control import Curve, Term, Terms, format_named, read_tables
-from twin.machine.control.spatial import Grid
+from twin.machine.control import ControlCurve, ControlTerm, Terms, format_named, read_tables
+from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, Volumetric
 from twin.machine.machine import bundled_folder
 from twin.measurement.table import load as load_table
@@ -336,18 +336,18 @@ def _small_run() -> str:
 def _terms(kind: str) -> Mapping[str, str]:
     nodes = (0.0, 125.0, 250.0, 375.0, 500.0)
     values = (0.0, 1.0, 4.0, 2.0, -3.0)
-    terms = tuple(Term("X", (Curve("X", nodes, values, None, side),)) for side in (1, -1))
+    terms = tuple(ControlTerm("X", (ControlCurve("X", nodes, values, None, side),)) for side in (1, -1))
     return format_named(kind).write(Terms(terms, machine()))
 
 
 def _isg() -> str:
-    curves = {i: Curve("X", (0.0, 250.0, 500.0), (0.0, 1.0, -2.0)) for i in range(6)}
+    curves = {i: ControlCurve("X", (0.0, 250.0, 500.0), (0.0, 1.0, -2.0)) for i in range(6)}
     return format_named("isg").write(Volumetric((AxisErrors("X", curves),), machine(), 120.0))["volcomp.csv"]
 
 
 def _grid() -> str:
     at = ((0.0, 500.0), (0.0, 450.0), (-400.0, 0.0))
-    return format_named("grid").write(Grid(machine(), at, np.arange(24.0).reshape(2, 2, 2, 3)))["grid.csv"]
+    return format_named("grid").write(CorrectionGrid(machine(), at, np.arange(24.0).reshape(2, 2, 2, 3)))["grid.csv"]
 
 
 def _identification() -> str:

@@ -71,6 +71,16 @@ def test_no_function_beyond_60_lines() -> None:
     assert long == LONG_FUNCTIONS
 
 
+def test_a_name_is_one_class() -> None:
+    names = [
+        node.name
+        for path in package_files()
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+    assert [name for name in names if names.count(name) > 1] == []
+
+
 def test_only_the_command_line_prints() -> None:
     package = ROOT / "twin"
     printing = {

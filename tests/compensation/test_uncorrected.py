@@ -19,7 +19,7 @@ from twin import cli
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options, compensate_file
 from twin.compensation.account import LineNote, grouped
-from twin.compensation.account.shortfalls import Found, ShortfallTally
+from twin.compensation.account.shortfalls import FoundShortfalls, ShortfallTally
 from twin.compensation.toolpath import Setup
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -283,15 +283,17 @@ def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_tally_by_hand() -> None:
     tally = ShortfallTally()
     tally.add(
-        Found("range", "far", "um", np.array([3, 3, 9]), np.array([1.0, 2.5, 2.0]), np.array([True, False, False]))
+        FoundShortfalls(
+            "range", "far", "um", np.array([3, 3, 9]), np.array([1.0, 2.5, 2.0]), np.array([True, False, False])
+        )
     )
-    tally.add(Found("range", "far", "um", np.array([12]), np.array([2.4]), np.array([True])))
-    tally.add(Found("tolerance", "near", "um", np.array([7]), np.array([0.5]), np.array([False])))
+    tally.add(FoundShortfalls("range", "far", "um", np.array([12]), np.array([2.4]), np.array([True])))
+    tally.add(FoundShortfalls("tolerance", "near", "um", np.array([7]), np.array([0.5]), np.array([False])))
     first, second = tally.shortfalls()
     assert (first.lines, first.missed, first.worst, first.worst_line) == ((3, 9, 12), (3, 12), 2.5, 3)
     assert first.text == "3 blocks (lines 3, 9, 12): far; worst 2.50 µm (line 3)"
     assert second.lines == (7,) and second.missed == ()
-    tally.add(Found("range", "far", "um", np.arange(100, 200), np.zeros(100), np.zeros(100, dtype=bool)))
+    tally.add(FoundShortfalls("range", "far", "um", np.arange(100, 200), np.zeros(100), np.zeros(100, dtype=bool)))
     assert "103 blocks (lines 3, 9, 12, 100, 101, 102, 103, 104 … and 95 more)" in tally.shortfalls()[0].text
 
 

@@ -19,9 +19,9 @@ from tests.control.cases import CASES
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
-from twin.machine.control import FORMATS, Correction, Curve, TableFormat, Term, Terms, read_tables
+from twin.machine.control import FORMATS, ControlCurve, ControlTerm, Correction, TableFormat, Terms, read_tables
 from twin.machine.control.formats.linuxcnc import LinuxCnc
-from twin.machine.control.spatial import EXACT_UM, Grid
+from twin.machine.control.spatial import EXACT_UM, CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, Volumetric
 from twin.machine.iso16907 import BASIC
 from twin.machine.machine import Machine
@@ -55,13 +55,15 @@ def terms(draw: st.DrawFn, form: TableFormat[Terms]) -> Terms:
         for axis in moved:
             two = draw(st.booleans()) and (form.crossed_directions or (form.directions and axis == of))
             for side in (1, -1) if two else (0,):
-                curve = Curve(of, at, tuple(draw(st.lists(values, min_size=count, max_size=count))), period, side)
-                found.append(Term(axis, (curve,)))
+                curve = ControlCurve(
+                    of, at, tuple(draw(st.lists(values, min_size=count, max_size=count))), period, side
+                )
+                found.append(ControlTerm(axis, (curve,)))
         if form.products and of in "XYZ" and draw(st.booleans()):
             by = draw(st.sampled_from([name for name in "XYZ" if name != of]))
-            arm = Curve(by, RANGES[by], (draw(st.floats(-1.0, 1.0)), draw(st.floats(-1.0, 1.0))))
-            curve = Curve(of, at, tuple(draw(st.lists(values, min_size=count, max_size=count))))
-            found.append(Term(draw(st.sampled_from("XYZ")), (curve, arm)))
+            arm = ControlCurve(by, RANGES[by], (draw(st.floats(-1.0, 1.0)), draw(st.floats(-1.0, 1.0))))
+            curve = ControlCurve(of, at, tuple(draw(st.lists(values, min_size=count, max_size=count))))
+            found.append(ControlTerm(draw(st.sampled_from("XYZ")), (curve, arm)))
     return Terms(tuple(found), MACHINE)
 
 
@@ -73,20 +75,20 @@ def component_errors(draw: st.DrawFn, form: TableFormat[Volumetric]) -> Volumetr
         at = tuple(np.linspace(low, high, draw(st.integers(2, 7))).round(4))
         scale, period = [20.0] * 3 + [80.0] * 3, 360.0 if name == "C" else None
         chosen = draw(st.lists(st.integers(0, 5), unique=True, min_size=1))
-        curves = {i: Curve(name, at, tuple(rng.normal(0, scale[i], len(at)).round(3)), period) for i in chosen}
+        curves = {i: ControlCurve(name, at, tuple(rng.normal(0, scale[i], len(at)).round(3)), period) for i in chosen}
         errors.append(AxisErrors(name, curves))
     return Volumetric(tuple(errors), MACHINE, 137.5)
 
 
 @st.composite
-def grids(draw: st.DrawFn, form: TableFormat[Grid]) -> Grid:
+def grids(draw: st.DrawFn, form: TableFormat[CorrectionGrid]) -> CorrectionGrid:
     counts = [draw(st.integers(2, 5)) for _ in range(3)]
     at = tuple(tuple(np.linspace(*RANGES[name], n).round(4)) for name, n in zip("XYZ", counts, strict=True))
     rng = np.random.default_rng(draw(st.integers(0, 1000)))
-    return Grid(MACHINE, at, rng.normal(0, 40, (*counts, 3)))
+    return CorrectionGrid(MACHINE, at, rng.normal(0, 40, (*counts, 3)))
 
 
-DRAWN = {Terms: terms, Volumetric: component_errors, Grid: grids}
+DRAWN = {Terms: terms, Volumetric: component_errors, CorrectionGrid: grids}
 
 
 @every_format
@@ -152,20 +154,20 @@ def test_refused(kind: str, file: str, old: str, new: str, line: int | None, wha
 def examples() -> list[tuple[str, Correction]]:
     rng = np.random.default_rng(11)
 
-    def curve(of: str, n: int, side: int = 0) -> Curve:
+    def curve(of: str, n: int, side: int = 0) -> ControlCurve:
         low, high = RANGES[of]
-        return Curve(
+        return ControlCurve(
             of, tuple(np.linspace(low, high, n)), tuple(rng.normal(0, 30, n)), 360.0 if of == "C" else None, side
         )
 
     found = Terms(
         (
-            Term("X", (curve("X", 12),)),
-            Term("Y", (curve("X", 5, 1),)),
-            Term("Y", (curve("X", 7, -1),)),
-            Term("Z", (curve("Y", 6), Curve("Z", (-400.0, 0.0), (-1.0, 1.0)))),
-            Term("C", (curve("C", 13),)),
-            Term("B", (Curve("B", (90.0,), (4.0,)),)),
+            ControlTerm("X", (curve("X", 12),)),
+            ControlTerm("Y", (curve("X", 5, 1),)),
+            ControlTerm("Y", (curve("X", 7, -1),)),
+            ControlTerm("Z", (curve("Y", 6), ControlCurve("Z", (-400.0, 0.0), (-1.0, 1.0)))),
+            ControlTerm("C", (curve("C", 13),)),
+            ControlTerm("B", (ControlCurve("B", (90.0,), (4.0,)),)),
         ),
         MACHINE,
     )
@@ -174,7 +176,7 @@ def examples() -> list[tuple[str, Correction]]:
     return [
         ("terms", found),
         ("isg", Volumetric(tuple(errors), MACHINE, 80.0)),
-        ("grid", Grid(MACHINE, at, rng.normal(0, 30, (6, 6, 6, 3)))),
+        ("grid", CorrectionGrid(MACHINE, at, rng.normal(0, 30, (6, 6, 6, 3)))),
     ]
 
 
@@ -289,10 +291,10 @@ def test_no_such_format(tmp_path: Path) -> None:
 def test_more_points_than_linuxcnc_takes() -> None:
     at = tuple(float(q) for q in range(257))
     with pytest.raises(InputError, match="too many points") as caught:
-        LinuxCnc().write(Terms((Term("X", (Curve("X", at, at),)),), MACHINE))
+        LinuxCnc().write(Terms((ControlTerm("X", (ControlCurve("X", at, at),)),), MACHINE))
     assert caught.value.value == 257
 
 
 def test_degrees() -> None:
     """A µrad in degrees, the other way round."""
-    assert Curve("B", (0.0,), (1.0,)).along(0.0) * 1e-6 / DEG == pytest.approx(1.0 / URAD_A_DEG)
+    assert ControlCurve("B", (0.0,), (1.0,)).along(0.0) * 1e-6 / DEG == pytest.approx(1.0 / URAD_A_DEG)

@@ -15,7 +15,7 @@ from twin._common.errors import InputError
 from twin.control import Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import Curve, Term, Terms, read_tables
+from twin.machine.control import ControlCurve, ControlTerm, Terms, read_tables
 from twin.machine.control.formats.siemens_eec import SiemensEec
 from twin.machine.effects import Reversal
 
@@ -60,19 +60,19 @@ def test_an_axis_errs_no_more_and_what_is_left_is_said() -> None:
 
 
 def test_other_tables_are_refused() -> None:
-    curve = Curve("X", (0.0, 250.0, 500.0), (0.0, 1.0, 2.0))
+    curve = ControlCurve("X", (0.0, 250.0, 500.0), (0.0, 1.0, 2.0))
     for term in (
-        Term("Y", (curve,)),
-        Term("X", (curve, curve)),
-        Term("X", (replace(curve, direction=1),)),
-        Term("X", (replace(curve, at=(0.0, 100.0, 500.0)),)),
+        ControlTerm("Y", (curve,)),
+        ControlTerm("X", (curve, curve)),
+        ControlTerm("X", (replace(curve, direction=1),)),
+        ControlTerm("X", (replace(curve, at=(0.0, 100.0, 500.0)),)),
     ):
         with pytest.raises(InputError, match="no leadscrew error compensation"):
             SiemensEec().write(Terms((term,), MACHINE))
 
 
 def test_modulo(tmp_path: Path) -> None:
-    curve = Curve("C", (0.0, 90.0, 180.0, 270.0, 360.0), (0.0, 10.0, 0.0, -10.0, 0.0), 360.0)
-    put(tmp_path, SiemensEec().write(Terms((Term("C", (curve,)),), MACHINE)))
+    curve = ControlCurve("C", (0.0, 90.0, 180.0, 270.0, 360.0), (0.0, 10.0, 0.0, -10.0, 0.0), 360.0)
+    put(tmp_path, SiemensEec().write(Terms((ControlTerm("C", (curve,)),), MACHINE)))
     state = {name: np.array([450.0, -90.0]) for name in MACHINE.names}
     assert by_hand(tmp_path, "C", state) == pytest.approx([10.0, -10.0], abs=0.01)

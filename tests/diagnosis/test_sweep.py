@@ -20,7 +20,7 @@ from twin.diagnosis.problem.pool import ALARMS, SAMPLED
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.sweep import Block, Signatures
+from twin.diagnosis.problem.sweep import PointBlock, Signatures
 from twin.diagnosis.selection.folds import parts as parts_of
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
@@ -162,7 +162,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
     """Columns that are worked out many at once against the effects themselves, one a parameter."""
     problem, searcher = searched
     machine, data = problem.network.machine, problem.network.data
-    state, block = state_of(data, machine), Block(problem.view, slice(None))
+    state, block = state_of(data, machine), PointBlock(problem.view, slice(None))
     seen = set()
     for candidate in searcher.posed.known.candidates:
         if candidate.build is None:

@@ -93,7 +93,7 @@ class Order:
     data: bytes | InputError | None
 
 
-class Answer(NamedTuple):
+class ProgramAnswer(NamedTuple):
     """The report as text and as JSON, with the program where it travelled as data."""
 
     text: str
@@ -119,7 +119,7 @@ class Shop:
         """Set up once a worker."""
         return Compensator(self.machine, self.calibration, self.options)
 
-    def fill(self, order: Order) -> Answer | InputError | OutputError:
+    def fill(self, order: Order) -> ProgramAnswer | InputError | OutputError:
         """One order; why a program cannot be compensated is an answer, so that it does not stop the others."""
         try:
             if isinstance(order.data, InputError):
@@ -127,11 +127,11 @@ class Shop:
             if order.data is not None:
                 return self._elsewhere(order, order.data)
             report = self.compensator.compensate_file(order.program, order.output)
-            return Answer(report.to_text(), report.to_dict())
+            return ProgramAnswer(report.to_text(), report.to_dict())
         except (InputError, OutputError) as error:
             return error
 
-    def _elsewhere(self, order: Order, data: bytes) -> Answer:
+    def _elsewhere(self, order: Order, data: bytes) -> ProgramAnswer:
         with scratch_folder() as room:
             own, out = room / order.program.name, room / f"out.{order.program.name}"
             own.write_bytes(data)
@@ -146,7 +146,7 @@ class Shop:
             except OutputError as error:
                 raise OutputError(str(error).replace(str(own), str(order.program))) from None
             report = replace(report, program=str(order.program))
-            return Answer(report.to_text(), report.to_dict(), out.read_bytes())
+            return ProgramAnswer(report.to_text(), report.to_dict(), out.read_bytes())
 
 
 def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
@@ -226,7 +226,7 @@ def compensate_files(
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):
                     program, goal = goal_of[index]
-                    if isinstance(found, Answer):
+                    if isinstance(found, ProgramAnswer):
                         _keep(found, there[index][1], goal)
                         outcome = ProgramOutcome(program, goal, found.report, None)
                     else:  # a program that ends its worker stops the others as little as one that cannot be read
@@ -259,7 +259,7 @@ class _Orders(Sequence[Order]):
         return Order(program, output, data)
 
 
-def _keep(answer: Answer, made: Path, goal: Path) -> None:
+def _keep(answer: ProgramAnswer, made: Path, goal: Path) -> None:
     """The reports first: where the program is, they are."""
     program, text, data = _written(goal)
     write_whole(text, answer.text)

@@ -5,14 +5,14 @@ from twin.control.deliver import account_of, deliver, outputs_of, written_by
 from twin.control.design import Table
 from twin.control.existing import Existing, compared
 from twin.control.make import Made, make
-from twin.control.remains import Carried, Left, Remains
+from twin.control.remains import Carried, LeftByTables, Remains
 from twin.control.request import Request
 
 __all__ = [
     "Account",
     "Carried",
     "Existing",
-    "Left",
+    "LeftByTables",
     "Made",
     "Remains",
     "Request",

@@ -10,11 +10,11 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import TURN
-from twin.control.design import WORTH, Design, Plan, Share, Table, depending, drawn, tolerance_of
+from twin.control.design import WORTH, Design, Share, Table, TablePlan, depending, drawn, tolerance_of
 from twin.control.nodes import RESOLUTION, Nodes, at, chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import Content, Curve, TableFormat, Term, Terms
+from twin.machine.control import Content, ControlCurve, ControlTerm, TableFormat, Terms
 from twin.machine.control.curve import BOTH, DOWN, UP, Direction, period_of
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
@@ -28,7 +28,7 @@ ALL_BEYOND: Final = 0.99
 
 @final
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One table that is wanted over an axis.
 
     Attributes:
@@ -47,7 +47,7 @@ class Column:
 class Planned:
     """One table or product as it will be written, with how far the truth is from it, and the truth at places drawn."""
 
-    term: Term
+    term: ControlTerm
     off: float
     q: np.ndarray
     truth: np.ndarray
@@ -59,7 +59,7 @@ class AxisTables(Design[Terms]):
 
     correction = Terms
 
-    def plan(self, wanted: Wanted, request: Request, old: Terms | None) -> Plan[Terms]:
+    def plan(self, wanted: Wanted, request: Request, old: Terms | None) -> TablePlan[Terms]:
         """The tables, axis by axis; the weakest for their number are left out where there are too many; see `Design.plan`."""
         form, machine, found = request.form, wanted.machine, list[Planned]()
         for axis in machine.axes:
@@ -85,7 +85,7 @@ class AxisTables(Design[Terms]):
 
         correction = Terms(tuple(one.term for one in within), machine)
         contents = correction.contents()
-        return Plan(correction, compared, left)
+        return TablePlan(correction, compared, left)
 
     def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""
@@ -108,7 +108,7 @@ class AxisTables(Design[Terms]):
         return "line", "with the lever of the reference position"
 
 
-def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Request) -> list[Column]:
+def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Request) -> list[TableColumn]:
     """What is worth a table over one axis: an axis moved and direction each, then the slopes of products."""
     machine = wanted.machine
     tolerance = tolerance_of(axis, request.tolerance_um)
@@ -118,11 +118,11 @@ def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Reques
         split = form.directions and np.abs(turns[UP] - turns[DOWN]).max() > WORTH * tolerance
         used = (UP, DOWN) if split else (BOTH,)
         worth = max(np.abs(turns[side]).max() for side in used) > WORTH * tolerance
-        return [Column(axis.name, side) for side in used] if worth else []
+        return [TableColumn(axis.name, side) for side in used] if worth else []
     linear = [machine.axes[i].name for i in machine.linear]
     sides = (UP, DOWN) if form.directions else (BOTH, BOTH)
     up, down = (wanted.point((axis.name,), wanted.line(axis, dense), side) for side in sides)
-    found: list[Column] = []
+    found: list[TableColumn] = []
     for k, moved in enumerate(linear):
         if not form.across and moved != axis.name:
             continue
@@ -130,17 +130,19 @@ def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Reques
             continue
         can = form.crossed_directions or moved == axis.name
         directed = can and np.abs(up[:, k] - down[:, k]).max() > WORTH * tolerance
-        found += [Column(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
+        found += [TableColumn(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
     for by in linear if form.products and request.products else ():
         if by != axis.name:
             peaks = np.abs(_slope(wanted, axis, by, dense)).max(axis=0)
             found += [
-                Column(moved, BOTH, by) for moved, peak in zip(linear, peaks, strict=True) if peak > 0.5 * tolerance
+                TableColumn(moved, BOTH, by)
+                for moved, peak in zip(linear, peaks, strict=True)
+                if peak > 0.5 * tolerance
             ]
     return found
 
 
-def _truth(wanted: Wanted, axis: Axis, columns: Sequence[Column]) -> Callable[[np.ndarray], np.ndarray]:
+def _truth(wanted: Wanted, axis: Axis, columns: Sequence[TableColumn]) -> Callable[[np.ndarray], np.ndarray]:
     """What the tables over one axis should say: (n,) positions → (n, columns) µm or µrad."""
     linear = [wanted.machine.axes[i].name for i in wanted.machine.linear]
 
@@ -165,7 +167,7 @@ def _slope(wanted: Wanted, axis: Axis, by: str, q: np.ndarray) -> np.ndarray:
 def _planned(
     wanted: Wanted,
     axis: Axis,
-    columns: Sequence[Column],
+    columns: Sequence[TableColumn],
     nodes: Nodes,
     truth: Callable[[np.ndarray], np.ndarray],
     period: float | None,
@@ -175,13 +177,13 @@ def _planned(
     meant = truth(q)
     found = []
     for k, one in enumerate(columns):
-        factors = [Curve(axis.name, where, tuple(nodes.values[:, k].tolist()), period, one.side)]
+        factors = [ControlCurve(axis.name, where, tuple(nodes.values[:, k].tolist()), period, one.side)]
         if one.by is not None:
             low, high = wanted.range_of(wanted.machine.by_name[one.by])
             half, middle = 0.5 * (high - low), wanted.at[one.by]
-            factors.append(Curve(one.by, (low, high), ((low - middle) / half, (high - middle) / half)))
+            factors.append(ControlCurve(one.by, (low, high), ((low - middle) / half, (high - middle) / half)))
         reach = factors[1].peak if one.by is not None else 1.0
-        found.append(Planned(Term(one.moved, tuple(factors)), float(nodes.off[k]) * reach, q, meant[:, k]))
+        found.append(Planned(ControlTerm(one.moved, tuple(factors)), float(nodes.off[k]) * reach, q, meant[:, k]))
     return found
 
 

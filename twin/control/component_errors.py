@@ -7,11 +7,11 @@ from typing import final
 
 import numpy as np
 
-from twin.control.design import URAD_A_UM, WORTH, Design, Plan, Share, Table, depending, drawn
+from twin.control.design import URAD_A_UM, WORTH, Design, Share, Table, TablePlan, depending, drawn
 from twin.control.nodes import Nodes, at, chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control import Curve
+from twin.machine.control import ControlCurve
 from twin.machine.control.curve import period_of
 from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
 from twin.machine.effects import Effect
@@ -24,7 +24,7 @@ class ComponentErrors(Design[Volumetric]):
 
     correction = Volumetric
 
-    def plan(self, wanted: Wanted, request: Request, old: Volumetric | None) -> Plan[Volumetric]:
+    def plan(self, wanted: Wanted, request: Request, old: Volumetric | None) -> TablePlan[Volumetric]:
         """See `Design.plan`."""
         form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
         limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_A_UM] * 3)
@@ -41,7 +41,7 @@ class ComponentErrors(Design[Volumetric]):
             else:
                 nodes = chosen(truth, low, high, limit, step=request.step, most=form.points)
             where, period = tuple(nodes.at.tolist()), period_of(axis)
-            curves = {i: Curve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
+            curves = {i: ControlCurve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
             q = drawn(where[0], where[-1])
             planned.append((AxisErrors(axis.name, curves), nodes, q, truth(q)))
         correction = Volumetric(tuple(one[0] for one in planned), wanted.machine, wanted.tool_length_mm)
@@ -55,7 +55,7 @@ class ComponentErrors(Design[Volumetric]):
                     found.append(Table(next(contents), off, form.rounding[i // 3], float(limit[i]), back_off))
             return tuple(found)
 
-        return Plan(correction, compared)
+        return TablePlan(correction, compared)
 
     def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""

@@ -81,7 +81,7 @@ class Table:
 
 @final
 @dataclass(frozen=True)
-class Plan(Generic[C]):
+class TablePlan(Generic[C]):
     """Tables as they will be written.
 
     Attributes:
@@ -105,7 +105,7 @@ class Design(ABC, Generic[C]):
     correction: type[C]
 
     @abstractmethod
-    def plan(self, wanted: Wanted, request: Request, old: C | None) -> Plan[C]:
+    def plan(self, wanted: Wanted, request: Request, old: C | None) -> TablePlan[C]:
         """The tables, on the nodes of old ones where there are any.
 
         Raises:

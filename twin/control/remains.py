@@ -25,7 +25,7 @@ STEPS: Final = 2
 
 @final
 @dataclass(frozen=True)
-class Left:
+class LeftByTables:
     """The error at the tool over the volume.
 
     Attributes:
@@ -90,9 +90,9 @@ class Remains:
     """
 
     poses: int
-    before: Left
-    tables: Left
-    program: Left | None
+    before: LeftByTables
+    tables: LeftByTables
+    program: LeftByTables | None
     known_to: KnownTo
     at_limits: int
 
@@ -136,7 +136,7 @@ class Remains:
         return json_form(self, rename=names | {"at_limits": "poses_at_limits"})
 
 
-def _row(name: str, left: Left, u: KnownTo) -> str:
+def _row(name: str, left: LeftByTables, u: KnownTo) -> str:
     about_x, about_y = left.tilt_rms_urad
     numbers = f"{left.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(left.expected_rms_um):>9}  {left.max_um:>9.2f}"
     return f"  {name:<50}{numbers}   {about_x:.1f} / {about_y:.1f}"
@@ -180,11 +180,11 @@ def _program(
     return with_tables.forward(commands, sides), int(limited.sum())
 
 
-def _left(reached: Poses, goal: Poses, known_to: KnownTo) -> Left:
+def _left(reached: Poses, goal: Poses, known_to: KnownTo) -> LeftByTables:
     off = np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3
     tilt, _ = rms_and_max(reached.tilt_urad(goal))
     rms = float(np.sqrt(np.mean(off**2)))
-    return Left(rms, float(off.max()), float(np.hypot(rms, known_to.standard_rms_um)), tilt)
+    return LeftByTables(rms, float(off.max()), float(np.hypot(rms, known_to.standard_rms_um)), tilt)
 
 
 @final

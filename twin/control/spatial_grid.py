@@ -9,11 +9,11 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.control.design import CHECKS, SEED, Design, Plan, Share, Table, depending
+from twin.control.design import CHECKS, SEED, Design, Share, Table, TablePlan, depending
 from twin.control.nodes import chosen
 from twin.control.request import Request
 from twin.control.wanted import Wanted
-from twin.machine.control.spatial import Grid
+from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
@@ -28,12 +28,12 @@ Truth = Callable[[np.ndarray], np.ndarray]
 
 
 @final
-class GridDesign(Design[Grid]):
+class GridDesign(Design[CorrectionGrid]):
     """Corrections of the three linear axes at the points of their box."""
 
-    correction = Grid
+    correction = CorrectionGrid
 
-    def plan(self, wanted: Wanted, request: Request, old: Grid | None) -> Plan[Grid]:
+    def plan(self, wanted: Wanted, request: Request, old: CorrectionGrid | None) -> TablePlan[CorrectionGrid]:
         """See `Design.plan`."""
         machine = wanted.machine
         axes = [machine.axes[i] for i in machine.linear]
@@ -60,7 +60,7 @@ class GridDesign(Design[Grid]):
                 off = _between(wanted, grid, truth)
                 if off <= tolerance or request.step is not None:
                     break
-        return Plan(grid, lambda back: _tables(wanted, request, grid, truth, off, back))
+        return TablePlan(grid, lambda back: _tables(wanted, request, grid, truth, off, back))
 
     def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
         """See `Design.share`."""
@@ -69,7 +69,9 @@ class GridDesign(Design[Grid]):
         return depending([axis for axis in others if not axis.linear])
 
 
-def _tables(wanted: Wanted, request: Request, grid: Grid, truth: Truth, off: float, back: Grid) -> tuple[Table, ...]:
+def _tables(
+    wanted: Wanted, request: Request, grid: CorrectionGrid, truth: Truth, off: float, back: CorrectionGrid
+) -> tuple[Table, ...]:
     """Every axis's corrections as written and as read back beside the truth, at places drawn in the box."""
     rng = np.random.default_rng(SEED)
     q = np.stack([rng.uniform(nodes[0], nodes[-1], CHECKS) for nodes in grid.at], axis=1)
@@ -97,13 +99,13 @@ def _nodes(wanted: Wanted, axis: Axis, truth: Truth, limit_um: float, request: R
     return chosen(along, *wanted.range_of(axis), limits, step=request.step, most=request.form.points).at
 
 
-def _on_nodes(wanted: Wanted, where: tuple[np.ndarray, ...], truth: Truth) -> Grid:
+def _on_nodes(wanted: Wanted, where: tuple[np.ndarray, ...], truth: Truth) -> CorrectionGrid:
     mesh = np.stack(np.meshgrid(*where, indexing="ij"), axis=-1).reshape(-1, 3)
     values = truth(_full(wanted, mesh)).reshape(*(len(nodes) for nodes in where), 3)
-    return Grid(wanted.machine, tuple(tuple(nodes.tolist()) for nodes in where), values)
+    return CorrectionGrid(wanted.machine, tuple(tuple(nodes.tolist()) for nodes in where), values)
 
 
-def _between(wanted: Wanted, grid: Grid, truth: Truth) -> float:
+def _between(wanted: Wanted, grid: CorrectionGrid, truth: Truth) -> float:
     """Largest distance of the truth from a grid between its points, µm, over the places looked at.
 
     These are middles of cells, and of the cells' sides along the edges of the box, where the interpolation is farthest off.

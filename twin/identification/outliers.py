@@ -39,7 +39,7 @@ MANY: Final = 0.02
 
 @final
 @dataclass(frozen=True)
-class Judged:
+class JudgedRows:
     """Rows judged by their residuals.
 
     Attributes:
@@ -60,7 +60,7 @@ def outliers(network: Network, whitened: np.ndarray) -> np.ndarray:
     return judged(network, whitened).bad
 
 
-def judged(network: Network, whitened: np.ndarray) -> Judged:
+def judged(network: Network, whitened: np.ndarray) -> JudgedRows:
     """Judge all rows by the residuals of an estimate.
 
     Args:
@@ -90,7 +90,7 @@ def judged(network: Network, whitened: np.ndarray) -> Judged:
     each = distance / np.maximum(count, 1)
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
     whole = float(np.sqrt(np.mean(noise)))
-    return Judged(
+    return JudgedRows(
         bad=locked(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
         weight=locked((1.0 - share) * redescending + share * convex),
         noise=whole if whole > FITS else 1.0,
@@ -156,7 +156,7 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
     return tuple(notes)
 
 
-def model_is_wrong(rows: Judged) -> tuple[str, ...]:
+def model_is_wrong(rows: JudgedRows) -> tuple[str, ...]:
     """Return a sentence for the reader where so many rows are outliers that the model is what is wrong, and not the readings."""
     share = float(np.mean(rows.bad)) if len(rows.bad) else 0.0
     if share <= MANY:

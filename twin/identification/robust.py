@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twin.identification.network import Network
-from twin.identification.outliers import Judged, judged
+from twin.identification.outliers import JudgedRows, judged
 from twin.identification.setup import SetUp
 from twin.identification.solve import FitSolution, solve
 
@@ -30,7 +30,7 @@ class FinalEstimate(NamedTuple):
     """Least squares without outliers, and the rows judged by it."""
 
     solution: FitSolution
-    rows: Judged
+    rows: JudgedRows
 
 
 def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Start:
@@ -72,7 +72,7 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Start:
     return Start(_further(network, solution, weight, found.noise), weight)
 
 
-def _judged(network: Network, solution: FitSolution) -> Judged:
+def _judged(network: Network, solution: FitSolution) -> JudgedRows:
     return judged(network, network.residual(solution.theta, solution.setup))
 
 

@@ -15,7 +15,7 @@ SLACK_MOST_MM = 0.5
 PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 
-class Misfit(NamedTuple):
+class ArcMisfit(NamedTuple):
     """Why a circular block is not one: what is wrong, and what was expected."""
 
     what: str
@@ -33,7 +33,7 @@ def arc_by_centre(
     centre: tuple[float, float],
     clockwise: bool,
     turns: int = 0,
-) -> Arc | Misfit:
+) -> Arc | ArcMisfit:
     """The arc about a centre; end = start is a full circle.
 
     Args:
@@ -48,11 +48,11 @@ def arc_by_centre(
     bx, by = end[0] - centre[0], end[1] - centre[1]
     first, last = math.hypot(ax, ay), math.hypot(bx, by)
     if not (math.isfinite(first) and math.isfinite(last)):
-        return Misfit("circular block from a position the program has not said", "an absolute position first")
+        return ArcMisfit("circular block from a position the program has not said", "an absolute position first")
     if first < 1e-9:
-        return Misfit("arc of radius zero", "a centre away from the start")
+        return ArcMisfit("arc of radius zero", "a centre away from the start")
     if _misses(abs(first - last), max(first, last)):
-        return Misfit(
+        return ArcMisfit(
             f"the end of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
             f"the same distance from the centre within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
         )
@@ -73,7 +73,7 @@ def arc_by_radius(
     radius: float,
     clockwise: bool,
     turns: int = 0,
-) -> Arc | Misfit:
+) -> Arc | ArcMisfit:
     """The arc of a radius: positive the short way (up to half a circle), negative the long way.
 
     Args:
@@ -87,12 +87,12 @@ def arc_by_radius(
     dx, dy = end[0] - start[0], end[1] - start[1]
     chord = math.hypot(dx, dy)
     if not math.isfinite(chord):
-        return Misfit("circular block from a position the program has not said", "an absolute position first")
+        return ArcMisfit("circular block from a position the program has not said", "an absolute position first")
     if chord < 1e-9:
-        return Misfit("arc by radius that ends where it starts", "a centre (a full circle has many)")
+        return ArcMisfit("arc by radius that ends where it starts", "a centre (a full circle has many)")
     size = abs(radius)
     if chord / 2 > size and _misses(chord / 2 - size, size):
-        return Misfit(f"radius {size:g} mm is too small for a chord of {chord:.4f} mm", "at least half the chord")
+        return ArcMisfit(f"radius {size:g} mm is too small for a chord of {chord:.4f} mm", "at least half the chord")
     height = math.sqrt(max(0.0, size * size - chord * chord / 4))
     left = (radius > 0) != clockwise  # the centre lies left of the chord for a short counter-clockwise arc
     sign = 1.0 if left else -1.0

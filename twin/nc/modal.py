@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 
 from twin._common.errors import InputError
-from twin.nc.arcs import Misfit
+from twin.nc.arcs import ArcMisfit
 from twin.nc.block import AxisWord, Block
 from twin.nc.blocks import Arc, AxisWords, Left, Notice
 from twin.nc.text import number, unit_vector
@@ -190,13 +190,13 @@ class Interpreter:
         for i in range(self.linear, len(self.position)):
             self.position[i] = math.nan
 
-    def checked(self, found: Arc | Misfit) -> Arc:
+    def checked(self, found: Arc | ArcMisfit) -> Arc:
         """Return an arc.
 
         Raises:
             InputError: it is none.
         """
-        if isinstance(found, Misfit):
+        if isinstance(found, ArcMisfit):
             raise self.refuse(found.what, found.expected)
         return found
 

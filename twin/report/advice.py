@@ -57,7 +57,7 @@ class Step:
 
 @final
 @dataclass(frozen=True)
-class Advice:
+class MachineAdvice:
     """The first screen.
 
     Attributes:
@@ -85,7 +85,7 @@ def advise(
     left_out: Mapping[str, tuple[str, ...]],
     points: Sequence[Checked] = (),
     tables: Sequence[TablesLeft] = (),
-) -> Advice:
+) -> MachineAdvice:
     """Put the numbers into words.
 
     Args:
@@ -103,7 +103,7 @@ def advise(
             Step("measure", "Measure it", f"A file without errors is no perfect machine. {_IDENTIFY}"),
             Step("never", "Take it for accurate", "Every error of this machine counts as zero here: nobody has told."),
         )
-        return Advice("This calibration says nothing is wrong: it names no error.", "unknown", (), steps)
+        return MachineAdvice("This calibration says nothing is wrong: it names no error.", "unknown", (), steps)
     every = [
         *_void(calibration, calibration.settled and (identified is None or identified.file.converged)),
         *_incomplete(left_out, identified),
@@ -113,7 +113,7 @@ def advise(
         *_measure(found, outcome),
         *_never(calibration, found),
     ]
-    return Advice(
+    return MachineAdvice(
         f"The tool point is off by {rms} RMS over the working volume, and by up to {most}.",
         "well" if found.total.max_um <= SMALL_UM else "wrong",
         tuple(_line(one) for one in found.errors[:NAMED]),

@@ -43,7 +43,7 @@ class IdentifiedError(_Model):
 
 
 @final
-class Unidentified(_Model):
+class SaidUnidentified(_Model):
     """An error that the data could not show."""
 
     name: str
@@ -79,7 +79,7 @@ class IdentificationFile(_Model):
     points: Points
     uncertainty: str
     errors: tuple[IdentifiedError, ...]
-    not_identifiable: tuple[Unidentified, ...]
+    not_identifiable: tuple[SaidUnidentified, ...]
     misfit: Misfit
     set_aside: tuple[Row, ...]
     notices: tuple[str, ...]

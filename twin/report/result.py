@@ -22,7 +22,7 @@ from twin.machine.display import uncertainty_of
 from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
-from twin.report.advice import Advice, advise
+from twin.report.advice import MachineAdvice, advise
 from twin.report.after import After, after
 from twin.report.contributions import Budget, budget
 from twin.report.field import Field, field
@@ -140,7 +140,7 @@ class MachineReport:
     checked: tuple[Checked, ...]
     gaps: Gaps
     tables: tuple[TablesLeft, ...]
-    advice: Advice
+    advice: MachineAdvice
     sources: Sources
 
     @property

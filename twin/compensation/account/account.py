@@ -14,7 +14,7 @@ from twin.compensation.account.notes import of_channels, of_reversals, of_setup,
 from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
 from twin.compensation.account.sample import Sample, Seen
 from twin.compensation.account.shortfalls import ShortfallTally
-from twin.compensation.account.tally import Tally
+from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
 from twin.compensation.account.uncorrected import uncorrected
 from twin.compensation.bench import Bench, CorrectionAim
@@ -48,7 +48,7 @@ class CompensationAccount:
 
     def __init__(self, bench: Bench, aim: CorrectionAim, source: str) -> None:
         self._bench, self._aim, self._source = bench, aim, source
-        self._before, self._after = Tally(4, 4), Tally(4, 4)
+        self._before, self._after = CompensationTally(4, 4), CompensationTally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._sample = Sample()
         self._shortfalls = ShortfallTally()
@@ -278,7 +278,7 @@ class CompensationAccount:
             )
 
 
-def _add(tally: Tally, found: ComparedPoses, lines: np.ndarray) -> None:
+def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> None:
     """Distances (µm), angles and tilts (µrad) of some poses to a tally."""
     tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
     size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])

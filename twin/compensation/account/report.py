@@ -10,7 +10,7 @@ from typing import Any, Final, final
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts
 from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
-from twin.compensation.account.tally import Tally
+from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
 from twin.display import bar, card, note, pairs, readable, several, table
 from twin.machine.conditions import TIME
@@ -45,7 +45,7 @@ class Deviation:
     tilt_max_urad: tuple[float, float]
 
     @classmethod
-    def of(cls, tally: Tally) -> Deviation:
+    def of(cls, tally: CompensationTally) -> Deviation:
         """Of distances, angles, and both tilts."""
         rms, angle_rms, x_rms, y_rms = tally.rms
         largest, angle, x, y = tally.largest.diagonal().tolist()

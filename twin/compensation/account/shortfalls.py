@@ -58,7 +58,7 @@ class Shortfall:
         }
 
 
-class Found(NamedTuple):
+class FoundShortfalls(NamedTuple):
     """Blocks that could not be corrected for one reason.
 
     Attributes:
@@ -84,7 +84,7 @@ class ShortfallTally:
         self._found: dict[tuple[Kind, str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
         self._worst: dict[tuple[Kind, str, str], tuple[float, int]] = {}
 
-    def add(self, found: Found) -> None:
+    def add(self, found: FoundShortfalls) -> None:
         """Add blocks."""
         if not found.lines.size:
             return

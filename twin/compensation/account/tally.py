@@ -8,7 +8,7 @@ import numpy as np
 
 
 @final
-class Tally:
+class CompensationTally:
     """Sums of squares, and where each of some quantities is largest.
 
     Args:

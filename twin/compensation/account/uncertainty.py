@@ -14,7 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin.compensation.account.tally import Tally
+from twin.compensation.account.tally import CompensationTally
 from twin.display import readable, rounded
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 
@@ -147,7 +147,7 @@ class CorrectionTally:
 
     def __init__(self, of: str, unit: str) -> None:
         self._of, self._unit = of, unit
-        self._tally = Tally(2, 5)
+        self._tally = CompensationTally(2, 5)
         self._blocks = 0
         self._below: list[np.recarray] = []
         self._known = False

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.compensation.account.shortfalls import Found
+from twin.compensation.account.shortfalls import FoundShortfalls
 from twin.compensation.bench import Bench
 from twin.compensation.solving import Corrected
 from twin.kinematics.inverse import SLACK
@@ -16,7 +16,7 @@ UNSOLVED_UM: Final = 0.01
 """More left by the solver than this is no solution; it usually leaves a thousandth of it."""
 
 
-def uncorrected(corrected: Corrected, left_um: Mapping[str, np.ndarray]) -> Iterator[Found]:
+def uncorrected(corrected: Corrected, left_um: Mapping[str, np.ndarray]) -> Iterator[FoundShortfalls]:
     """What of a program, or of a stretch of it, could not be corrected.
 
     Args:
@@ -40,7 +40,7 @@ def _cutting(corrected: Corrected) -> np.ndarray:
     return ~corrected.pieces.path.columns.rapid
 
 
-def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[Found]:
+def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:
     """Blocks a command of which leaves the range of an axis; ``off_um``: (rows,) how far the point is off at their ends."""
     bench, rows = corrected.pieces.bench, corrected.own
     machine = bench.machine
@@ -57,14 +57,14 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[Found]:
             if left is rows.clamped:
                 off = off_um[at[which]]
                 reason = f"the compensated position is beyond the end of {names or 'an axis'}: stopped at the limit"
-                yield Found("range", reason, "um", lines, off, cuts & (off > _allowed_um(bench)))
+                yield FoundShortfalls("range", reason, "um", lines, off, cuts & (off > _allowed_um(bench)))
             else:
                 what = f"outside the range of {names}" if names else "the way leaves the range of an axis"
                 unit = machine.axes[int(np.argmax(axes))].unit
-                yield Found("range", f"{what}: left as written", unit, lines, beyond[which].max(axis=1), cuts)
+                yield FoundShortfalls("range", f"{what}: left as written", unit, lines, beyond[which].max(axis=1), cuts)
 
 
-def _off_in_orientation(corrected: Corrected) -> Iterator[Found]:
+def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     rows, scope = corrected.own, corrected.pieces.aim.scope
     at = np.flatnonzero(rows.singular & ~rows.untouched)
     why = np.array([_why_not(corrected.pieces.bench, rows.commands[row]) for row in at], dtype=object)
@@ -73,7 +73,9 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[Found]:
         of = rows.motion[which]
         missed = _cutting(corrected)[of] & (scope.asked and scope.orientation)
         reason = f"orientation not corrected: {reason}"
-        yield Found("orientation", reason, "urad", corrected.lines[of], rows.orientation_left[which] * 1e6, missed)
+        yield FoundShortfalls(
+            "orientation", reason, "urad", corrected.lines[of], rows.orientation_left[which] * 1e6, missed
+        )
 
 
 def _why_not(bench: Bench, commands: np.ndarray) -> str:
@@ -86,16 +88,16 @@ def _why_not(bench: Bench, commands: np.ndarray) -> str:
     return f"near a singular pose, it would take more than {bench.options.rotary_limit_deg:g}° of a rotary axis"
 
 
-def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[Found]:
+def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:
     """Blocks for which no commands were found that reach the point; ``off_um``: (rows,) how far it is off."""
     rows = corrected.own
     at = np.flatnonzero(~rows.untouched & ~rows.clamped & ~(off_um <= UNSOLVED_UM))
     of, size = rows.motion[at], np.nan_to_num(off_um[at], nan=np.inf)
     reason = "no commands found that reach the point"
-    yield Found("tolerance", reason, "um", corrected.lines[of], size, _cutting(corrected)[of])
+    yield FoundShortfalls("tolerance", reason, "um", corrected.lines[of], size, _cutting(corrected)[of])
 
 
-def _off_between(corrected: Corrected) -> Iterator[Found]:
+def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Blocks off by more than the tolerance between their ends."""
     pieces, rows = corrected.pieces, corrected.rows
     left, count = corrected.between.left(rows) * 1e3, pieces.count(rows)
@@ -105,10 +107,10 @@ def _off_between(corrected: Corrected) -> Iterator[Found]:
     for pieces_each in np.unique(count[over]).tolist():
         which = over[count[over] == pieces_each]
         reason = f"off between its ends, after splitting in {pieces_each}"
-        yield Found("tolerance", reason, "um", corrected.lines[which], left[which], np.full(len(which), True))
+        yield FoundShortfalls("tolerance", reason, "um", corrected.lines[which], left[which], np.full(len(which), True))
 
 
-def _beginning_off(corrected: Corrected) -> Iterator[Found]:
+def _beginning_off(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Blocks that begin where the axes were left uncorrected."""
     begins = np.flatnonzero(corrected.between.begins_off(corrected.rows))
     begins = begins[begins >= corrected.context]
@@ -116,4 +118,6 @@ def _beginning_off(corrected: Corrected) -> Iterator[Found]:
         off = corrected.between.left_as_run(begins, corrected.rows) * 1e3
         which = off > _allowed_um(corrected.pieces.bench)
         reason = "begins where the axes stand uncorrected"
-        yield Found("tolerance", reason, "um", corrected.lines[begins[which]], off[which], np.full(which.sum(), True))
+        yield FoundShortfalls(
+            "tolerance", reason, "um", corrected.lines[begins[which]], off[which], np.full(which.sum(), True)
+        )

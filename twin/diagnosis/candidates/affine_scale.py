@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import STRAINS, Column, Part, strained
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.measurement.table import Measurements
@@ -113,4 +113,4 @@ def _columns(mask: np.ndarray, kept: list[int], middle: np.ndarray) -> tuple[Col
     )
 
 
-SOURCE: Final = Source((AFFINE_SCALE,), affine_scales)
+SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import Field, reading
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
@@ -95,4 +95,4 @@ def _target_shifts(given: Given) -> list[Candidate]:
     ]
 
 
-SOURCE: Final = Source((FRAME_SHIFT, TARGET_SHIFT), alignments)
+SOURCE: Final = CandidateSource((FRAME_SHIFT, TARGET_SHIFT), alignments)

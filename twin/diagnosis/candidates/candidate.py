@@ -149,7 +149,7 @@ class Given:
 
 @final
 @dataclass(frozen=True)
-class Source:
+class CandidateSource:
     """Where candidates come from.
 
     Attributes:

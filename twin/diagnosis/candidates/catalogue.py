@@ -15,13 +15,13 @@ from twin.diagnosis.candidates import (
     station_drift,
     time_skew,
 )
-from twin.diagnosis.candidates.candidate import Catalogue, Given, Source
+from twin.diagnosis.candidates.candidate import CandidateSource, Catalogue, Given
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
-SOURCES: Final[tuple[Source, ...]] = (
+SOURCES: Final[tuple[CandidateSource, ...]] = (
     machine_effects.SOURCE,
     curves.SOURCE,
     alignment.SOURCE,

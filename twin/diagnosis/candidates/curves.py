@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Build, Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.flaws import mistakes
 from twin.diagnosis.candidates.signatures import first_component, of_components
 from twin.machine.effects import Effect, ErrorMotion, unit_of
@@ -110,4 +110,4 @@ def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-SOURCE: Final = Source((POSITIONING, STRAIGHTNESS, ANGULAR_ERROR_MOTION, ROTARY_ERROR_MOTION), curves)
+SOURCE: Final = CandidateSource((POSITIONING, STRAIGHTNESS, ANGULAR_ERROR_MOTION, ROTARY_ERROR_MOTION), curves)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import along_command, of_values
 from twin.machine.effects.specification import NOTHING, Advice, Drawing, Specification
 
@@ -62,4 +62,4 @@ def following_errors(given: Given) -> Catalogue:
     return Catalogue(tuple(found), tuple(missing))
 
 
-SOURCE: Final = Source((FOLLOWING_ERROR, READ_BACK), following_errors)
+SOURCE: Final = CandidateSource((FOLLOWING_ERROR, READ_BACK), following_errors)

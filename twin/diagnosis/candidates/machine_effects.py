@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, Catalogue, Cell, Drift, Given, Missing, Source
+from twin.diagnosis.candidates.candidate import (
+    STRAIGHT,
+    Candidate,
+    CandidateSource,
+    Catalogue,
+    Cell,
+    Drift,
+    Given,
+    Missing,
+)
 from twin.diagnosis.candidates.signatures import Column, first_component, of_components, of_units
 from twin.machine.effects import MACHINE_EFFECTS, GravityCompliance, Payload, Specification
 from twin.machine.effects.places import single
@@ -105,4 +114,4 @@ def _drift(forms: Forms, given: Given) -> Drift:
     return Drift(columns, tried, straight=False)
 
 
-SOURCE: Final = Source(TRIED, machine_effects)
+SOURCE: Final = CandidateSource(TRIED, machine_effects)

@@ -14,7 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Build, Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import Column, Part, first_component, of_components, of_values, scaled_to
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
@@ -231,4 +231,4 @@ def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.nda
     return [Part(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
 
 
-SOURCE: Final = Source((MISPLACED,), misplaced)
+SOURCE: Final = CandidateSource((MISPLACED,), misplaced)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import reading
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
@@ -37,4 +37,4 @@ def refraction_scale(given: Given) -> Catalogue:
     return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Cell(columns),), 1.0),))
 
 
-SOURCE: Final = Source((REFRACTION_SCALE,), refraction_scale)
+SOURCE: Final = CandidateSource((REFRACTION_SCALE,), refraction_scale)

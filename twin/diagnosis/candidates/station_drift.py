@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, Catalogue, Drift, Given, Source
+from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, CandidateSource, Catalogue, Drift, Given
 from twin.diagnosis.candidates.signatures import LARGEST, Column, Part
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 from twin.machine.effects.thermal_drift import constants, course
@@ -76,4 +76,4 @@ def of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
     return Drift(lambda constant: known[constant] if constant in known else of([constant])[0], tried, straight=True)
 
 
-SOURCE: Final = Source((STATION_DRIFT,), station_drifts)
+SOURCE: Final = CandidateSource((STATION_DRIFT,), station_drifts)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Cell, Given, Source
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
 from twin.diagnosis.candidates.signatures import along_command, of_values
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.machine.machine import Machine
@@ -77,4 +77,4 @@ def time_skews(given: Given) -> Catalogue:
     return Catalogue(tuple(found), tuple(missing))
 
 
-SOURCE: Final = Source((TIME_SKEW,), time_skews)
+SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)

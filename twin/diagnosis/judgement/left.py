@@ -24,7 +24,7 @@ SMALL: Final = 0.01
 
 @final
 @dataclass(frozen=True)
-class Misfit:
+class WholeMisfit:
     """The misfit of the readings.
 
     Attributes:
@@ -40,7 +40,7 @@ class Misfit:
     left: Unexplained | None
 
 
-def misfit_of(sized: Sized) -> Misfit:
+def misfit_of(sized: Sized) -> WholeMisfit:
     """The misfit, and what the causes leave of it.
 
     Args:
@@ -48,7 +48,7 @@ def misfit_of(sized: Sized) -> Misfit:
     """
     problem, found = sized.found.problem, sized.found
     chances = [_p_value(problem, found.posed.scatter), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
-    return Misfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
+    return WholeMisfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
 
 
 def _unexplained(sized: Sized) -> Unexplained | None:

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from twin._common.threads import side_by_side
 from twin.diagnosis.candidates.signatures import Column, of_effect
-from twin.diagnosis.problem.sweep import Block, Signatures
+from twin.diagnosis.problem.sweep import PointBlock, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
@@ -173,7 +173,7 @@ class Problem:
         found = np.empty((len(columns), len(self.residual)))
         own = Signatures(self.view, columns)
         for rows in pieces(len(self.view.rows)):
-            found[:, 3 * rows.start : 3 * rows.stop] = _flat(own.at(Block(self.view, rows))).T
+            found[:, 3 * rows.start : 3 * rows.stop] = _flat(own.at(PointBlock(self.view, rows))).T
         return found.T
 
     def products(self, columns: Sequence[Column]) -> Inner:
@@ -183,7 +183,7 @@ class Problem:
         keep[self.held] = False
         residual = self.residual.reshape(-1, 3)
 
-        def with_others(block: Block) -> np.ndarray:
+        def with_others(block: PointBlock) -> np.ndarray:
             return np.concatenate([own.at(block), self.rows(block.rows), residual[block.rows, :, None]], axis=2)
 
         whole = own.along(with_others, None if keep.all() else np.flatnonzero(keep))[0]
@@ -226,7 +226,7 @@ class Problem:
             self.network.by_setup(self.view.part(run), self.setup, by_setup)
             whole[rows, : len(self.setup)] = by_setup.reshape(-1, len(self.setup)) * self.setup.plausible
             if doubt:
-                whole[rows, len(self.setup) :] = _flat(own.at(Block(self.view, run))) @ root
+                whole[rows, len(self.setup) :] = _flat(own.at(PointBlock(self.view, run))) @ root
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, whole[rows]]), mode="r"))
         _, values, vectors = np.linalg.svd(triangle, full_matrices=False)
         kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)

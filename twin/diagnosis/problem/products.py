@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.sweep import Block, Signatures
+from twin.diagnosis.problem.sweep import PointBlock, Signatures
 
 
 @final
@@ -164,7 +164,7 @@ class Products:
     def _along_problem(self, points: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """(parts, directions, all) inner products with the basis, and (parts, all) with the residual."""
 
-        def vectors(block: Block) -> np.ndarray:
+        def vectors(block: PointBlock) -> np.ndarray:
             residual = self._residual.reshape(-1, 3)[block.rows, :, None]
             return np.concatenate([self._problem.rows(block.rows), residual], axis=2)
 

@@ -40,7 +40,7 @@ class _Paired:
 
 
 @final
-class Block:
+class PointBlock:
     """Some points: their derivatives, and functions of their state, each worked out once.
 
     Args:
@@ -76,7 +76,7 @@ class Signatures:
         self.view = view
         self._parts = np.zeros(len(view.rows), dtype=int) if parts is None else parts
         self.columns = list(columns)
-        self._kept: dict[int, Block] = {}
+        self._kept: dict[int, PointBlock] = {}
         self._asked: tuple[Sequence[np.ndarray], _Codes, Mapping[tuple[Functions, Functions], _Paired]] | None = None
         self._arrange()
 
@@ -86,7 +86,7 @@ class Signatures:
             self.columns[i] = column
         self._arrange()
 
-    def along(self, vectors: Callable[[Block], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
+    def along(self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
         """(parts, columns, r) inner products with (points, 3, r) vectors.
 
         Args:
@@ -203,7 +203,7 @@ class Signatures:
             found[both] = _Paired(first, second, tuple(fields), (columns[0], columns[1], columns[2], columns[3]))
         return found
 
-    def at(self, block: Block, columns: Sequence[int] | None = None) -> np.ndarray:
+    def at(self, block: PointBlock, columns: Sequence[int] | None = None) -> np.ndarray:
         """(points, 3, columns) signatures at some points, of some columns or all."""
         wanted = self._wanted if columns is None else self._arranged(columns)
         count = len(self.view.residual[block.rows])
@@ -221,12 +221,12 @@ class Signatures:
                     np.add.at(found, at, part)
         return found.transpose(1, 2, 0)
 
-    def _block(self, run: int, runs: Sequence[np.ndarray]) -> Block:
+    def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
         """One of some runs; kept from one pass to the next if it is one of all points and they are few."""
         if runs is not self._runs or not self._keep:
-            return Block(self.view, runs[run])
+            return PointBlock(self.view, runs[run])
         if run not in self._kept:
-            self._kept[run] = Block(self.view, runs[run])
+            self._kept[run] = PointBlock(self.view, runs[run])
         return self._kept[run]
 
     def _stand(self, part: Part) -> tuple[Functions, int]:
@@ -309,4 +309,4 @@ def _codes(groups: Sequence[np.ndarray], count: int) -> _Codes:
 
 def signatures_of(view: View, columns: Sequence[Column]) -> np.ndarray:
     """(points, 3, columns) signatures at all points of a view, of few columns."""
-    return Signatures(view, columns).at(Block(view, slice(None)))
+    return Signatures(view, columns).at(PointBlock(view, slice(None)))

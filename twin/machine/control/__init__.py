@@ -59,7 +59,7 @@ doubles an error: the text says how to try a table before anything is cut.
 """
 
 from twin.machine.control.correction import BasicClass, Content, Correction
-from twin.machine.control.curve import Curve, Term, Terms
+from twin.machine.control.curve import ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats import FORMATS, format_named, read_tables
 from twin.machine.control.section import ControlSection, TableEntry
@@ -68,12 +68,12 @@ __all__ = [
     "FORMATS",
     "BasicClass",
     "Content",
+    "ControlCurve",
     "ControlSection",
+    "ControlTerm",
     "Correction",
-    "Curve",
     "TableEntry",
     "TableFormat",
-    "Term",
     "Terms",
     "format_named",
     "read_tables",

@@ -22,7 +22,7 @@ DOWN: Direction = -1
 
 @final
 @dataclass(frozen=True)
-class Curve:
+class ControlCurve:
     """Values at positions of one axis, straight lines between them, the end values beyond the ends.
 
     Attributes:
@@ -69,7 +69,7 @@ class Curve:
         """Its largest value, whatever the sign."""
         return max(abs(value) for value in self.values)
 
-    def scaled(self, by: float) -> Curve:
+    def scaled(self, by: float) -> ControlCurve:
         """The same curve times a number."""
         return replace(self, values=tuple(value * by for value in self.values))
 
@@ -81,7 +81,7 @@ def period_of(axis: Axis) -> float | None:
 
 @final
 @dataclass(frozen=True)
-class Term:
+class ControlTerm:
     """One table, or the product of two.
 
     Attributes:
@@ -90,7 +90,7 @@ class Term:
     """
 
     axis: str
-    factors: tuple[Curve, ...]
+    factors: tuple[ControlCurve, ...]
 
     def __call__(self, positions: Mapping[str, Any]) -> Any:
         """What it adds to the command of its axis, µm or µrad, as of `Correction.shift`."""
@@ -127,7 +127,7 @@ class Terms(Correction):
         machine: whose axes they name.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[ControlTerm, ...]
     machine: Machine
 
     @property
@@ -151,19 +151,19 @@ class Terms(Correction):
 
     def plus(self, old: Terms) -> Terms:
         """A table each where one is there already, beside it otherwise; see `Correction.plus`."""
-        singles: dict[tuple[str, str], list[Term]] = {}
-        products: list[Term] = []
+        singles: dict[tuple[str, str], list[ControlTerm]] = {}
+        products: list[ControlTerm] = []
         for term in (*old.terms, *self.terms):
             alike = singles.setdefault((term.axis, term.factors[0].of), []) if len(term.factors) == 1 else products
             alike.append(term)
-        found: list[Term] = []
+        found: list[ControlTerm] = []
         for terms in singles.values():
             curves = [term.factors[0] for term in terms]
             sides: tuple[Direction, ...] = (BOTH,) if all(one.direction == 0 for one in curves) else (UP, DOWN)
             for side in sides:
                 values = np.sum([one.values for one in curves if one.direction in (0, side)], axis=0)
                 whole = replace(curves[0], values=tuple(values.tolist()), direction=side)
-                found.append(Term(terms[0].axis, (whole,)))
+                found.append(ControlTerm(terms[0].axis, (whole,)))
         return Terms((*found, *products), self.machine)
 
     def rounded(self, axis: str) -> int:

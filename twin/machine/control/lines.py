@@ -21,7 +21,7 @@ LETTERS: Final = tuple("XYZABCUVW")
 
 @final
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A line of a file, or a part of it.
 
     Attributes:
@@ -68,16 +68,16 @@ class Line:
         return machine.by_name[name]
 
 
-def numbered(path: Path) -> list[Line]:
+def numbered(path: Path) -> list[TableLine]:
     """Every line of a file.
 
     Raises:
         InputError: the file cannot be read.
     """
-    return [Line(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
+    return [TableLine(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
-def check_rising(at: Sequence[float], lines: Sequence[Line]) -> None:
+def check_rising(at: Sequence[float], lines: Sequence[TableLine]) -> None:
     """Raise `InputError` unless positions rise from line to line."""
     for before, after, line in zip(at, at[1:], lines[1:], strict=False):
         if after <= before:

@@ -12,7 +12,7 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin.machine.control.correction import Content, Correction
-from twin.machine.control.curve import Curve
+from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import Machine
 
 EXACT_UM: Final = 0.005
@@ -22,7 +22,7 @@ less."""
 
 @final
 @dataclass(frozen=True, eq=False)
-class Grid(Correction):
+class CorrectionGrid(Correction):
     """Corrections at the points of a box.
 
     Attributes:
@@ -69,7 +69,7 @@ class Grid(Correction):
             for name, nodes, peak in zip(self.axes, self.at, peaks, strict=True)
         )
 
-    def plus(self, old: Grid) -> Grid:
+    def plus(self, old: CorrectionGrid) -> CorrectionGrid:
         """Both on the same nodes; see `Correction.plus`."""
         return replace(self, values=old.values + self.values)
 
@@ -81,7 +81,7 @@ class Grid(Correction):
         """Sums of products of curves of one axis each, which make the same grid within `EXACT_UM`."""
         cores, shapes = self._products
         factors = [
-            [Curve(name, nodes, tuple(column)).along(one) for column in shape.T.tolist()]
+            [ControlCurve(name, nodes, tuple(column)).along(one) for column in shape.T.tolist()]
             for name, nodes, shape, one in zip(self.axes, self.at, shapes, q, strict=True)
         ]
         total: Any = 0.0

@@ -16,7 +16,7 @@ from twin._common.units import MM
 from twin.compute.batch import BatchFunction
 from twin.machine.chain import frame_pose, joint_in_base
 from twin.machine.control.correction import Content, Correction
-from twin.machine.control.curve import Curve
+from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
 CONSTANT: Final = 1e-12
@@ -35,7 +35,7 @@ class AxisErrors:
     """
 
     axis: str
-    curves: Mapping[int, Curve]
+    curves: Mapping[int, ControlCurve]
 
 
 @final
@@ -205,7 +205,7 @@ class Volumetric(Correction):
         return 6 * len(self.machine.axes)
 
 
-def _summed(curves: Sequence[tuple[int, Curve]], widest: Curve) -> dict[int, Curve]:
+def _summed(curves: Sequence[tuple[int, ControlCurve]], widest: ControlCurve) -> dict[int, ControlCurve]:
     """Curves of the same component added up, on the nodes of one of them."""
     values: dict[int, np.ndarray] = {}
     for i, curve in curves:

@@ -21,7 +21,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.machine.datum.links import Link
+from twin.machine.datum.links import DatumLink
 from twin.machine.machine import DIRECTIONS, Axis
 
 Datum = Literal["mean lines", "end points", "as given"]
@@ -61,7 +61,7 @@ class Condition:
     weights: Weights
 
 
-def conditions_of(links: Sequence[Link], datum: Datum) -> tuple[Condition, ...]:
+def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, ...]:
     """Every condition of a datum on the axes of a machine."""
     found: list[Condition] = []
     slopes: list[Condition] = []
@@ -106,7 +106,7 @@ def along(axis: Axis, letter: str) -> bool:
     return "XYZ".index(letter) == int(np.argmax(np.abs(axis.direction)))
 
 
-def _of_rotary(i: int, link: Link) -> list[Condition]:
+def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
     name = link.axis.name
     shift, tilt = (LAST, LAST) if link.last else (3, 1)
     found = []
@@ -122,7 +122,7 @@ def _of_rotary(i: int, link: Link) -> list[Condition]:
     return found
 
 
-def _line(link: Link, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
+def _line(link: DatumLink, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
     """(n,) weights of the height and of the slope, over half the range, of a curve's reference line."""
     if datum != END_POINTS:
         return link.weights, locked(3.0 * link.weights * link.u)
@@ -131,7 +131,7 @@ def _line(link: Link, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
     return locked(ends[0]), locked(ends[1])
 
 
-def _tilt_of_turn(link: Link, component: int) -> np.ndarray:
+def _tilt_of_turn(link: DatumLink, component: int) -> np.ndarray:
     """(3,) slope, over half the range, that a turn of all lines about x, y and z of the machine frame gives a straightness; µm/µrad."""
     turns = np.array(link.axis.machine_axes)
     half = (link.domain[1] - link.domain[0]) / 2.0 * link.axis.scale

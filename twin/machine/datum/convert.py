@@ -23,7 +23,7 @@ from twin.machine.datum.conditions import (
     conditions_of,
 )
 from twin.machine.datum.fit import FITTED, fit, fitted, functions
-from twin.machine.datum.links import Link, Numbers, links_of
+from twin.machine.datum.links import DatumLink, Numbers, links_of
 from twin.machine.effects import split_name
 from twin.machine.machine import DIRECTIONS
 from twin.machine.motion_curve import conversion_of
@@ -211,7 +211,7 @@ def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.n
     return found
 
 
-def _kept(old: Numbers, new: Numbers, name: str, link: Link | None) -> np.ndarray | None:
+def _kept(old: Numbers, new: Numbers, name: str, link: DatumLink | None) -> np.ndarray | None:
     """(new, old) the old coefficients of a curve as new ones; None where there was no curve."""
     was, curve = old.curves.get(name), new.curves[name]
     if was is None:
@@ -343,7 +343,7 @@ class _Gauge:
             return link.moved(values + was, np.zeros(6), np.zeros(6), inserted) - shall
         return link.moved(values, was[:, 0], shall[:, 0], inserted)
 
-    def _acting(self, link: Link, constants: np.ndarray) -> np.ndarray:
+    def _acting(self, link: DatumLink, constants: np.ndarray) -> np.ndarray:
         """(6, n) what squareness and locations do to a link's error frame, µm and µrad."""
         total = np.zeros((6, len(link.nodes)))
         for name, amount in zip(self.names, constants, strict=True):

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.machine.datum.links import Link, Numbers
+from twin.machine.datum.links import DatumLink, Numbers
 from twin.machine.effects import unit_of
 from twin.machine.motion_curve import Curve, conversion_of
 from twin.numerics.curves import Basis, bases_for, of_legendre
@@ -19,7 +19,7 @@ MOST: Final = 60
 """Coefficients of a converted curve at most."""
 
 
-def fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, numbers: Numbers) -> Curve | None:
+def fitted(curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers) -> Curve | None:
     """A curve with values at the nodes added, in as few coefficients as hold them; None for a new curve of nothing.
 
     Raises:
@@ -48,7 +48,7 @@ def fitted(curve: Curve | None, name: str, link: Link, difference: np.ndarray, n
     )
 
 
-def _over(curve: Curve, link: Link) -> Curve:
+def _over(curve: Curve, link: DatumLink) -> Curve:
     """The same curve over the range that all curves of its axis cover.
 
     Raises:
@@ -61,7 +61,7 @@ def _over(curve: Curve, link: Link) -> Curve:
     return replace(curve, domain=link.domain, coefficients=own, covariance=None, knots=basis.knots)
 
 
-def functions(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+def functions(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) -> np.ndarray:
     """(n, count) the functions of a basis at a link's nodes, an axis without limits wrapped."""
     lo, hi = domain
     q = link.nodes
@@ -72,7 +72,7 @@ def functions(basis: Basis, domain: tuple[float, float], link: Link, count: int)
     return np.stack(basis.functions(q, domain, count), axis=1)
 
 
-def fit(basis: Basis, domain: tuple[float, float], link: Link, count: int) -> np.ndarray:
+def fit(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) -> np.ndarray:
     """(count, n) what makes coefficients of values at the nodes, least squares over the range."""
     legendre = of_legendre(basis, count) if domain == link.domain else None
     if legendre is not None:

@@ -55,7 +55,7 @@ class Numbers:
 
 @final
 @dataclass(frozen=True)
-class Link:
+class DatumLink:
     """One axis between its two gaps.
 
     Attributes:
@@ -154,7 +154,7 @@ class Link:
         return np.asarray(found.T / SI[:, None])
 
 
-def links_of(numbers: Numbers) -> tuple[tuple[Link, ...], int]:
+def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
     """The links of both sides, those of the tool's first, each from the base outwards; and the number of gaps."""
     machine, model = numbers.machine, numbers.machine.model
     sides = [model.supports[model.frames[f].parentJoint].tolist() for f in (machine.tool_frame, machine.work_frame)]
@@ -191,12 +191,12 @@ def links_of(numbers: Numbers) -> tuple[tuple[Link, ...], int]:
 
 def _link(
     numbers: Numbers, axis: Axis, gaps: tuple[int | None, int | None], rotation: np.ndarray, translation: np.ndarray
-) -> Link:
+) -> DatumLink:
     lo, hi = numbers.domain(axis)
     x, w = _rule()
     nodes = np.concatenate([[lo], (lo + hi) / 2.0 + x * (hi - lo) / 2.0, [hi]])
     weights = np.concatenate([[0.0], w / 2.0, [0.0]])
-    return Link(axis, *gaps, rotation, translation, gaps[1] is None, (lo, hi), nodes, weights)
+    return DatumLink(axis, *gaps, rotation, translation, gaps[1] is None, (lo, hi), nodes, weights)
 
 
 @cache

@@ -1,12 +1,12 @@
 """Instruments: what each reads of a point, and how well. A further one is one file and one entry in `INSTRUMENTS`.
 
 The multi-axis interferometer (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own
-command; it states the same `Specification`.
+command; it states the same `InstrumentSpecification`.
 """
 
 from typing import Final
 
-from twin.measurement.instruments.base import SIDES, Instrument, Specification
+from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
 from twin.measurement.instruments.interferometer import TrackingInterferometer
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
@@ -29,9 +29,9 @@ __all__ = [
     "Air",
     "Displacement",
     "Instrument",
+    "InstrumentSpecification",
     "LaserTracker",
     "MultiAxis",
-    "Specification",
     "TrackingInterferometer",
     "length_scale",
     "measure",

@@ -1,6 +1,7 @@
 """What every instrument states: what it reads, how well, from where, and which numbers of its own have to be found.
 
-A further instrument is one file with a `Specification` and one class, and one entry in `twin.measurement.instruments.INSTRUMENTS`.
+A further instrument is one file with a `InstrumentSpecification` and one class, and one entry in
+`twin.measurement.instruments.INSTRUMENTS`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ SIDES: Final = ("base", "tool", "work")
 
 @final
 @dataclass(frozen=True)
-class Specification:
+class InstrumentSpecification:
     """What describes an instrument.
 
     Attributes:
@@ -47,7 +48,7 @@ class Instrument(ABC):
         specification: what describes it.
     """
 
-    specification: Specification
+    specification: InstrumentSpecification
 
     @abstractmethod
     def read(self, points: np.ndarray) -> np.ndarray:

@@ -8,11 +8,11 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import SIDES, Instrument, Specification
+from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
 
 COVERAGE: Final = 2.0
 """The stated expanded uncertainty is at k = 2."""
-TRACKING: Final = Specification(
+TRACKING: Final = InstrumentSpecification(
     name="interferometer",
     title="tracking interferometer (LaserTRACER-NG)",
     columns=("x_mm",),
@@ -39,7 +39,7 @@ class TrackingInterferometer(Instrument):
     length_um: float = 0.2
     length_um_per_m: float = 0.3
     dead_path_m: float = 0.0
-    specification: Specification = TRACKING
+    specification: InstrumentSpecification = TRACKING
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin.measurement.instruments.base import Specification
+from twin.measurement.instruments.base import InstrumentSpecification
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 STEEPEST: Final = np.cos(np.radians(30.0))
@@ -91,9 +91,9 @@ class MultiAxis:
                 )
 
     @property
-    def specification(self) -> Specification:
+    def specification(self) -> InstrumentSpecification:
         """What describes it as an instrument: one column for each beam, counted from the reference pose."""
-        return Specification(
+        return InstrumentSpecification(
             name="multi-axis",
             title="multi-axis interferometer",
             columns=tuple(f"beam_{name}_mm" for name in self.beams),

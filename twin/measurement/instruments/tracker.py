@@ -8,11 +8,11 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import SIDES, Instrument, Specification, along_and_across
+from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, along_and_across
 
 COVERAGE: Final = 2.0
 """A maximum permissible error is taken as two standard deviations (typical is about half of it)."""
-INTERFEROMETER: Final = Specification(
+INTERFEROMETER: Final = InstrumentSpecification(
     name="tracker",
     title="laser tracker, lengths by its interferometer (AT960)",
     columns=("x_mm", "y_mm", "z_mm"),
@@ -40,7 +40,7 @@ class LaserTracker(Instrument):
     length_um_per_m: float = 0.3
     across_um: float = 15.0
     across_um_per_m: float = 6.0
-    specification: Specification = INTERFEROMETER
+    specification: InstrumentSpecification = INTERFEROMETER
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""

@@ -12,7 +12,7 @@ _STATEMENT = re.compile(r"[ \t\f\x1a]*+([A-Za-z][A-Za-z0-9_ -]*+)(?:(/)(.*))?", 
 _CONTINUED = re.compile(r"\$[ \t]*(?:\r\n|\n|\r)")
 
 
-class Field(NamedTuple):
+class AptField(NamedTuple):
     """One argument of a statement: where it stands in the raw text, without spaces around it, and its text."""
 
     start: int
@@ -43,14 +43,14 @@ class Statement(NamedTuple):
         return [field.strip() for field in self._pieces()]
 
     @property
-    def fields(self) -> list[Field]:
+    def fields(self) -> list[AptField]:
         """Its arguments, with their places."""
         found = []
         at = self.at + (1 if self.arguments.startswith(",") else 0)
         for piece in self._pieces():
             bare = piece.strip()
             start = at + len(piece) - len(piece.lstrip())
-            found.append(Field(start, start + len(bare), bare))
+            found.append(AptField(start, start + len(bare), bare))
             at += len(piece) + 1
         return found
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.arcs import Misfit, arc_by_centre, arc_by_radius
+from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.heidenhain import vocabulary
@@ -362,7 +362,7 @@ class HeidenhainInterpreter(Interpreter):
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
             return self.checked(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
-        return self.checked(Misfit("a circular block without its centre", "CC before it"))
+        return self.checked(ArcMisfit("a circular block without its centre", "CC before it"))
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from twin.nc.arcs import PLANES, Misfit, arc_by_centre, arc_by_radius
+from twin.nc.arcs import PLANES, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
@@ -188,7 +188,7 @@ class IsoMotion(Interpreter):
         if centre and radius is None:
             middle = (centre.get(a, start[a]), centre.get(b, start[b]))
             return self.checked(arc_by_centre(plane, from_, to, middle, clockwise, turns))
-        return self.checked(Misfit("an arc needs either a centre or a radius", "I, J, K or R (CR=)"))
+        return self.checked(ArcMisfit("an arc needs either a centre or a radius", "I, J, K or R (CR=)"))
 
     # ------------------------------------------------------------------ drilling
 

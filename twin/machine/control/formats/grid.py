@@ -18,8 +18,8 @@ import numpy as np
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import Line, plain
-from twin.machine.control.spatial import Grid
+from twin.machine.control.lines import TableLine, plain
+from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.machine import Machine
 
 FILE: Final = "grid.csv"
@@ -28,7 +28,7 @@ _DIGITS: Final = 4
 
 
 @final
-class SpatialGrid(TableFormat[Grid]):
+class SpatialGrid(TableFormat[CorrectionGrid]):
     """Spatial error grid, a format of ours."""
 
     name = "grid"
@@ -36,14 +36,14 @@ class SpatialGrid(TableFormat[Grid]):
     what = "(ours)"
     carries = "all of the three linear axes, at one tool length"
     leaves = "errors of rotary axes; reversals"
-    correction = Grid
+    correction = CorrectionGrid
     written = (FILE,)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG")
     points = 101
     rounding = (0.5 * 10.0**-_DIGITS, 0.0)
     tolerance_um = 5.0
 
-    def write(self, correction: Grid, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: CorrectionGrid, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`."""
         sign = "correction: what is ADDED to the command of an axis; the error there is its negative"
         lines = [*(f"# {note}" for note in (sign, *notes)), ",".join(_columns(correction.axes))]
@@ -51,7 +51,7 @@ class SpatialGrid(TableFormat[Grid]):
             lines.append(",".join(plain(value, _DIGITS) for value in (*q, *values)))
         return {FILE: "\n".join(lines) + "\n"}
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Grid:
+    def read(self, files: Sequence[Path], machine: Machine) -> CorrectionGrid:
         """The grid of one file.
 
         Raises:
@@ -66,7 +66,7 @@ class SpatialGrid(TableFormat[Grid]):
             raise InputError("columns of a grid", expected=",".join(_columns(names)), file=path, value=",".join(header))
         if not rows:
             raise InputError("no points", expected="one or more rows", file=path)
-        lines = [Line(path, line, ",".join(row)) for line, row in rows]
+        lines = [TableLine(path, line, ",".join(row)) for line, row in rows]
         numbers = np.array(
             [
                 [line.decimal(name, cell) for cell, name in zip(row, header, strict=True)]
@@ -93,9 +93,9 @@ class SpatialGrid(TableFormat[Grid]):
                 file=path,
                 value=" ".join(f"{name} {at[i][place[i]]:g}" for i, name in enumerate(names)),
             )
-        return Grid(machine, at, values)
+        return CorrectionGrid(machine, at, values)
 
-    def loading(self, correction: Grid, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: CorrectionGrid, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
             "grid.csv is a format of ours: corrections (what is added to the commands), um, at points of the box; trilinear "

@@ -27,9 +27,9 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin._common.units import TURN
-from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms, period_of
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms, period_of
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import Line, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
 from twin.machine.machine import Axis, Machine
 
 CMA: Final = "CONFIG.CMA"
@@ -93,9 +93,9 @@ class HeidenhainTables(TableFormat[Terms]):
         rows = [["NR", "ACTIVE", *names], ["0", "*", *(f"{name}_CORR" for name in names)]]
         return {**files, CMA: _table(CMA, rows, notes)}
 
-    def _columns(self, terms: Sequence[Term], axis: Axis) -> dict[str, Curve]:
+    def _columns(self, terms: Sequence[ControlTerm], axis: Axis) -> dict[str, ControlCurve]:
         """Curves by column, the axis's own first, its other direction beside it."""
-        columns: dict[str, Curve] = {}
+        columns: dict[str, ControlCurve] = {}
         for term in sorted(terms, key=lambda term: (term.axis != axis.name, -term.factors[0].direction)):
             curve = term.factors[0]
             key = "BACKLASH" if curve.direction == DOWN else term.axis
@@ -128,7 +128,7 @@ class HeidenhainTables(TableFormat[Terms]):
         if len(active) != 1:
             raise InputError("lines with * in ACTIVE", expected="one", file=cma.path, value=len(active))
         line, chosen = active[0]
-        terms: list[Term] = []
+        terms: list[ControlTerm] = []
         for name, table in chosen.items():
             if name in ("NR", "ACTIVE", "DOC") or not table:
                 continue
@@ -143,7 +143,7 @@ class HeidenhainTables(TableFormat[Terms]):
             )
         return Terms(tuple(terms), machine)
 
-    def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[Term]:
+    def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[ControlTerm]:
         """The tables of one file."""
         path, head = table.path, table.head
         if "AXISPOS" not in head or not table.rows:
@@ -165,7 +165,7 @@ class HeidenhainTables(TableFormat[Terms]):
             moved = axis if name == "BACKLASH" else table.head_line.axis(name, machine)
             values = tuple(-value / unit_of(moved) for value in table.column(name))
             direction = BOTH if not two or moved is not axis else DOWN if name == "BACKLASH" else UP
-            terms.append(Term(moved.name, (Curve(axis.name, at, values, period, direction),)))
+            terms.append(ControlTerm(moved.name, (ControlCurve(axis.name, at, values, period, direction),)))
         return terms
 
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
@@ -199,7 +199,7 @@ class _Rows:
     def __init__(self, path: Path) -> None:
         self.path = path
         lines = [line for line in numbered(path) if line.text and not line.text.startswith((_COMMENT, "#"))]
-        first = lines[0] if lines else Line(path, None, "")
+        first = lines[0] if lines else TableLine(path, None, "")
         if not first.text.upper().startswith("BEGIN "):
             raise first.error("no table", "BEGIN … as the first line")
         if first.text.upper().split()[-1] != "MM":
@@ -211,7 +211,7 @@ class _Rows:
         self.head = tuple(self.head_line.text.split())
         if len(set(self.head)) != len(self.head):
             raise self.head_line.error("a column given twice", "each once", self.head_line.text)
-        self.rows: list[tuple[Line, Mapping[str, str]]] = []
+        self.rows: list[tuple[TableLine, Mapping[str, str]]] = []
         for line in lines[2:-1]:
             cells = line.text.split()
             if len(cells) != len(self.head):

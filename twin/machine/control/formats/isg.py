@@ -32,9 +32,9 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import Curve, period_of
+from twin.machine.control.curve import ControlCurve, period_of
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import Line, check_rising, numbered, plain
+from twin.machine.control.lines import TableLine, check_rising, numbered, plain
 from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
@@ -109,7 +109,7 @@ class Isg(TableFormat[Volumetric]):
             InputError: a column of another name, blocks of two arguments, a parameter given twice, a machine of other dimensions,
                 position errors of linear axes; whatever is no number.
         """
-        curves: dict[str, dict[int, Curve]] = {name: {} for name in machine.names}
+        curves: dict[str, dict[int, ControlCurve]] = {name: {} for name in machine.names}
         length = machine.tool_length_mm
         blocks: list[_Block] = []
         for path in files:
@@ -193,15 +193,15 @@ def _list(machine: Machine) -> str:
 class _Block:
     """One block while it is read: its head line, the names in it, and the numbers below."""
 
-    head: Line
+    head: TableLine
     names: tuple[str, ...]
-    rows: list[tuple[Line, tuple[float, ...]]] = field(default_factory=list)
+    rows: list[tuple[TableLine, tuple[float, ...]]] = field(default_factory=list)
 
 
-def _blocks(lines: Sequence[Line]) -> Iterator[_Block]:
+def _blocks(lines: Sequence[TableLine]) -> Iterator[_Block]:
     """The blocks of a file; a line with ``#`` ends each."""
     block: _Block | None = None
-    for line in (*lines, Line(lines[0].path, None, "#")) if lines else ():
+    for line in (*lines, TableLine(lines[0].path, None, "#")) if lines else ():
         text = line.text.partition("//")[0].strip()
         cells = re.split(r"[\s;,]+", text)
         if text.startswith("#"):
@@ -221,7 +221,7 @@ def _blocks(lines: Sequence[Line]) -> Iterator[_Block]:
             block.rows.append((line, numbers))
 
 
-def _of_block(block: _Block, axis: Axis) -> dict[int, Curve]:
+def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
     """The curves of a block over an axis, by component."""
     place = block.names.index(axis.name)
     at = tuple(row[place] for _, row in block.rows)
@@ -234,11 +234,11 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, Curve]:
             raise block.head.error(f"a column of a block over {axis.name}", f"EX{axis.name} … EC{axis.name}", name)
         component = DIRECTIONS.index(name[1])
         values = tuple(row[column] * _UNITS[component] for _, row in block.rows)
-        found[component] = Curve(axis.name, at, values, period_of(axis))
+        found[component] = ControlCurve(axis.name, at, values, period_of(axis))
     return found
 
 
-def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, Curve]]) -> None:
+def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, ControlCurve]]) -> None:
     """Position errors of rotary axes join their curves; the machine's dimensions must be the machine's."""
     if len(block.rows) != 1:
         raise block.rows[1][0].error("records without an argument", "one")
@@ -254,6 +254,6 @@ def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, Curv
             expected = "component errors, X0C … of rotary axes, dimensions of this machine"
             raise block.head.error("a parameter that is not read", expected, name)
         component, own = DIRECTIONS.index(name[0]), curves[axis.name]
-        old = own.get(component, Curve(axis.name, (axis.domain[0],), (0.0,)))
+        old = own.get(component, ControlCurve(axis.name, (axis.domain[0],), (0.0,)))
         values = tuple(before + value * _UNITS[component] for before in old.values)
-        own[component] = Curve(old.of, old.at, values, old.period)
+        own[component] = ControlCurve(old.of, old.at, values, old.period)

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import Line, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
 from twin.machine.machine import Axis, Machine
 
 INI: Final = "joints.ini"
@@ -87,7 +87,7 @@ class LinuxCnc(TableFormat[Terms]):
             ini += [f"[JOINT_{joint}]", "# no BACKLASH beside it", f"COMP_FILE = {name}", "COMP_FILE_TYPE = 0"]
         return {**files, INI: "\n".join(ini) + "\n"}
 
-    def _both(self, own: Sequence[Term], axis: Axis) -> tuple[Curve, Curve]:
+    def _both(self, own: Sequence[ControlTerm], axis: Axis) -> tuple[ControlCurve, ControlCurve]:
         """The curves coming from below and from above."""
         curves = [term.factors[0] for term in own]
         by = {curve.direction: curve for curve in curves}
@@ -121,7 +121,7 @@ class LinuxCnc(TableFormat[Terms]):
             )
         )
         given = {file.name: file for file in files if file is not ini.path}
-        terms: list[Term] = []
+        terms: list[ControlTerm] = []
         for joint, name in enumerate(ini.coordinates(machine)):
             entry, kind = (ini.get(f"JOINT_{joint}", key) for key in ("COMP_FILE", "COMP_FILE_TYPE"))
             if entry.number is None:
@@ -145,11 +145,11 @@ class LinuxCnc(TableFormat[Terms]):
             )
         return Terms(tuple(terms), machine)
 
-    def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[Term]:
+    def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[ControlTerm]:
         """The tables of one joint, for one direction or both."""
         rows: list[tuple[float, float, float]] = []
-        lines: list[Line] = []
-        stopped: Line | None = None
+        lines: list[TableLine] = []
+        stopped: TableLine | None = None
         for line in numbered(path):
             words = line.text.split()
             if not (len(words) >= 3 and all(re.match(r"[-+]?(\d|\.\d)", word) for word in words[:3])):
@@ -172,7 +172,9 @@ class LinuxCnc(TableFormat[Terms]):
         check_rising(at, lines)
         ups, downs = (tuple(row[i] / unit_of(axis) for row in rows) for i in (1, 2))
         sides = [(ups, BOTH)] if ups == downs else [(ups, UP), (downs, DOWN)]
-        return [Term(axis.name, (Curve(axis.name, at, values, direction=side),)) for values, side in sides]
+        return [
+            ControlTerm(axis.name, (ControlCurve(axis.name, at, values, direction=side),)) for values, side in sides
+        ]
 
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
@@ -201,19 +203,19 @@ class _Ini:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._found: dict[tuple[str, str], Line] = {}
+        self._found: dict[tuple[str, str], TableLine] = {}
         section = ""
         for line in numbered(path):
             if line.text.startswith("["):
                 section = line.text.strip("[] ").upper()
             elif "=" in line.text and line.text[0] not in "#;":
                 key, _, value = line.text.partition("=")
-                entry = Line(path, line.number, value.partition("#")[0].strip())
+                entry = TableLine(path, line.number, value.partition("#")[0].strip())
                 self._found.setdefault((section, key.strip().upper()), entry)
 
-    def get(self, section: str, key: str) -> Line:
+    def get(self, section: str, key: str) -> TableLine:
         """An entry's value; no number and no text where there is none."""
-        return self._found.get((section, key), Line(self.path, None, ""))
+        return self._found.get((section, key), TableLine(self.path, None, ""))
 
     def coordinates(self, machine: Machine) -> list[str]:
         """The axis that each joint moves.

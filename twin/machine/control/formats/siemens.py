@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import BOTH, DOWN, UP, Curve, Term, Terms
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
-from twin.machine.control.lines import URAD_IN_DEG, Line, plain, unit_of
+from twin.machine.control.lines import URAD_IN_DEG, TableLine, plain, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "cec.mpf"
@@ -109,7 +109,7 @@ class Siemens(TableFormat[Terms]):
         curves = {index: _curve(index, entry, machine) for index, entry in found.items()}
         factors: dict[int, int] = {}
         for index, entry in found.items():
-            by = entry.fields.get("MULT_BY_TABLE", Line(entry.line.path, entry.line.number, "0"))
+            by = entry.fields.get("MULT_BY_TABLE", TableLine(entry.line.path, entry.line.number, "0"))
             number = int(by.decimal("MULT_BY_TABLE"))
             if number and number - 1 not in curves:
                 raise by.error("no such table to multiply by", "the index of one plus 1", by.text)
@@ -120,7 +120,7 @@ class Siemens(TableFormat[Terms]):
             axis, curve = curves[index]
             own = curve.scaled(1.0 / unit_of(axis))
             if index not in factors:
-                terms.append(Term(axis.name, (own,)))
+                terms.append(ControlTerm(axis.name, (own,)))
                 continue
             by = found[index].fields["MULT_BY_TABLE"]
             if index in factors.values():
@@ -130,7 +130,7 @@ class Siemens(TableFormat[Terms]):
             if other_axis.name != axis.name:
                 what = f"tables {index} and {factors[index]} are multiplied and move different axes"
                 raise by.error(what, axis.name, other_axis.name)
-            terms.append(Term(axis.name, (own, factor)))
+            terms.append(ControlTerm(axis.name, (own, factor)))
         return Terms(tuple(terms), machine)
 
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
@@ -165,7 +165,7 @@ class Siemens(TableFormat[Terms]):
         )
 
 
-def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, by: int) -> str:
+def _block(index: int, moved: str, curve: ControlCurve, digits: int, machine: Machine, by: int) -> str:
     """Lines of one table, in the control's units."""
     step = step_of(curve)
     if step is None:
@@ -189,7 +189,7 @@ def _block(index: int, moved: str, curve: Curve, digits: int, machine: Machine, 
     return "\n".join(lines)
 
 
-def _curve(index: int, entry: Entry, machine: Machine) -> tuple[Axis, Curve]:
+def _curve(index: int, entry: Entry, machine: Machine) -> tuple[Axis, ControlCurve]:
     """The axis a table moves, and its curve as written: mm and degrees."""
     fields = entry.fields
     at, values, period = table_of(f"table {index}", "$AN_CEC", entry)
@@ -201,4 +201,4 @@ def _curve(index: int, entry: Entry, machine: Machine) -> tuple[Axis, Curve]:
     direction = {-1.0: DOWN, 0.0: BOTH, 1.0: UP}.get(side)
     if direction is None:
         raise fields["DIRECTION"].error("$AN_CEC_DIRECTION", "-1, 0 or 1", f"{side:g}")
-    return moved, Curve(of.name, at, values, period, direction)
+    return moved, ControlCurve(of.name, at, values, period, direction)

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import Curve, Term, Terms
+from twin.machine.control.curve import ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, axis_numbers, axis_of, entries, step_of, table_of
 from twin.machine.control.lines import plain, unit_of
@@ -82,7 +82,7 @@ class SiemensEec(TableFormat[Terms]):
                 lines.append(f"$AA_ENC_COMP_IS_MODULO[0,AX{index}]={int(curve.period is not None)}")
         return {FILE: "\n".join([*lines, "M30"]) + "\n"}
 
-    def _only(self, own: Sequence[Term], axis: Axis) -> tuple[Curve, float]:
+    def _only(self, own: Sequence[ControlTerm], axis: Axis) -> tuple[ControlCurve, float]:
         """The curve of an axis, and its step."""
         curve = own[0].factors[0]
         step = step_of(curve)
@@ -101,14 +101,14 @@ class SiemensEec(TableFormat[Terms]):
         Raises:
             InputError: a line that is neither an assignment to a table, a comment, a head nor an end; a table that is not whole.
         """
-        terms: dict[str, Term] = {}
+        terms: dict[str, ControlTerm] = {}
         found = entries(files, _FIELD, "$AA_ENC_COMP[0,")
         for axis, entry in [(axis_of(entry.line, of, machine), entry) for of, entry in found.items()]:
             if axis.name in terms:
                 raise entry.line.error("an axis by two names", "one", axis.name)
             at, values, period = table_of(f"the table of {axis.name}", "$AA_ENC_COMP", entry)
             shifts = tuple(-value / unit_of(axis) for value in values)
-            terms[axis.name] = Term(axis.name, (Curve(axis.name, at, shifts, period),))
+            terms[axis.name] = ControlTerm(axis.name, (ControlCurve(axis.name, at, shifts, period),))
         return Terms(tuple(terms[name] for name in machine.names if name in terms), machine)
 
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import Curve
-from twin.machine.control.lines import Line, numbered
+from twin.machine.control.curve import ControlCurve
+from twin.machine.control.lines import TableLine, numbered
 from twin.machine.machine import Axis, Machine
 
 _OTHER: Final = re.compile(r"%.*|N?\d*\s*(M17|M30|M02|M2|RET|CHANDATA\(\d+\))", re.IGNORECASE)
@@ -23,9 +23,9 @@ DIGITS: Final = 6
 class Entry:
     """One table while it is read: its first line, the values of its variables and of its points."""
 
-    line: Line
-    fields: dict[str, Line] = field(default_factory=dict)
-    points: dict[int, Line] = field(default_factory=dict)
+    line: TableLine
+    fields: dict[str, TableLine] = field(default_factory=dict)
+    points: dict[int, TableLine] = field(default_factory=dict)
 
 
 def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> dict[str, Entry]:
@@ -43,7 +43,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
     found: dict[str, Entry] = {}
     for path in files:
         for whole in numbered(path):
-            line = Line(path, whole.number, whole.text.partition(";")[0].strip())
+            line = TableLine(path, whole.number, whole.text.partition(";")[0].strip())
             if not line.text or _OTHER.fullmatch(line.text):
                 continue
             match = pattern.match(line.text)
@@ -59,7 +59,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
                 )
             if (int(node) in entry.points) if name is None else (name.upper() in entry.fields):
                 raise line.error("written twice", "once", line.text)
-            value = Line(path, line.number, match["value"].strip())
+            value = TableLine(path, line.number, match["value"].strip())
             if name is None:
                 entry.points[int(node)] = value
             else:
@@ -71,7 +71,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
     return found
 
 
-def axis_of(place: Line, text: str, machine: Machine) -> Axis:
+def axis_of(place: TableLine, text: str, machine: Machine) -> Axis:
     """``AX2``: the second axis; ``X1``, ``X``: X.
 
     Raises:
@@ -89,7 +89,7 @@ def axis_numbers(machine: Machine, sign: str) -> str:
     return ", ".join(f"AX{i} {sign} {name}" for i, name in enumerate(machine.names, start=1))
 
 
-def step_of(curve: Curve) -> float | None:
+def step_of(curve: ControlCurve) -> float | None:
     """The step between the nodes of a curve; None if they are not in equal steps, or fewer than two."""
     steps = [b - a for a, b in zip(curve.at, curve.at[1:], strict=False)]
     even = bool(steps) and max(steps) - min(steps) <= 1e-9 * max(abs(q) for q in curve.at)
