@@ -196,7 +196,7 @@ def test_a_fit_without_degrees_of_freedom_is_written_and_read(dmu50: twin.Machin
     path = tmp_path / "i.json"
     path.write_text(sample("identified").replace('"reduced_chi2": 1.0', '"reduced_chi2": null').replace("0.4", "null"))
     read = Identified.load(path, twin.Calibration.zero(dmu50))
-    assert read.misfit.reduced_chi2 is None and read.misfit.p_value is None
+    assert read.file.misfit.reduced_chi2 is None and read.file.misfit.p_value is None
 
 
 def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(

@@ -15,7 +15,7 @@ from twin import cli
 from twin._common.errors import InputError
 from twin.identification.axis_run import (
     AxisLayout,
-    Readings,
+    BeamReadings,
     axis_curves,
     carriage_poses,
     error_motions,
@@ -381,7 +381,7 @@ def test_too_few_positions(machine: Machine, layout: AxisLayout) -> None:
 def test_readings_of_another_layout_are_refused(machine: Machine, layout: AxisLayout) -> None:
     """Beams of y and z swapped with those of x: no pose of the carriage makes them."""
     readings, _ = simulate_run(layout, machine, drawn(machine, 19), FORTH, np.random.default_rng(20))
-    swapped: Readings = dataclasses.replace(readings, change_mm=readings.change_mm[:, [3, 0, 1, 2, 4, 5, 6, 7, 8]])
+    swapped: BeamReadings = dataclasses.replace(readings, change_mm=readings.change_mm[:, [3, 0, 1, 2, 4, 5, 6, 7, 8]])
     try:
         found = error_motions(layout, swapped)
     except InputError as error:

@@ -119,6 +119,19 @@ class Identification:
             misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
         )
 
+    def predicted_mm(self, data: Measurements) -> np.ndarray:
+        """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
+
+        Args:
+            data: measurements this estimate has not seen.
+
+        Raises:
+            KeyError: a station or target that this estimate does not know.
+        """
+        other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
+        left = other.difference(self.solution.theta, self.setup.of(data), np.arange(len(data)))
+        return locked(np.where(other.read, left / MM, np.nan))
+
     def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
         """An error motion and its standard uncertainty.
 

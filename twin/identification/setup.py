@@ -79,6 +79,30 @@ class SetUp:
         dead = np.zeros(len(stations))
         return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, lengths_only)
 
+    def of(self, data: Measurements) -> SetUp:
+        """The stations and targets of other data, as they are here.
+
+        Raises:
+            KeyError: one that is not known here.
+        """
+        named = dict.fromkeys(data.station.tolist()), dict.fromkeys(data.target.tolist())
+        for name in (*(set(named[0]) - set(self.stations)), *(set(named[1]) - set(self.targets))):
+            raise KeyError(name)
+        stations = [self.stations.index(name) for name in named[0]]
+        targets = [self.targets.index(name) for name in named[1]]
+        return replace(
+            self,
+            stations=tuple(named[0]),
+            rotation=self.rotation[stations],
+            origin=self.origin[stations],
+            dead=self.dead[stations],
+            targets=tuple(named[1]),
+            place=self.place[targets],
+            station_known=self.station_known[stations],
+            target_known=self.target_known[targets],
+            shift=None,
+        )
+
     def __len__(self) -> int:
         return len(self.names)
 

@@ -429,10 +429,8 @@ def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dic
     series = [f"{station}\0{target}\0".encode() for station, target in names]
     command = (part.positions + 0.0, part.approach + 0.0)
     point_of = [name + b"".join(column[i].tobytes() for column in command) for i, name in enumerate(series)]
-    rest = (
-        np.column_stack([part.readback, part.u_mm, part.time_s, part.feed_mm_min, *part.temperature_degC.values()])
-        + 0.0
-    )
+    by_name = [values for name in BY_NAME for values in getattr(part, name).values()]
+    rest = np.column_stack([part.readback, part.u_mm, part.time_s, part.feed_mm_min, *by_name]) + 0.0
     words = [
         f"{name}\0{unread[row] if len(unread) else ''}".encode() for name, row in zip(part.round, rows, strict=True)
     ]
