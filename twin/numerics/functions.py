@@ -5,15 +5,16 @@ A search tries thousands of them: held for all points, they would be many times 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, Final, TypeVar, final
 
 import numpy as np
 
 PIECE: Final = 1024
 """Points worked on at a time."""
 
+T = TypeVar("T")
 Rows = np.ndarray | slice
 """Some of the points: their numbers, or a run of them."""
 
@@ -63,6 +64,31 @@ def pieces(points: int, size: int = PIECE) -> list[slice]:
 def given(values: np.ndarray) -> Functions:
     """Functions that are known: (n, count) values."""
     return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]))
+
+
+@final
+class Remembering(dict[str, Any]):
+    """A state of readings that keeps what was worked out of it: what several effects need is worked out once (`once`)."""
+
+    def __init__(self, state: Mapping[str, Any]) -> None:
+        super().__init__(state)
+        self.known: dict[Hashable, Any] = {}
+
+
+def once(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
+    """Something that is worked out of a state, once where the state remembers.
+
+    Args:
+        state: of the readings.
+        key: what it is.
+        make: works it out.
+    """
+    if not isinstance(state, Remembering):
+        return make()
+    if key not in state.known:
+        state.known[key] = make()
+    found: T = state.known[key]
+    return found
 
 
 @final

@@ -14,6 +14,7 @@ from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, Together
 from twin.machine.machine import DIRECTIONS, Machine
 from twin.numerics.elementary import cos, sin
+from twin.numerics.functions import Functions, once
 from twin.numerics.waves import highest_order, waves
 
 ORDERS: Final = 30
@@ -73,19 +74,27 @@ def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
     return Harmonic(where, round(numbers["order"]), numbers["cos"], numbers["sin"])
 
 
-def _angles(state: State, where: str) -> np.ndarray:
-    return np.unique(np.round(np.mod(state[split_name(where)[2]], 360.0), 3))
+def _angles(state: State, axis: str) -> np.ndarray:
+    return np.unique(np.round(np.mod(state[axis], 360.0), 3))
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    return [where for where in _places(machine) if len(_angles(state, where)) >= FEWEST], []
+    return [where for where in _places(machine) if len(_angles(state, where[3:])) >= FEWEST], []
+
+
+def _turns(state: State, name: str) -> tuple[int, int, Functions]:
+    """Of an axis the highest orders that are tried, of any error motion and of its own angle, and their functions."""
+    distinct = _angles(state, name)
+    most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 2 * ORDERS else ORDERS)
+    teeth = max(highest_order(distinct, TEETH), most)
+    return most, teeth, waves(np.radians(state[name]), 1.0, 1.0, teeth)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     component, _, name = split_name(where)
-    axis, distinct = machine.by_name[name], _angles(state, where)
-    most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 2 * ORDERS else ORDERS)
-    teeth = max(highest_order(distinct, TEETH), most)
+    axis = machine.by_name[name]
+    # The six error motions of an axis have the same functions.
+    most, teeth, functions = once(state, ("turns", name), lambda: _turns(state, name))
     tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
@@ -96,7 +105,6 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         return Harmonic(where, order, 1.0, 0.0), Harmonic(where, order, 0.0, 1.0)
 
     unit = unit_of(where)
-    functions = waves(np.radians(state[name]), 1.0, 1.0, teeth)
     columns = [(teeth + n - 1, n - 1) for n in tried]
     return Forms(
         (("cos", unit), ("sin", unit)),

@@ -23,6 +23,7 @@ from twin.machine.effects.specification import (
 )
 from twin.machine.machine import Axis, Machine
 from twin.numerics.elementary import cos, sin
+from twin.numerics.functions import once
 from twin.numerics.waves import highest_frequency, waves
 
 LONGEST_PERIOD: Final = 0.5
@@ -85,8 +86,12 @@ def _frequencies(q: np.ndarray) -> np.ndarray:
     return np.arange(lowest, highest + 1e-9 / span, 0.5 / span)
 
 
+def _tried(state: State, where: str) -> np.ndarray:
+    return once(state, ("frequencies", where), lambda: _frequencies(state[where]))
+
+
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    told = {where: len(_frequencies(state[where])) > 0 for where in places.linear(machine)}
+    told = {where: len(_tried(state, where)) > 0 for where in places.linear(machine)}
     missing = [(where, f"positions of {where} closer together") for where, some in told.items() if not some]
     return [where for where, some in told.items() if some], missing
 
@@ -94,7 +99,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     axis, q = machine.by_name[where], state[where]
     span = max(float(np.ptp(q)), 1e-9)
-    frequencies = _frequencies(q)
+    frequencies = _tried(state, where)
     count = len(frequencies)
     # As `PitchError` has it, for all periods at once.
     functions = waves(q, 2.0 * np.pi / (LONGEST_PERIOD * span), np.pi / span, count)
