@@ -36,7 +36,7 @@ class Heidenhain(Dialect):
         moves: list[Move] = []
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
-                moves += interpreter.step(index, text).moves
+                moves += interpreter.moves(index, text)
         return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:

@@ -15,6 +15,7 @@ from twin.nc.heidenhain.block import PathBlock
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH, number
 
+_new = tuple.__new__
 _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
@@ -45,11 +46,26 @@ class HeidenhainInterpreter(Interpreter):
         Raises:
             InputError: with file, line and value.
         """
-        self._line, self._shown = line, text
-        found = None if self.continued else self._plain.pattern.fullmatch(text)
+        found = self._found(line, text)
         block = None if found is None else self._plain_block(found)
-        if block is not None:
-            return block
+        return self._block(text) if block is None else block
+
+    def moves(self, line: int, text: str) -> tuple[Move, ...]:
+        """Return the moves of one line as `step` does, without the words that only a writer asks for."""
+        found = self._found(line, text)
+        if found is None:
+            return self._block(text).moves
+        if any(found.groups()[self._plain.behind]):
+            return self.step(line, text).moves
+        return (self._straight(found, self._plain_words(found)),)
+
+    def _found(self, line: int, text: str) -> re.Match[str] | None:
+        """Begin with a line; its match if it is a plain block."""
+        self._line, self._shown = line, text
+        return None if self.continued else self._plain.pattern.fullmatch(text)
+
+    def _block(self, text: str) -> PathBlock:
+        """Interpret a line that is no plain block."""
         head = vocabulary.HEAD.match(text)
         begin = head.end() if head else 0
         block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
@@ -65,44 +81,45 @@ class HeidenhainInterpreter(Interpreter):
 
     def _plain_block(self, match: re.Match[str]) -> PathBlock | None:
         """Interpret a plain block by the words its pattern found; None where it has words that are not of its kind."""
-        text = match.string
-        spans = match.regs
+        text, spans = match.string, match.regs
         start, end = spans[2]
-        has_others = (match.lastindex or 0) > 2 + len(self._plain.axes)
-        others = []
-        if has_others:
-            others = [(group, name) for group, name in self._plain.others if match.start(group) >= 0]
-            if others and end - start < 2:
-                return None
-        block = PathBlock(text, start, self.inch, numbered=match.start(1) >= 0, keyword=text[start:end].upper())
-        block.keyword_end = end
-        unit = MM_PER_INCH if self.inch else 1.0
-        seen, words, position = 0, block.words, self.position
+        others = [(group, name) for group, name in self._plain.others if spans[group][1] >= 0]
+        if others and end - start < 2:
+            return None
+        seen, position = self._plain_words(match), self.position
+        words = []
         for group, axis in self._plain.axes:
-            start, end = spans[group]
-            if end >= 0:
-                written = text[start:end]
-                value = number(written) if "," in written else float(written)
-                if axis < self.linear:
-                    value *= unit
-                seen |= 1 << axis
-                words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
-        block.seen = seen
-        feed = match.group(match.re.groups) if has_others else None
-        if feed is not None and feed[-1] in "xX":
-            block.rapid_text = feed
+            at, to = spans[group]
+            if to >= 0:
+                words.append(_new(AxisWord, (axis, at - 1, to, at, to, "", False, position[axis])))
+        block = PathBlock(text, start, self.inch, words=words, seen=seen, numbered=spans[1][1] >= 0)
+        block.keyword, block.keyword_end = text[start:end].upper(), end
+        block.rapid_text = _rapid(match)
+        for group, name in others:
+            self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
         if others:
-            for group, name in others:
-                self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
             self._move(block)
-            return block
-        for word in words:
-            position[word[0]] = word[-1]
+        else:
+            block.moves = (self._straight(match, seen),)
+        return block
+
+    def _plain_words(self, match: re.Match[str]) -> int:
+        """Take the axis words of a plain block to the position; their axes as bits."""
+        unit, linear, position = MM_PER_INCH if self.inch else 1.0, self.linear, self.position
+        seen = 0
+        for (_, axis), written in zip(self._plain.axes, match.groups()[2:], strict=False):
+            if written is not None:
+                value = number(written) if "," in written else float(written)
+                position[axis] = value * unit if axis < linear else value
+                seen |= 1 << axis
+        return seen
+
+    def _straight(self, match: re.Match[str], seen: int) -> Move:
+        """Return the move of a plain block that has axis words only, where these are taken."""
         if seen >> self.linear:
             self.vector = None
-        kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
-        block.moves = (Move(self._line, kind, self.tcp, tuple(position), self.named(seen), False, self.vector),)
-        return block
+        kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
+        return Move(self._line, kind, self.tcp, tuple(self.position), self.named(seen), False, self.vector)
 
     def _body(self, block: PathBlock, body: str) -> None:
         found = vocabulary.KEYWORD.match(body)
@@ -391,6 +408,12 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "TRANS": HeidenhainInterpreter._transform,
 }
 """What statements do, by their first word."""
+
+
+def _rapid(match: re.Match[str]) -> str:
+    """``FMAX`` of a plain block as written, or nothing."""
+    feed = match[match.re.groups]
+    return feed if feed is not None and feed[-1] in "xX" else ""
 
 
 def _cancels(cycle: int, rest: str) -> bool:

@@ -113,7 +113,8 @@ class Iso(Dialect):
 
     def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.only_moves`."""
-        return vocabulary.plain(names).pattern.fullmatch(text) is not None
+        found = vocabulary.plain(names).pattern.fullmatch(text)
+        return found is not None and found[found.re.groups] is None
 
     def feed_said(self, text: str) -> tuple[str, bool | None]:
         """See `Dialect.feed_said`."""

@@ -92,8 +92,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         text = block.text
         self.heard(block)
         if block.motion_word is None and block.motion is not None and self.motion != block.motion:
-            starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
-            at = min(starts, default=block.head)
+            at = min((word.start for word in (*block.words, *block.arc_words)), default=block.head)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
             text = f"{text[:at]}{self._g(block.motion)}{separator}{text[at:]}"
         if block.motion is not None:
