@@ -10,6 +10,7 @@ from twin._common.errors import InputError
 from twin.nc.arcs import Misfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
+from twin.nc.emit import Vector
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.modal import Interpreter
@@ -47,22 +48,20 @@ class HeidenhainInterpreter(Interpreter):
             InputError: with file, line and value.
         """
         found = self._found(line, text)
-        block = None if found is None else self._plain_block(found)
-        return self._block(text) if block is None else block
+        return self._block(text) if found is None else self._plain_block(found)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """Return the moves of one line as `step` does, without the words that only a writer asks for."""
         found = self._found(line, text)
-        if found is None:
-            return self._block(text).moves
-        if any(found.groups()[self._plain.behind]):
-            return self.step(line, text).moves
-        return (self._straight(found, self._plain_words(found)),)
+        return self._block(text).moves if found is None else (self._plain_move(found, self._plain_words(found)),)
 
     def _found(self, line: int, text: str) -> re.Match[str] | None:
-        """Begin with a line; its match if it is a plain block."""
+        """Begin with a line; its match if it is a plain block, with vectors only in one that can have them."""
         self._line, self._shown = line, text
-        return None if self.continued else self._plain.pattern.fullmatch(text)
+        found = None if self.continued else self._plain.pattern.fullmatch(text)
+        if found is not None and found[2] in ("L", "l") and any(found.groups()[self._plain.behind]):
+            return None
+        return found
 
     def _block(self, text: str) -> PathBlock:
         """Interpret a line that is no plain block."""
@@ -79,13 +78,10 @@ class HeidenhainInterpreter(Interpreter):
             self._body(block, body)
         return block
 
-    def _plain_block(self, match: re.Match[str]) -> PathBlock | None:
-        """Interpret a plain block by the words its pattern found; None where it has words that are not of its kind."""
+    def _plain_block(self, match: re.Match[str]) -> PathBlock:
+        """Interpret a plain block by the words its pattern found."""
         text, spans = match.string, match.regs
         start, end = spans[2]
-        others = [(group, name) for group, name in self._plain.others if spans[group][1] >= 0]
-        if others and end - start < 2:
-            return None
         seen, position = self._plain_words(match), self.position
         words = []
         for group, axis in self._plain.axes:
@@ -95,12 +91,13 @@ class HeidenhainInterpreter(Interpreter):
         block = PathBlock(text, start, self.inch, words=words, seen=seen, numbered=spans[1][1] >= 0)
         block.keyword, block.keyword_end = text[start:end].upper(), end
         block.rapid_text = _rapid(match)
-        for group, name in others:
-            self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
-        if others:
-            self._move(block)
-        else:
-            block.moves = (self._straight(match, seen),)
+        for place, (group, name) in enumerate(self._plain.others if end - start > 1 else ()):
+            at, to = spans[group]
+            if to >= 0 and place < 3:
+                block.normal_text.append(text[at - 2 : to])
+            elif to >= 0:
+                block.vector_words[place - 3] = Span(at, to, name)
+        block.moves = (self._plain_move(match, seen),)
         return block
 
     def _plain_words(self, match: re.Match[str]) -> int:
@@ -114,12 +111,27 @@ class HeidenhainInterpreter(Interpreter):
                 seen |= 1 << axis
         return seen
 
-    def _straight(self, match: re.Match[str], seen: int) -> Move:
-        """Return the move of a plain block that has axis words only, where these are taken."""
-        if seen >> self.linear:
-            self.vector = None
+    def _plain_move(self, match: re.Match[str], seen: int) -> Move:
+        """Return the move of a plain block whose axis words are taken."""
+        values = match.groups()[self._plain.behind]
+        parts = (values[:3], values[3:]) if any(values) else ((), ())
+        normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
+        unit_normal = self._directed(seen, tool, normal)
         kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
-        return Move(self._line, kind, self.tcp, tuple(self.position), self.named(seen), False, self.vector)
+        position = tuple(self.position)
+        return Move(self._line, kind, self.tcp, position, self.named(seen), False, self.vector, unit_normal)
+
+    def _directed(self, seen: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
+        """Take the tool vector of a block that names some axes (bits); its surface normal at unit length."""
+        if tool is not None:
+            vector = self.direction("tool vector", tool)
+            if not self.tcp:
+                what = "a tool vector while the control's kinematics are off"
+                raise self.refuse(what, "M128 or FUNCTION TCPM first")
+            self.turn_to(seen, vector)
+        elif seen >> self.linear:
+            self.vector = None
+        return None if normal is None else self.direction("surface normal", normal)
 
     def _body(self, block: PathBlock, body: str) -> None:
         found = vocabulary.KEYWORD.match(body)
@@ -349,21 +361,13 @@ class HeidenhainInterpreter(Interpreter):
             return
         start = self.position[: self.linear]
         self.take(block)
-        if block.tool is not None:
-            vector = self.direction("tool vector", block.tool)
-            if not self.tcp:
-                what = "a tool vector while the control's kinematics are off"
-                raise self.refuse(what, "M128 or FUNCTION TCPM first")
-            self.turn_to(block, vector)
-        elif block.seen >> self.linear:
-            self.vector = None
+        normal = self._directed(block.seen, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in ("C", "CR"):
             kind = Kind.ARC
             arc = self._arc(block, start)
         elif block.arc_words:
             raise self.refuse("DR outside a circular block", "C or CR")
-        normal = None if block.normal is None else self.direction("surface normal", block.normal)
         position = tuple(self.position)
         block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 

@@ -92,7 +92,8 @@ class IsoWriter(WordWriter[IsoBlock]):
         text = block.text
         self.heard(block)
         if block.motion_word is None and block.motion is not None and self.motion != block.motion:
-            at = min((word.start for word in (*block.words, *block.arc_words)), default=block.head)
+            starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
+            at = min(starts, default=block.head)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
             text = f"{text[:at]}{self._g(block.motion)}{separator}{text[at:]}"
         if block.motion is not None:
@@ -210,8 +211,6 @@ class IsoWriter(WordWriter[IsoBlock]):
         return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
 
     def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
-        if not word.form:
-            return word.value_start, word.value_end, self._number(block, word, target)
         head = self._head(block, word, target)
         new = self._number(block, word, target)
         return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
