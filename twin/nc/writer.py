@@ -143,15 +143,12 @@ class WordWriter(ABC, Generic[B]):
         axis, _, _, start, end, _, incremental, _ = word
         old = block.text[start:end]
         value = number(old)
-        style = self.style
         if value == value:
-            style = style_of(old, style)
-            if self.signed and not style.plus:
-                style = style._replace(plus=True)
-            self.style = style
+            style = style_of(old, self.style)
+            self.style = style if style.plus or not self.signed else style._replace(plus=True)
         if incremental:
             self._check(axis)
-        return self.said.replace(axis, old, value, target, block.inch, incremental, style)
+        return self.said.replace(axis, old, value, target, block.inch, incremental, self.style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
         """The edit of a word that has a form: a language without forms has no such words."""

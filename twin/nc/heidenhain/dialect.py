@@ -48,8 +48,8 @@ class Heidenhain(Dialect):
         style = style_in(program.texts, Style(plus=True))
         writer = HeidenhainWriter(program.source, axes, newline_of(program), style)
         for index, text in enumerate(program.texts):
-            pieces = by_line.get(index)
-            writer.block(interpreter.step(index, text), None if pieces is None else pieces[0])
+            pieces = by_line[index][0] if index in by_line else None
+            writer.block(interpreter.step(index, text, pieces[0].move if pieces else None), pieces)
         return writer.text()
 
     def commented(self, text: str, comments: Sequence[str]) -> str:

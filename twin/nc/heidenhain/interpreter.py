@@ -37,18 +37,19 @@ class HeidenhainInterpreter(Interpreter):
         self.continued = False
         self._plain = vocabulary.plain(self.names)
 
-    def step(self, line: int, text: str) -> PathBlock:
+    def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
 
         Args:
             line: 0-based index of the line.
             text: its text.
+            known: the move it makes, where somebody has read it before.
 
         Raises:
             InputError: with file, line and value.
         """
         found = self._found(line, text)
-        return self._block(text) if found is None else self._plain_block(found)
+        return self._block(text) if found is None else self._plain_block(found, known)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """Return the moves of one line as `step` does, without the words that only a writer asks for."""
@@ -78,17 +79,19 @@ class HeidenhainInterpreter(Interpreter):
             self._body(block, body)
         return block
 
-    def _plain_block(self, match: re.Match[str]) -> PathBlock:
+    def _plain_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
         """Interpret a plain block by the words its pattern found."""
         text, spans = match.string, match.regs
         start, end = spans[2]
-        seen, position = self._plain_words(match), self.position
-        words = []
+        move = self._plain_move(match, self._plain_words(match)) if known is None else known
+        self.position, self.vector = list(move.position), move.vector
+        block = PathBlock(text, start, self.inch, moves=(move,), numbered=spans[1][1] >= 0)
+        words, position = block.words, move.position
         for group, axis in self._plain.axes:
             at, to = spans[group]
             if to >= 0:
+                block.seen |= 1 << axis
                 words.append(_new(AxisWord, (axis, at - 1, to, at, to, "", False, position[axis])))
-        block = PathBlock(text, start, self.inch, words=words, seen=seen, numbered=spans[1][1] >= 0)
         block.keyword, block.keyword_end = text[start:end].upper(), end
         block.rapid_text = _rapid(match)
         for place, (group, name) in enumerate(self._plain.others if end - start > 1 else ()):
@@ -97,7 +100,6 @@ class HeidenhainInterpreter(Interpreter):
                 block.normal_text.append(text[at - 2 : to])
             elif to >= 0:
                 block.vector_words[place - 3] = Span(at, to, name)
-        block.moves = (self._plain_move(match, seen),)
         return block
 
     def _plain_words(self, match: re.Match[str]) -> int:
@@ -113,9 +115,11 @@ class HeidenhainInterpreter(Interpreter):
 
     def _plain_move(self, match: re.Match[str], seen: int) -> Move:
         """Return the move of a plain block whose axis words are taken."""
-        values = match.groups()[self._plain.behind]
-        parts = (values[:3], values[3:]) if any(values) else ((), ())
-        normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
+        normal = tool = None
+        if len(match[2]) > 1:
+            values = match.groups()[self._plain.behind]
+            parts = values[:3], values[3:]
+            normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
         unit_normal = self._directed(seen, tool, normal)
         kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
         position = tuple(self.position)
@@ -303,22 +307,18 @@ class HeidenhainInterpreter(Interpreter):
         if block.keyword != "LN" or not match.lastindex:
             raise self._stray(block, match)
         name, written = match.group(match.lastindex + 1, match.lastindex + 2)
-        self._component(block, name, Span(match.end() - len(written), match.end(), name), match["vector"])
-
-    def _component(self, block: PathBlock, name: str, span: Span, shown: str) -> None:
-        """Take a component of a tool vector or of a surface normal."""
-        value = self._value(name, block.text[span.start : span.end])
+        value = self._value(name, written)
         index = "XYZ".index(name[1].upper())
         if name[0] in "tT":
             if index in block.vector_words:
                 raise self.refuse(f"{name} twice in one block", "each word once")
             block.tool = block.tool or [0.0, 0.0, 0.0]
             block.tool[index] = value
-            block.vector_words[index] = span
+            block.vector_words[index] = Span(match.end() - len(written), match.end(), name)
         else:
             block.normal = block.normal or [0.0, 0.0, 0.0]
             block.normal[index] = value
-            block.normal_text.append(shown)
+            block.normal_text.append(match["vector"])
 
     def _bad(self, block: PathBlock, match: re.Match[str]) -> None:
         raise self._stray(block, match)
