@@ -22,7 +22,6 @@ def check(dialect, text):
     data = text.encode("latin-1")
     program = dialect.read(data, "demo")
     assert program.text.encode("latin-1") == data
-    assert [line.number for line in program.lines] == list(range(1, len(program.lines) + 1))
     reading = dialect.moves(program, AXES, tcp=False)
     assert dialect.rewrite(program, AXES, reading, []) == text
     return reading

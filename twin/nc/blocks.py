@@ -11,10 +11,10 @@ three times as long to make.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple, final, overload
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -45,36 +45,6 @@ class AxisWords:
 
 
 @final
-class Line(NamedTuple):
-    """One line of a program: 1-based number and its text with its own line ending."""
-
-    number: int
-    text: str
-
-
-@final
-class Lines(Sequence[Line]):
-    """The lines of a program, each made when it is asked for: most of them nobody asks for."""
-
-    __slots__ = ("_texts",)
-
-    def __init__(self, texts: tuple[str, ...]) -> None:
-        self._texts = texts
-
-    def __len__(self) -> int:
-        return len(self._texts)
-
-    @overload
-    def __getitem__(self, index: int) -> Line: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Line]: ...
-    def __getitem__(self, index: int | slice) -> Line | list[Line]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self._texts)))]
-        return Line(index % len(self._texts) + 1, self._texts[index])
-
-
-@final
 @dataclass(frozen=True)
 class Program:
     """A program as read: its lines hold every byte (decoded as latin-1, so that any byte survives).
@@ -88,11 +58,6 @@ class Program:
     source: str
     dialect: str
     texts: tuple[str, ...]
-
-    @property
-    def lines(self) -> Lines:
-        """The lines, numbered."""
-        return Lines(self.texts)
 
     @property
     def text(self) -> str:
@@ -131,7 +96,7 @@ class Move(NamedTuple):
     """One block that moves axes, with everything modal made explicit.
 
     Attributes:
-        line: index into ``Program.lines``.
+        line: index into ``Program.texts``.
         kind: rapid, linear feed or arc.
         tcp: whether the control does the kinematics here (the words are tool-tip coordinates).
         machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``): such a block passes through
@@ -169,7 +134,7 @@ class Left(NamedTuple):
     """Axes that a line, behind its own moves, leaves in a place the program does not say.
 
     Attributes:
-        line: index into ``Program.lines``.
+        line: index into ``Program.texts``.
         axes: indices into ``AxisWords.names``.
         moved: whether it moves them for certain (a reference return, a retraction), or perhaps (a word not understood).
     """

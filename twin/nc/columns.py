@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import final, overload
 
 import numpy as np
@@ -33,6 +34,25 @@ class MoveColumns(Sequence[Move]):
     named: np.ndarray
     position: np.ndarray
     special: Mapping[int, Move]
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], moves: Sequence[Move]) -> MoveColumns:
+        """Moves that are objects, in columns."""
+        bit = {name: 1 << i for i, name in enumerate(names)}
+        bits = {named: sum(bit[name] for name in named) for named in {move.named for move in moves}}
+        return cls(
+            names,
+            np.array([move.line for move in moves], dtype=int),
+            np.array([move.kind is Kind.RAPID for move in moves], dtype=bool),
+            np.array([move.tcp for move in moves], dtype=bool),
+            np.array([bits[move.named] for move in moves], dtype=int),
+            np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
+            {
+                i: move
+                for i, move in enumerate(moves)
+                if move.kind is Kind.ARC or move.machine or move.vector or move.normal
+            },
+        )
 
     def __len__(self) -> int:
         return len(self.line)
@@ -95,71 +115,32 @@ class MoveBuilder:
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
-        self._parts: list[tuple[np.ndarray, ...]] = []
+        self._parts: list[Sequence[Move]] = []
         self._loose: list[Move] = []
-        self._special: dict[int, Move] = {}
-        self._count = 0
 
     def add(self, move: Move) -> None:
         """One move."""
-        if move.kind is Kind.ARC or move.machine or move.vector is not None or move.normal is not None:
-            self._special[self._count] = move
         self._loose.append(move)
-        self._count += 1
 
     def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
         """Many, in columns."""
-        self._settle()
-        self._parts.append((line, rapid, np.full(len(line), tcp), named, position))
-        self._count += len(line)
+        columns = MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})
+        self._parts += [self._loose, columns] if self._loose else [columns]
+        self._loose = []
+
+    def objects(self) -> tuple[Move, ...]:
+        """All of them, each as an object."""
+        return tuple(chain(*self._parts, self._loose))
 
     def moves(self) -> MoveColumns:
-        """All of them."""
-        self._settle()
-        if not self._parts:
-            empty = np.zeros(0, dtype=int)
-            return MoveColumns(
-                self._names, empty, empty > 0, empty > 0, empty, np.zeros((0, len(self._names))), self._special
-            )
-        parts = self._parts if len(self._parts) == 1 else [tuple(map(np.concatenate, zip(*self._parts, strict=True)))]
-        line, rapid, tcp, named, position = parts[0]
-        return MoveColumns(self._names, line, rapid, tcp, named, position, self._special)
-
-    def _settle(self) -> None:
-        if not self._loose:
-            return
-        moves, self._loose = self._loose, []
-        bit = {name: 1 << i for i, name in enumerate(self._names)}
-        self._parts.append(
-            (
-                np.array([move.line for move in moves]),
-                np.array([move.kind is Kind.RAPID for move in moves]),
-                np.array([move.tcp for move in moves]),
-                np.array([sum(bit[name] for name in move.named) for move in moves]),
-                np.array([move.position for move in moves]),
-            )
-        )
-
-
-@final
-class MoveList:
-    """Collects moves as `MoveBuilder` does, each as an object.
-
-    Args:
-        names: axis names.
-
-    Attributes:
-        moves: all of them.
-    """
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._names = names
-        self.moves: list[Move] = []
-
-    def add(self, move: Move) -> None:
-        """One move."""
-        self.moves.append(move)
-
-    def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
-        """Many, in columns."""
-        self.moves += MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})
+        """All of them, in columns."""
+        parts = [part if isinstance(part, MoveColumns) else MoveColumns.of(self._names, part) for part in self._parts]
+        if self._loose or not parts:
+            parts.append(MoveColumns.of(self._names, self._loose))
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *map(len, parts)]).tolist()
+        special = {at + i: move for at, part in zip(first, parts, strict=False) for i, move in part.special.items()}
+        columns = ("line", "rapid", "tcp", "named", "position")
+        joined = {column: np.concatenate([getattr(part, column) for part in parts]) for column in columns}
+        return MoveColumns(names=self._names, special=special, **joined)

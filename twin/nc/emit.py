@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
-from twin.nc.blocks import AxisWords, Move, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Reading, Rewrite
 from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
@@ -119,9 +119,9 @@ def pieces_of(
     result: dict[int, dict[int, tuple[Rewrite, list[list[float]]]]] = {}
     for rewrite in rewrites:
         move = rewrite.move
-        ordinal = ordinals.get(id(move), -1)
-        if ordinal < 0:
-            ordinal = _twin_of(move, count)
+        ordinal = ordinals.get(id(move))
+        if ordinal is None:
+            raise ValueError(f"a rewrite of a move of line index {move.line} that is not in the reading")
         shape = rewrite.positions.shape
         if len(shape) != 2 or shape[1] != width or shape[0] < 1:
             raise ValueError(f"positions of shape {shape}; expected (pieces, {width})")
@@ -135,13 +135,6 @@ def pieces_of(
             raise ValueError(f"a rewrite of the machine-coordinate block of line index {move.line}")
         at[ordinal] = (rewrite, rows)
     return result
-
-
-def _twin_of(move: Move, count: Mapping[int, int]) -> int:
-    """The place of an equal move when the very object is not in the reading (it was pickled, say)."""
-    if count.get(move.line) == 1:
-        return 0
-    raise ValueError(f"a rewrite of a move of line index {move.line} that is not in the reading")
 
 
 def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[str, str, str]:

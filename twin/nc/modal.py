@@ -178,13 +178,13 @@ class Interpreter:
             self.note(f"{what} of length {length:.6g} is taken as a direction")
         return vector
 
-    def turn_to(self, block: Block, vector: tuple[float, float, float]) -> None:
-        """Take a tool vector: where the rotary axes are is then the control's business.
+    def turn_to(self, seen: int, vector: tuple[float, float, float]) -> None:
+        """Take the tool vector of a block that names some axes (bits); the rotary axes are then the control's business.
 
         Raises:
             InputError: the block names rotary axes too.
         """
-        if block.seen >> self.linear:
+        if seen >> self.linear:
             raise self.refuse("a tool vector and rotary axes in one block", "one of them")
         self.vector = vector
         for i in range(self.linear, len(self.position)):

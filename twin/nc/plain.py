@@ -25,11 +25,13 @@ class Plain(NamedTuple):
             value for each of ``axes``, then of ``others``, then what the dialect has behind them.
         axes: group and index of each axis.
         others: group and name of the words that are no axis words.
+        behind: where the values of those stand among all groups.
     """
 
     pattern: re.Pattern[str]
     axes: tuple[tuple[int, int], ...]
     others: tuple[tuple[int, str], ...]
+    behind: slice = slice(0)
 
 
 def plain_letters(names: tuple[str, ...]) -> str:
@@ -58,9 +60,6 @@ def plain_blocks(
     more = "".join(rf"(?:{name}{equals if len(name) > 1 else ''}({value})[ \t]*+)?+" for name in others)
     pattern = re.compile(rf"{head}(?=[{letters}]){words}{more}{tail}[\r\n]*+", re.ASCII | re.IGNORECASE)
     index = {name.upper(): i for i, name in enumerate(names)}
-    behind = len(letters) + 3
-    return Plain(
-        pattern,
-        tuple((group, index[letter]) for group, letter in enumerate(letters, 3)),
-        tuple(enumerate(others, behind)),
-    )
+    axes = tuple((group, index[letter]) for group, letter in enumerate(letters, 3))
+    behind = len(letters) + 2
+    return Plain(pattern, axes, tuple(enumerate(others, behind + 1)), slice(behind, behind + len(others)))

@@ -78,10 +78,12 @@ class WordWriter(ABC, Generic[B]):
         row = rows[0]
         for word in block.words:
             target = row[word[0]]
-            if target == target:
+            if target != target:
+                self.said.heard(word.axis, word.value, word.incremental)
+            elif word[5]:
                 edits.append(self._replaced(block, word, target))
             else:
-                self.said.heard(word.axis, word.value, word.incremental)
+                edits.append((word[3], word[4], self._number(block, word, target)))
         added = self._missing(block, rows[0], block.seen)
         tool: list[str] = []
         if vectors is not None:
@@ -141,18 +143,16 @@ class WordWriter(ABC, Generic[B]):
         axis, _, _, start, end, _, incremental, _ = word
         old = block.text[start:end]
         value = number(old)
-        style = self.style
         if value == value:
-            style = style_of(old, style)
-            if self.signed and not style.plus:
-                style = style._replace(plus=True)
-            self.style = style
+            style = style_of(old, self.style)
+            self.style = style if style.plus or not self.signed else style._replace(plus=True)
         if incremental:
             self._check(axis)
-        return self.said.replace(axis, old, value, target, block.inch, incremental, style)
+        return self.said.replace(axis, old, value, target, block.inch, incremental, self.style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
-        return word.value_start, word.value_end, self._number(block, word, target)
+        """The edit of a word that has a form: a language without forms has no such words."""
+        raise NotImplementedError(word.form)
 
     def _missing(self, block: B, row: list[float], written: int) -> list[str]:
         """Words for the axes that are not where they should be; ``written``: those that have one, as bits."""

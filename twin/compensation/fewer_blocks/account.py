@@ -48,10 +48,6 @@ class Job:
     result: Compensation | None
     asked: bool
 
-    def number(self, line: int) -> int:
-        """The number of a line, by its index."""
-        return self.program.lines[line].number
-
 
 def account(fewer: Fewer, job: Job) -> PathReport:
     """Execute what is about to be written on the machine with its errors, and tell.
@@ -63,7 +59,7 @@ def account(fewer: Fewer, job: Job) -> PathReport:
     bench, errors = fewer.bench, fewer.bench.calibration
     tolerance = bench.options.tolerance_mm
     runs = tuple(_runs(fewer, job))
-    notes = [LineNote(job.number(one.line), one.text) for one in (*job.reading.notices, *job.path.passed)]
+    notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.passed)]
     if not runs:
         notes.insert(0, LineNote(1, "no run of short feed blocks: nothing was refitted"))
     compensation = job.result.report if job.result is not None and fewer.compensated else None
@@ -110,8 +106,8 @@ def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
         first, last = outs[lines[kept[0]]], outs[lines[kept[-1]]]
         executed = done.between(int(begins[first]), int(begins[last] + counts[last] - 1))
         yield RunReport(
-            first_line=job.number(lines[0]),
-            last_line=job.number(lines[-1]),
+            first_line=lines[0] + 1,
+            last_line=lines[-1] + 1,
             blocks=len(lines),
             blocks_out=len(kept),
             corners=one.corners,

@@ -129,8 +129,8 @@ class AptReader:
             raise self.refuse(f"a location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
         values = []
         for text in texts:
-            value = number(text.replace("D", "E").replace("d", "e"))
-            if value != value:
+            value = number(text)
+            if value != value and (value := number(text.replace("D", "E").replace("d", "e"))) != value:
                 raise self.refuse("a coordinate that is not a number", text or shown, "a number like 12.5")
             values.append(value)
         if len(values) == 6:

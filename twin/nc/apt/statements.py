@@ -9,6 +9,7 @@ from typing import NamedTuple
 from twin.nc.text import BOM
 
 _STATEMENT = re.compile(r"[ \t\f\x1a]*+([A-Za-z][A-Za-z0-9_ -]*+)(?:(/)(.*))?", re.ASCII | re.DOTALL)
+_new = tuple.__new__
 _CONTINUED = re.compile(r"\$[ \t]*(?:\r\n|\n|\r)")
 
 
@@ -49,8 +50,8 @@ class Statement(NamedTuple):
         at = self.at + (1 if self.arguments.startswith(",") else 0)
         for piece in self._pieces():
             bare = piece.strip()
-            start = at + len(piece) - len(piece.lstrip())
-            found.append(AptField(start, start + len(bare), bare))
+            start = at + piece.find(bare)
+            found.append(_new(AptField, (start, start + len(bare), bare)))
             at += len(piece) + 1
         return found
 

@@ -49,7 +49,9 @@ class AptWriter:
         edits: list[tuple[int, int, str]] = []
         for (start, end, text), places, target in zip(fields, decimals, rows[0], strict=False):
             if target == target:
-                style = style_of(text, style)._replace(keep=places, comma=False)
+                style = style_of(text, style)
+                if style.keep != places or style.comma:
+                    style = style._replace(keep=places, comma=False)
                 edits.append((start, end, format_number(target / unit, places, style)))
         vectors: list[list[float] | None] = [None] * len(rows) if rewrite.vectors is None else rewrite.vectors.tolist()
         written = len(fields) == 6
@@ -86,4 +88,5 @@ class AptWriter:
 
 
 def _decimals(text: str) -> int:
-    return 0 if _EXPONENT.fullmatch(text) else min(12, len(text.partition(".")[2]))
+    fraction = text.partition(".")[2]
+    return min(12, len(fraction)) if fraction.isdigit() or not _EXPONENT.fullmatch(text) else 0

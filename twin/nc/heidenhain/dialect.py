@@ -36,7 +36,7 @@ class Heidenhain(Dialect):
         moves: list[Move] = []
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
-                moves += interpreter.step(index, text).moves
+                moves += interpreter.moves(index, text)
         return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
@@ -48,8 +48,8 @@ class Heidenhain(Dialect):
         style = style_in(program.texts, Style(plus=True))
         writer = HeidenhainWriter(program.source, axes, newline_of(program), style)
         for index, text in enumerate(program.texts):
-            pieces = by_line.get(index)
-            writer.block(interpreter.step(index, text), None if pieces is None else pieces[0])
+            pieces = by_line[index][0] if index in by_line else None
+            writer.block(interpreter.step(index, text, pieces[0].move if pieces else None), pieces)
         return writer.text()
 
     def commented(self, text: str, comments: Sequence[str]) -> str:

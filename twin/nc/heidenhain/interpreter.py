@@ -10,11 +10,13 @@ from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
+from twin.nc.emit import Vector
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH, number
 
+_new = tuple.__new__
 _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
@@ -35,21 +37,35 @@ class HeidenhainInterpreter(Interpreter):
         self.continued = False
         self._plain = vocabulary.plain(self.names)
 
-    def step(self, line: int, text: str) -> PathBlock:
+    def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
 
         Args:
             line: 0-based index of the line.
             text: its text.
+            known: the move it makes, where somebody has read it before.
 
         Raises:
             InputError: with file, line and value.
         """
+        found = self._found(line, text)
+        return self._block(text) if found is None else self._plain_block(found, known)
+
+    def moves(self, line: int, text: str) -> tuple[Move, ...]:
+        """Return the moves of one line as `step` does, without the words that only a writer asks for."""
+        found = self._found(line, text)
+        return self._block(text).moves if found is None else (self._plain_move(found, self._plain_words(found)),)
+
+    def _found(self, line: int, text: str) -> re.Match[str] | None:
+        """Begin with a line; its match if it is a plain block, with vectors only in one that can have them."""
         self._line, self._shown = line, text
         found = None if self.continued else self._plain.pattern.fullmatch(text)
-        block = None if found is None else self._plain_block(found)
-        if block is not None:
-            return block
+        if found is not None and found[2] in ("L", "l") and any(found.groups()[self._plain.behind]):
+            return None
+        return found
+
+    def _block(self, text: str) -> PathBlock:
+        """Interpret a line that is no plain block."""
         head = vocabulary.HEAD.match(text)
         begin = head.end() if head else 0
         block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
@@ -63,46 +79,63 @@ class HeidenhainInterpreter(Interpreter):
             self._body(block, body)
         return block
 
-    def _plain_block(self, match: re.Match[str]) -> PathBlock | None:
-        """Interpret a plain block by the words its pattern found; None where it has words that are not of its kind."""
-        text = match.string
-        spans = match.regs
+    def _plain_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
+        """Interpret a plain block by the words its pattern found."""
+        text, spans = match.string, match.regs
         start, end = spans[2]
-        has_others = (match.lastindex or 0) > 2 + len(self._plain.axes)
-        others = []
-        if has_others:
-            others = [(group, name) for group, name in self._plain.others if match.start(group) >= 0]
-            if others and end - start < 2:
-                return None
-        block = PathBlock(text, start, self.inch, numbered=match.start(1) >= 0, keyword=text[start:end].upper())
-        block.keyword_end = end
-        unit = MM_PER_INCH if self.inch else 1.0
-        seen, words, position = 0, block.words, self.position
+        move = self._plain_move(match, self._plain_words(match)) if known is None else known
+        self.position, self.vector = list(move.position), move.vector
+        block = PathBlock(text, start, self.inch, moves=(move,), numbered=spans[1][1] >= 0)
+        words, position = block.words, move.position
         for group, axis in self._plain.axes:
-            start, end = spans[group]
-            if end >= 0:
-                written = text[start:end]
-                value = number(written) if "," in written else float(written)
-                if axis < self.linear:
-                    value *= unit
-                seen |= 1 << axis
-                words.append(tuple.__new__(AxisWord, (axis, start - 1, end, start, end, "", False, value)))
-        block.seen = seen
-        feed = match.group(match.re.groups) if has_others else None
-        if feed is not None and feed[-1] in "xX":
-            block.rapid_text = feed
-        if others:
-            for group, name in others:
-                self._component(block, name, Span(*spans[group]), text[spans[group][0] - 2 : spans[group][1]])
-            self._move(block)
-            return block
-        for word in words:
-            position[word[0]] = word[-1]
-        if seen >> self.linear:
-            self.vector = None
-        kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
-        block.moves = (Move(self._line, kind, self.tcp, tuple(position), self.named(seen), False, self.vector),)
+            at, to = spans[group]
+            if to >= 0:
+                block.seen |= 1 << axis
+                words.append(_new(AxisWord, (axis, at - 1, to, at, to, "", False, position[axis])))
+        block.keyword, block.keyword_end = text[start:end].upper(), end
+        block.rapid_text = _rapid(match)
+        for place, (group, name) in enumerate(self._plain.others if end - start > 1 else ()):
+            at, to = spans[group]
+            if to >= 0 and place < 3:
+                block.normal_text.append(text[at - 2 : to])
+            elif to >= 0:
+                block.vector_words[place - 3] = Span(at, to, name)
         return block
+
+    def _plain_words(self, match: re.Match[str]) -> int:
+        """Take the axis words of a plain block to the position; their axes as bits."""
+        unit, linear, position = MM_PER_INCH if self.inch else 1.0, self.linear, self.position
+        seen = 0
+        for (_, axis), written in zip(self._plain.axes, match.groups()[2:], strict=False):
+            if written is not None:
+                value = number(written) if "," in written else float(written)
+                position[axis] = value * unit if axis < linear else value
+                seen |= 1 << axis
+        return seen
+
+    def _plain_move(self, match: re.Match[str], seen: int) -> Move:
+        """Return the move of a plain block whose axis words are taken."""
+        normal = tool = None
+        if len(match[2]) > 1:
+            values = match.groups()[self._plain.behind]
+            parts = values[:3], values[3:]
+            normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
+        unit_normal = self._directed(seen, tool, normal)
+        kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
+        position = tuple(self.position)
+        return Move(self._line, kind, self.tcp, position, self.named(seen), False, self.vector, unit_normal)
+
+    def _directed(self, seen: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
+        """Take the tool vector of a block that names some axes (bits); its surface normal at unit length."""
+        if tool is not None:
+            vector = self.direction("tool vector", tool)
+            if not self.tcp:
+                what = "a tool vector while the control's kinematics are off"
+                raise self.refuse(what, "M128 or FUNCTION TCPM first")
+            self.turn_to(seen, vector)
+        elif seen >> self.linear:
+            self.vector = None
+        return None if normal is None else self.direction("surface normal", normal)
 
     def _body(self, block: PathBlock, body: str) -> None:
         found = vocabulary.KEYWORD.match(body)
@@ -274,22 +307,18 @@ class HeidenhainInterpreter(Interpreter):
         if block.keyword != "LN" or not match.lastindex:
             raise self._stray(block, match)
         name, written = match.group(match.lastindex + 1, match.lastindex + 2)
-        self._component(block, name, Span(match.end() - len(written), match.end(), name), match["vector"])
-
-    def _component(self, block: PathBlock, name: str, span: Span, shown: str) -> None:
-        """Take a component of a tool vector or of a surface normal."""
-        value = self._value(name, block.text[span.start : span.end])
+        value = self._value(name, written)
         index = "XYZ".index(name[1].upper())
         if name[0] in "tT":
             if index in block.vector_words:
                 raise self.refuse(f"{name} twice in one block", "each word once")
             block.tool = block.tool or [0.0, 0.0, 0.0]
             block.tool[index] = value
-            block.vector_words[index] = span
+            block.vector_words[index] = Span(match.end() - len(written), match.end(), name)
         else:
             block.normal = block.normal or [0.0, 0.0, 0.0]
             block.normal[index] = value
-            block.normal_text.append(shown)
+            block.normal_text.append(match["vector"])
 
     def _bad(self, block: PathBlock, match: re.Match[str]) -> None:
         raise self._stray(block, match)
@@ -332,21 +361,13 @@ class HeidenhainInterpreter(Interpreter):
             return
         start = self.position[: self.linear]
         self.take(block)
-        if block.tool is not None:
-            vector = self.direction("tool vector", block.tool)
-            if not self.tcp:
-                what = "a tool vector while the control's kinematics are off"
-                raise self.refuse(what, "M128 or FUNCTION TCPM first")
-            self.turn_to(block, vector)
-        elif block.seen >> self.linear:
-            self.vector = None
+        normal = self._directed(block.seen, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in ("C", "CR"):
             kind = Kind.ARC
             arc = self._arc(block, start)
         elif block.arc_words:
             raise self.refuse("DR outside a circular block", "C or CR")
-        normal = None if block.normal is None else self.direction("surface normal", block.normal)
         position = tuple(self.position)
         block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 
@@ -391,6 +412,12 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "TRANS": HeidenhainInterpreter._transform,
 }
 """What statements do, by their first word."""
+
+
+def _rapid(match: re.Match[str]) -> str:
+    """``FMAX`` of a plain block as written, or nothing."""
+    feed = match[match.re.groups]
+    return feed if feed is not None and feed[-1] in "xX" else ""
 
 
 def _cancels(cycle: int, rest: str) -> bool:

@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
-from twin.nc.columns import MoveBuilder, MoveList
+from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import pieces_of
 from twin.nc.header import FEED, REMARK, first_lines, inserted
@@ -46,10 +46,10 @@ class Iso(Dialect):
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """See `Dialect.moves`."""
         reader = IsoReader(program.source, axes, tcp=tcp)
-        found = MoveList(axes.names)
+        found = MoveBuilder(axes.names)
         for stretch in stretches(program, axes.names):
             reader.read_into(found, stretch)
-        return Reading(tuple(found.moves), tuple(reader.notices()), tuple(reader.left()))
+        return Reading(found.objects(), tuple(reader.notices()), tuple(reader.left()))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
@@ -69,10 +69,7 @@ class Iso(Dialect):
                 for before, move in zip(reading.moves, reading.moves[1:], strict=False)
             ),
         )
-        columns = MoveBuilder(axes.names)
-        for move in reading.moves:
-            columns.add(move)
-        moves = columns.moves()
+        moves = MoveColumns.of(axes.names, reading.moves)
         entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]
         count = np.array([0 if entry is None else len(entry[1]) for entry in entries])
         rows = [entry[0].positions for entry in entries if entry is not None]
@@ -113,7 +110,8 @@ class Iso(Dialect):
 
     def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.only_moves`."""
-        return vocabulary.plain(names).pattern.fullmatch(text) is not None
+        found = vocabulary.plain(names).pattern.fullmatch(text)
+        return found is not None and found[found.re.groups] is None
 
     def feed_said(self, text: str) -> tuple[str, bool | None]:
         """See `Dialect.feed_said`."""

@@ -96,7 +96,7 @@ class IsoInterpreter(IsoMotion):
                 start, end = spans[group]
                 if end >= 0:
                     others.append(Item(name, start - len(name) - (len(name) > 1), end, start, end, text[start:end]))
-            start, end = spans[-1]
+            start, end = spans[-2]
             block.feed = Span(start, end) if end >= 0 else None
         self._state_to(block)
         self.move(block, others, machine=False)

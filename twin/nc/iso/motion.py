@@ -76,7 +76,7 @@ class IsoMotion(Interpreter):
             raise self.refuse(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
         self._use_offset()
         if vector is not None:
-            self.turn_to(block, vector)
+            self.turn_to(block.seen, vector)
         elif block.seen >> self.linear:
             self.vector = None
         if self.vector is not None:

@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.nc.blocks import AxisWords, Left, Move, Notice, Program, Rewrite
-from twin.nc.columns import MoveBuilder, MoveColumns, MoveList
+from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.iso.bulk import LARGEST_STEPS, Grids, Habits, NewPositions, edited
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.scan import MOST_DIGITS, Scan, scan
@@ -111,7 +111,7 @@ class IsoReader:
         self.read_into(found, stretch)
         return found.moves()
 
-    def read_into(self, found: MoveBuilder | MoveList, stretch: Stretch) -> None:
+    def read_into(self, found: MoveBuilder, stretch: Stretch) -> None:
         """As `read`, but collected by somebody else."""
         scan, first = stretch.scan, stretch.first
         for begin, end, together in runs(scan.plain, scan.blank):
@@ -132,7 +132,7 @@ class IsoReader:
         self._left += len(found)
         return found
 
-    def _line(self, line: int, text: str, found: MoveBuilder | MoveList) -> None:
+    def _line(self, line: int, text: str, found: MoveBuilder) -> None:
         if text in BLANK:
             return
         block = self._interpreter.step(line, text)
@@ -141,7 +141,7 @@ class IsoReader:
             for one in block.moves:
                 found.add(one)
 
-    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder | MoveList) -> bool:
+    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
         """Plain lines all at once; whether the state allows that."""
         state = self._interpreter
         if not state.settled:

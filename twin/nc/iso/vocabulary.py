@@ -15,6 +15,7 @@ _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
 _NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
 _OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
+_NOTES = r"((?:\([^()\r\n]*+\)[ \t]*+)++(?:;[^\r\n]*+)?+|;[^\r\n]*+)?+"
 _EXPRESSION = rf"{_OPERAND}(?:[ \t]*+[-+*/]{_OPERAND})*+"
 
 TOKEN = re.compile(
@@ -145,10 +146,13 @@ WAYS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 
 @lru_cache(maxsize=16)
 def plain(names: tuple[str, ...]) -> Plain:
-    """Plain blocks: ``N10 G1 X1.5 Y-2. F500``, arcs and tool vectors included; groups: N word, motion code, .., value of F."""
+    """Plain blocks: ``N10 G1 X1.5 Y-2. F500``, arcs, tool vectors and comments at the end included.
+
+    Groups: N word, motion code, .., value of F, comment.
+    """
     head = r"[ \t]*+(N\d++)?+[ \t]*+(?:G(0?[0-3])[ \t]*+)?+"
     others = ("I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3")
-    return plain_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+")
+    return plain_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
 
 
 def canonical(word: str) -> str:

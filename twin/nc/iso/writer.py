@@ -211,8 +211,6 @@ class IsoWriter(WordWriter[IsoBlock]):
         return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
 
     def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
-        if not word.form:
-            return word.value_start, word.value_end, self._number(block, word, target)
         head = self._head(block, word, target)
         new = self._number(block, word, target)
         return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
