@@ -21,7 +21,7 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.sweep import PointBlock, Signatures
-from twin.diagnosis.selection.folds import parts as parts_of
+from twin.diagnosis.selection.left_out import parts as parts_of
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

@@ -1,7 +1,7 @@
 """Where the control reported other positions than it was told: the axis stood there, or the report was taken too early.
 
 With s the share of the difference that shows in the readings: s = 1, the axis stood where the control said (``following_error``); s
-= 0, the report was taken before the axis had settled (``read_back``; `twin.diagnosis.judgement.reported`).
+= 0, the report was taken before the axis had settled (``read_back``; `twin.diagnosis.judgement.causes`).
 """
 
 from __future__ import annotations

@@ -9,8 +9,16 @@ import numpy as np
 from twin.diagnosis.judgement.sizes import Sized
 from twin.diagnosis.problem.pool import Form, Pool
 from twin.diagnosis.result import HeldOut
-from twin.diagnosis.selection.folds import Parts, at_positions, in_time, parts
-from twin.diagnosis.selection.left_out import foretold, foretold_patterns, interval, on_parts
+from twin.diagnosis.selection.left_out import (
+    Parts,
+    at_positions,
+    foretold,
+    foretold_patterns,
+    in_time,
+    interval,
+    on_parts,
+    parts,
+)
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.payload import again as payload_again
 from twin.diagnosis.selection.payload import chosen_on

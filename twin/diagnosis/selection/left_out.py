@@ -1,18 +1,28 @@
-"""Readings left out of a fit: what causes fitted to the others foretell of them."""
+"""Readings left out of a fit: what causes fitted to the others predict of them, and which causes only overfit.
+
+What is held out is what the claim is about: a function of position is held out at positions, or poses; a change in time in rounds, or
+blocks of time.
+
+If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
+twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Literal, final
 
 import numpy as np
 
 from twin._common.distributions import student_isf
-from twin.diagnosis.problem.pool import Form, Pool
-from twin.diagnosis.problem.problem import Problem, plain
-from twin.diagnosis.selection.folds import Parts, at_positions
+from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.problem.pool import Form, Pool, log_chance, together
+from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 
 DENSE: Final = 20
 """Positions of an axis from which on what repeats at them holds between them as well."""
@@ -133,3 +143,150 @@ def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndar
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
         np.add.at(table, split.group[rows], counted)
     return table
+
+
+FOLDS: Final = 8
+"""Parts at most."""
+SEED: Final = 2001
+BLOCKS: Final = 8
+"""Parts of one long round, in time."""
+HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
+
+
+@final
+@dataclass(frozen=True)
+class Parts:
+    """What is held out together.
+
+    Attributes:
+        of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
+        group: (n,) the independent group of each reading.
+        part: (n,) the part it is held out with: whole groups, drawn at random.
+    """
+
+    of: HeldOutOf
+    group: np.ndarray
+    part: np.ndarray
+
+
+def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> Parts | None:
+    """By what the causes claim; None where nothing can be held out.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        causes: that were found.
+    """
+    changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
+    if not changing:
+        moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
+        if moved:
+            found = at_positions(data, moved)
+            if found is not None:
+                return found
+    return in_time(data)
+
+
+def in_time(data: Measurements) -> Parts | None:
+    """Rounds, or blocks of time where there is but one round; None for too few readings.
+
+    Args:
+        data: the measurements.
+    """
+    _, group = np.unique(data.round.astype(str), return_inverse=True)
+    if group.max() > 0:
+        return _drawn("rounds", group.reshape(-1))
+    if len(data) < 2 * BLOCKS:
+        return None
+    order = np.argsort(data.time_s, kind="stable") if np.all(np.isfinite(data.time_s)) else np.arange(len(data))
+    group = np.empty(len(data), dtype=int)
+    group[order] = np.arange(len(data)) * BLOCKS // len(data)
+    return Parts("blocks", group, group)
+
+
+def at_positions(data: Measurements, axes: Sequence[int]) -> Parts | None:
+    """Positions of one axis, or poses of several; None where there is but one.
+
+    Args:
+        data: the measurements.
+        axes: numbers of those that moved.
+    """
+    _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
+
+
+def _drawn(of: HeldOutOf, group: np.ndarray) -> Parts:
+    count = int(group.max()) + 1
+    return Parts(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
+
+
+PLENTY: Final = 20
+"""Degrees of freedom per parameter above which overfitting is negligible."""
+OVERFITTED: Final = 1.25
+"""Ratio of the RMS residual of held-out readings to that of the fit above which the fit is checked for too many causes."""
+
+
+def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
+    """The causes without those that only overfit; all of them unless held-out readings fit much worse than the others.
+
+    Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
+    1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
+    1984). If only one axis moved, causes that are not promised (`twin.diagnosis.selection.left_out.foretells`) are kept: they make no
+    claim between the measured positions.
+
+    Args:
+        pool: the data.
+        forms: the causes.
+    """
+    if PLENTY * len(together(forms)) < pool.problem.dof:
+        return list(forms)
+    split = parts(pool.problem.network.data, pool.problem.network.machine, [form.candidate for form in forms])
+    if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
+        return list(forms)
+    claimed = _by_entry(pool, [form for form in forms if split.of == "poses" or foretells(pool, form, forms)])
+
+    def judged(small: Pool) -> list[np.ndarray]:
+        return [foretold(pool.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
+
+    table = on_parts(pool, split, judged)
+    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(pool, claimed)) ** 2:
+        return list(forms)
+    gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(pool, claimed) + 1]) :]}
+    return [form for form in forms if form.index not in gone]
+
+
+def _beyond_rest(pool: Pool, forms: Sequence[Form]) -> int:
+    """Number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
+    problem, free = pool.problem, float(pool.problem.dof)
+    for k, form in enumerate(forms):
+        explained, dof, _ = pool.scores(forms[:k], [form.index])[0]
+        free -= dof
+        left = (problem.chi2 - pool.explained_by(forms[: k + 1])) / max(free, 1.0)
+        chance = log_chance(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
+        if float(chance) + form.price > np.log(pool.level):
+            return k
+    return len(forms)
+
+
+def _fewest(squares: np.ndarray) -> int:
+    """Number of causes: of (groups, causes + 1) sums of squares with none, the first, the first two and so on."""
+    worse = squares - squares[:, [int(np.argmin(squares.sum(axis=0)))]]
+    error = np.sqrt(len(squares)) * worse.std(axis=0, ddof=1)
+    return int(np.argmax(worse.sum(axis=0) <= error))
+
+
+def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
+    """In the order in which each explains most beside those before it."""
+    rest, entered = list(forms), list[Form]()
+    while rest:
+        explained = pool.scores(entered, [form.index for form in rest])[:, 0]
+        entered.append(rest.pop(int(np.argmax(explained))))
+    return entered
+
+
+def _in_fit(pool: Pool, forms: Sequence[Form]) -> float:
+    """RMS residual of the fit, µm."""
+    problem = pool.problem
+    residual = problem.project(problem.residual - foretold(problem, pool, forms))
+    return rms(unwhitened(problem, residual), problem.network.read)

@@ -14,7 +14,7 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.problem.pool import FURTHER, Form, Pool
 from twin.diagnosis.problem.readings import Posed
-from twin.diagnosis.selection.folds import parts
+from twin.diagnosis.selection.left_out import parts
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""

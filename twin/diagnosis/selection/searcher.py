@@ -8,8 +8,7 @@ from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.pool import Form
 from twin.diagnosis.problem.readings import Posed
-from twin.diagnosis.selection.held_up import held_up
-from twin.diagnosis.selection.left_out import foretells
+from twin.diagnosis.selection.left_out import foretells, held_up
 from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import chosen
 from twin.diagnosis.selection.search import Selection, pool_of

@@ -105,7 +105,7 @@ class Findings:
         pool: the causes, beside the set-up.
         beside: the same, beside the patterns that were found as well; ``pool`` itself where there are none.
         structure: the causes that stand, and those patterns.
-        refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.held_up`).
+        refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.left_out`).
     """
 
     posed: Posed
