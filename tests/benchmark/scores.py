@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-COVERAGE: Final = 1.96
+FACTOR: Final = 1.96
 """Standard uncertainties of a 95 % interval of a normal."""
 SCORES: Final = {
     "right": "every hidden effect is named, at its place",
@@ -95,7 +95,7 @@ def _covered(name: str, said: Mapping[str, Any], true: float) -> bool:
     off = said["value"] - true
     if name == "phase":
         off = math.remainder(off, 2.0 * math.pi)
-    return abs(off) <= COVERAGE * said["u"] + 1e-9 * abs(true)
+    return abs(off) <= FACTOR * said["u"] + 1e-9 * abs(true)
 
 
 def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:

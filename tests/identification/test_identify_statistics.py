@@ -24,8 +24,8 @@ from tests.identification.test_identify import as_the_thesis
 from tests.truth import hidden
 from tests.truth.machine import TruthMachine
 from twin._common.arrays import locked
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
-from twin.identification.result import COVERAGE
 from twin.identification.thesis.identify import identify_as_thesis
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -80,11 +80,11 @@ def one(seed: int) -> Run:
     for name, curve in true.curves.items():
         q = thesis_plan.POSITIONS[name[3]]
         value, u = found.interval(name, q)
-        inside[name] = np.abs(value - curve(q)) <= COVERAGE * u
+        inside[name] = np.abs(value - curve(q)) <= COVERAGE_FACTOR * u
     numbers = {**found.calibration.squareness, **found.calibration.location}
     for name, number in {**true.squareness, **true.location}.items():
         u = np.sqrt(found.calibration.covariance.of([name]).matrix[0, 0])
-        inside[name] = np.array([abs(numbers[name] - number) <= COVERAGE * u])
+        inside[name] = np.array([abs(numbers[name] - number) <= COVERAGE_FACTOR * u])
     as_thesis = identify_as_thesis(data, machine()).calibration
     return Run(
         inside,

@@ -145,7 +145,7 @@ def test_a_calibration_file_keeps_every_digit(basis: Basis, count: int, dmu50: M
     assert "E_XC" in read._repr_html_()
 
 
-@pytest.mark.parametrize(("basis", "other"), product(MEMBERS, MEMBERS), ids=lambda basis: basis.name)
+@pytest.mark.parametrize(("basis", "other"), list(product(MEMBERS, MEMBERS)), ids=lambda basis: basis.name)
 def test_a_sum_is_the_sum_or_refused(basis: Basis, other: Basis) -> None:
     """Every basis on every other, of as many coefficients as they have: refused only where one is no curve of the other."""
     one, two = drawn(COUNTS[basis][-1]), drawn(COUNTS[other][-1], seed=1)

@@ -12,9 +12,9 @@ from scipy import stats
 from tests.conftest import beside
 from tests.real import plates, ur10
 from twin._common.errors import InputError
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.network import Network
-from twin.identification.result import COVERAGE
 from twin.identification.solve import FitSolution, solve
 from twin.identification.spread import Spread, covariance_of
 from twin.identification.start import first_setup
@@ -181,10 +181,10 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
             estimate(np.flatnonzero(half)) for half in (split, ~split)
         )
         difference, covariance = one - two, one_round + two_round
-        held = np.abs(difference) < COVERAGE * np.sqrt(np.diag(covariance))
+        held = np.abs(difference) < COVERAGE_FACTOR * np.sqrt(np.diag(covariance))
         # Of 16 intervals 12 or fewer hold in less than one case of a hundred (binomial; they are not independent).
         assert held.sum() >= stats.binom.ppf(0.01, count, 0.95)
-        naive += int(np.sum(np.abs(difference) < COVERAGE * np.sqrt(np.diag(one_pose + two_pose))))
+        naive += int(np.sum(np.abs(difference) < COVERAGE_FACTOR * np.sqrt(np.diag(one_pose + two_pose))))
         if k > 0:
             # All together, correlations included; in time not, where the halves are other regions and the model misses in both.
             distance = float(difference @ np.linalg.solve(covariance, difference))
@@ -282,8 +282,8 @@ def test_the_plate_is_identified_with_curves_of_any_degree(drill: Machine, plate
     u_square = float(np.sqrt(found.calibration.covariance.of([SQUARENESS]).matrix[0, 0]))
     assert found.converged
     assert not found.set_aside
-    assert abs(scale + 34.6) < COVERAGE * u_scale
-    assert abs(found.calibration.squareness[SQUARENESS] - 64.3) < COVERAGE * u_square
+    assert abs(scale + 34.6) < COVERAGE_FACTOR * u_scale
+    assert abs(found.calibration.squareness[SQUARENESS] - 64.3) < COVERAGE_FACTOR * u_square
     assert u_scale < 1.5
     assert u_square < 2.0
     # Degrees beyond one are chosen because they predict holes left out.

@@ -20,7 +20,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, load
 
-COVERAGE = 3.0
+FACTOR = 3.0
 """Standard uncertainties an answer may be off by: 1 in 370."""
 
 
@@ -67,7 +67,7 @@ def test_the_reversal_of_a_stage_is_named_with_its_size(run: tuple[str, Measurem
     """
     axis, _, found = run
     size = number(the(found, "reversal", "X"), "size")
-    assert abs(size.value + {"x": 25.37, "y": 12.77}[axis]) < COVERAGE * size.u
+    assert abs(size.value + {"x": 25.37, "y": 12.77}[axis]) < FACTOR * size.u
     # What nine places know of their mean, from how the printed reversals differ from place to place: 1.9 µm on x, 1.6 µm on y.
     _, below, above = stage.readings(folder("stage-iso230-2"), axis)
     by_place = 1e3 * (below - above).mean(axis=1)
@@ -126,7 +126,7 @@ def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_pa
     path.write_text("\n".join([",".join(row[i] for i in kept) for row in rows] + [""]), encoding="utf-8")
     found = diagnose(load(path, machine), machine, Calibration.zero(machine))
     angle = number(the(found, "squareness", "E_C0Y"), "angle")
-    assert abs(angle.value - 64.3) < COVERAGE * np.hypot(angle.u, 1.4)
+    assert abs(angle.value - 64.3) < FACTOR * np.hypot(angle.u, 1.4)
     scales = []
     for name in ("E_XX", "E_YY"):
         the(found, "positioning", name)

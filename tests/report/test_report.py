@@ -23,6 +23,7 @@ from tests.truth.hidden import Hidden
 from twin import cli
 from twin._common.errors import InputError
 from twin.display import UNKNOWN, figure
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -31,7 +32,7 @@ from twin.measurement.table import load
 from twin.report import MachineReport, machine_report
 from twin.report.page import machine_html
 from twin.report.readings import checked
-from twin.uncertainty.at_tool import NORMAL_95, ToolUncertainty
+from twin.uncertainty.at_tool import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
 TOOL_MM = 100.0
@@ -157,9 +158,9 @@ def test_uncertainty_of_one_error_at_the_tool(told: dict[str, Any], report: Mach
     covariance = np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.5]])
     variance = np.einsum("kn,kl,ln->n", f, covariance, f)
     # The radius is within 4e-5 of the quantile (twin.uncertainty.at_tool), and turning by the other errors changes nothing of a length.
-    assert error_of(told, "E_XX")["U_rms_um"] == pytest.approx(NORMAL_95 * np.sqrt(variance.mean()), rel=2e-4)
+    assert error_of(told, "E_XX")["U_rms_um"] == pytest.approx(COVERAGE_FACTOR * np.sqrt(variance.mean()), rel=2e-4)
     assert error_of(told, "E_XX")["peak_half_95"] == pytest.approx(
-        NORMAL_95 * np.sqrt(max(_variance(1.0), _variance(-1.0)))
+        COVERAGE_FACTOR * np.sqrt(max(_variance(1.0), _variance(-1.0)))
     )
 
 
@@ -210,7 +211,7 @@ def test_curves_hold_what_was_added_to_them(report: MachineReport) -> None:
     assert ways is not None
     np.testing.assert_allclose(ways[0] - ways[1], LOST_UM)
     np.testing.assert_allclose(by_name["E_ZZ"].value, 11.0 * 4.0 * by_name["E_ZZ"].position * 1e-3, atol=1e-12)
-    np.testing.assert_allclose(by_name["E_CX"].half.max(), NORMAL_95 * np.sqrt(13.0), rtol=1e-9)
+    np.testing.assert_allclose(by_name["E_CX"].half.max(), COVERAGE_FACTOR * np.sqrt(13.0), rtol=1e-9)
 
 
 def test_compensated_is_rounding_and_what_is_not_known(told: dict[str, Any], report: MachineReport) -> None:

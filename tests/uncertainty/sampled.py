@@ -9,7 +9,8 @@ import numpy as np
 
 from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
-from twin.uncertainty.at_tool import COVERAGE, NORMAL_95, ToolUncertainty
+from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
+from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.population import NUMERICAL_UM, numerical_tolerance
 
 
@@ -93,7 +94,7 @@ def _summary(deviation: np.ndarray, standard: np.ndarray, digits: int) -> tuple[
         [(ordered[min(at + step, trials - 1)] - ordered[max(at - step, 0)]) / 2.0 for at in (low - 1, high - 1)], axis=1
     )
     tolerance = np.maximum(numerical_tolerance(standard, digits), NUMERICAL_UM)
-    ends = np.abs(interval - standard[:, None] * np.array([-NORMAL_95, NORMAL_95]))
+    ends = np.abs(interval - standard[:, None] * np.array([-COVERAGE_FACTOR, COVERAGE_FACTOR]))
     within = np.all(ends + 2.0 * noise <= tolerance[:, None])
     beyond = np.any(ends - 2.0 * noise > tolerance[:, None])
     return (

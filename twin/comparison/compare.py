@@ -16,11 +16,11 @@ from twin.comparison.result import Changes, Culprits, ErrorChange
 from twin.comparison.significance import SHARE, fewest, holm, simultaneous_factor, whiten
 from twin.comparison.tool import POSES, Cause, JudgedErrors, at_tool
 from twin.comparison.words import meaning_of
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions, options_of
 from twin.machine.datum import MEAN_LINES
 from twin.machine.effects import Effect, split_name
-from twin.uncertainty.at_tool import NORMAL_95
 from twin.uncertainty.budget import known_at
 
 MOSTLY: Final = 0.9
@@ -302,7 +302,7 @@ def _change(pair: Pair, change: np.ndarray, covariance: np.ndarray) -> ErrorChan
     if pair.kind == "effect" and known:
         size = np.where(u > 0.0, size / np.where(u > 0.0, u, 1.0), 0.0)
     row = int(np.argmax(size))
-    factor = simultaneous_factor(pair.shape, covariance) if known and curve else NORMAL_95
+    factor = simultaneous_factor(pair.shape, covariance) if known and curve else COVERAGE_FACTOR
     white = whiten(change, covariance, pair.exact) if known else None
     return ErrorChange(
         name=pair.name,

@@ -17,12 +17,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin.display.numbers import COVERAGE
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects import Frame
-from twin.uncertainty.at_tool import COVERAGE, ToolUncertainty, radius_95
+from twin.uncertainty.at_tool import ToolUncertainty, radius_95
 from twin.uncertainty.budget import drawn_sides, state_at, volume, within
 
 POSES: Final = 400

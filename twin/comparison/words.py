@@ -10,9 +10,9 @@ import numpy as np
 from twin.comparison.result import Changes, ErrorChange
 from twin.comparison.significance import SHARE
 from twin.display import readable
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
-from twin.uncertainty.at_tool import NORMAL_95
 
 MOST_NAMED: Final = 6
 
@@ -134,7 +134,7 @@ def _changed(found: Changes) -> list[str]:
 
 
 def _one(found: Changes, error: ErrorChange, others: Sequence[str], trend: str, only: str) -> str:
-    half = error.band if error.kind == "curve" else NORMAL_95 * error.u
+    half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
     axis = found.machine.by_name[error.axis]
     size = f"{plus_minus(error.largest, half)} {readable(error.unit)}"
     what = f"{_kind(error, found.machine)} {error.name}"
@@ -239,7 +239,7 @@ def _rate(error: ErrorChange, machine: Machine) -> float:
 
 
 def _rate_u(error: ErrorChange, machine: Machine) -> float:
-    return abs(NORMAL_95 * error.u / _arm(error, machine)) * 1e3
+    return abs(COVERAGE_FACTOR * error.u / _arm(error, machine)) * 1e3
 
 
 def _arm(error: ErrorChange, machine: Machine) -> float:

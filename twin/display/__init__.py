@@ -23,7 +23,6 @@ from twin.display.markup import (
     table,
 )
 from twin.display.numbers import (
-    COVERAGE,
     UNKNOWN,
     compact,
     expanded,
@@ -42,7 +41,6 @@ from twin.display.numbers import (
 from twin.display.pictures import graph, histogram, strip
 
 __all__ = [
-    "COVERAGE",
     "UNKNOWN",
     "Cell",
     "Html",

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
 from typing import Final
 
-COVERAGE: Final = 1.959964
-"""Half width of a 95 % interval in standard uncertainties, of a normal error along one line."""
+COVERAGE: Final = 0.95
+"""Coverage probability of every interval and radius that twin prints."""
+COVERAGE_FACTOR: Final = 1.959963984540054
+"""Coverage factor k of a normal distribution for that probability: the interval is the value ± k u (JCGM 100, G.1.3)."""
 UNKNOWN: Final = "unknown"
 TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
 """A number and its unit, which stay on one line."""
@@ -36,7 +38,7 @@ def measured(value: float, u: float, unit: str) -> str:
         unit: as in files (``um``).
     """
     sign = readable(unit)
-    return f"{_interval(value, COVERAGE * u)} {sign}" if isfinite(u) else f"{plain(value)} {sign}, ± {UNKNOWN}"
+    return f"{_interval(value, COVERAGE_FACTOR * u)} {sign}" if isfinite(u) else f"{plain(value)} {sign}, ± {UNKNOWN}"
 
 
 def with_half(value: float, half: float, unit: str) -> str:

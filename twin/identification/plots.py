@@ -36,7 +36,8 @@ from twin.display.figures import (
     paper,
     polar_ticks,
 )
-from twin.identification.result import COVERAGE, THESIS_FUNCTIONS, Identification
+from twin.display.numbers import COVERAGE_FACTOR
+from twin.identification.result import THESIS_FUNCTIONS, Identification
 from twin.identification.thesis.identify import ThesisIdentification
 from twin.machine.datum.conditions import turning_patterns
 from twin.machine.effects import split_name
@@ -202,7 +203,7 @@ def _by_position(plot: Axes, found: Identification, read: np.ndarray, i: int) ->
     of = [read & (mine & (at == place))[:, None] for place in places]
     count = np.array([max(np.count_nonzero(one), 1) for one in of])
     mean = np.array([found.whitened[one].sum() for one in of]) / count
-    half = COVERAGE * np.sqrt(np.maximum(count - _fitted(found, of)[0], 0.0)) / count
+    half = COVERAGE_FACTOR * np.sqrt(np.maximum(count - _fitted(found, of)[0], 0.0)) / count
     plot.fill_between(places, -half, half, color=RUN, alpha=0.45, linewidth=0, label="95 % of means")
     plot.plot(places, mean, color=BOTH, marker="o", markersize=4, linewidth=1.0, label="mean")
     label = f"{axis.name} [{readable(axis.unit)}]"
@@ -319,7 +320,7 @@ def _interval(plot: Axes, found: Identification, name: str, width: float, scale:
     """A curve with its 95 % interval; returns how far that reaches from zero."""
     q = np.linspace(*found.calibration.curves[name].domain, FINE)
     value, u = found.interval(name, q)
-    low, high = value - COVERAGE * u, value + COVERAGE * u
+    low, high = value - COVERAGE_FACTOR * u, value + COVERAGE_FACTOR * u
     plot.fill_between(q * scale, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
     plot.plot(q * scale, value, color=FORWARD, linewidth=width, label="identified")
     return float(max(np.abs(low).max(), np.abs(high).max()))

@@ -10,11 +10,11 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin._common.distributions import normal_isf
 from twin._common.json_form import json_form
 from twin._common.provenance import texts, to_json
 from twin._common.units import MM
 from twin.display import card, note, pairs, table
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
@@ -32,8 +32,6 @@ from twin.measurement.table import Measurements, RowNote
 from twin.numerics.curves import basis_named
 
 SCHEMA = "twin.identification/1"
-COVERAGE = float(normal_isf(0.025))
-"""Of the 95 % intervals."""
 DOUBT = 1e-3
 """A misfit that chance makes less often than this is one."""
 CONSISTENT = "consistent with the stated uncertainty of the readings"
@@ -231,7 +229,7 @@ class Identification:
             ("intervals from", _whose(self.spread)),
             ("stations", ", ".join(self.setup.stations)),
             ("targets", ", ".join(self.setup.targets)),
-            ("", "" if tilt is None else tilt.to_text(COVERAGE)),
+            ("", "" if tilt is None else tilt.to_text(COVERAGE_FACTOR)),
         ]
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
@@ -267,7 +265,7 @@ class Identification:
         lines += [self.verdict, "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
-        lines += [] if table is None else [f"  {table.to_text(COVERAGE)}"]
+        lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
         lines += [
             "  The degree is what held-out data support; 0: nothing beyond the noise. Higher degrees are not taken as zero:",
             "  the intervals allow for them.",
@@ -336,9 +334,10 @@ def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tu
 def _row_text(row: Mapping[str, Any]) -> str:
     unit = "µm" if row["unit"] == "um" else "µrad"
     if "peak" not in row:
-        return f"  {row['name']:<7}      {row['value']:8.2f} {unit:<4} ± {COVERAGE * row['u']:6.2f}"
+        return f"  {row['name']:<7}      {row['value']:8.2f} {unit:<4} ± {COVERAGE_FACTOR * row['u']:6.2f}"
     kind = basis_named(row["basis"]).order_noun
-    text = f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {COVERAGE * row['u_max']:6.2f} at most, {kind} {row['order']}"
+    half = COVERAGE_FACTOR * row["u_max"]
+    text = f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {half:6.2f} at most, {kind} {row['order']}"
     if row["held_out_thesis"] is not None:
         text += f", held-out {row['held_out']:.4f} (degree 8: {row['held_out_thesis']:.4f})"
     return text

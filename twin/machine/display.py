@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from twin.display import (
-    COVERAGE,
     UNKNOWN,
     Cell,
     Html,
@@ -30,7 +29,7 @@ from twin.display import (
     strip,
     table,
 )
-from twin.display.numbers import ceiling
+from twin.display.numbers import COVERAGE_FACTOR, ceiling
 from twin.machine.control import ControlSection
 from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name, unit_of
 from twin.machine.machine import DIRECTIONS, Machine
@@ -93,7 +92,7 @@ def motion_html(motion: ErrorMotion, covariance: np.ndarray | None, *, source: s
     known = Covariance.none() if covariance is None else Covariance(names, covariance)
     axis, q = motion.frame.axis, np.linspace(*motion.domain, 201)
     across = "mm" if axis[0] in "XYZUVW" else "°" if axis[0] in "ABC" else "mm or °"  # letters as of ISO 841
-    half = COVERAGE * standard_uncertainty(motion, known, q)
+    half = COVERAGE_FACTOR * standard_uncertainty(motion, known, q)
     drawn = graph(
         q, _values(motion, q), half, f"{axis} ({across})", f"{motion.name} ({readable(unit_of(motion.name))})"
     )
@@ -181,7 +180,9 @@ def _row(
             continue
         value, half = curve
         peak, unit = float(value[int(np.argmax(np.abs(value)))]), unit_of(effect.name)
-        text = measured(peak, float(np.max(half)) / COVERAGE, unit) if known else f"{plain(peak)} {readable(unit)}"
+        text = (
+            measured(peak, float(np.max(half)) / COVERAGE_FACTOR, unit) if known else f"{plain(peak)} {readable(unit)}"
+        )
         says = f"{effect.name} over {axis_name}: largest {text}"
         shown = f"{effect.name}{DRAWN if effect.name in drawn else ''}"
         cells.append(joined(shown, strip(value, half, limit, says), Html(f"<small>{text}</small>")))
@@ -191,7 +192,7 @@ def _row(
 def _curve(effect: ErrorMotion, covariance: Covariance) -> tuple[np.ndarray, np.ndarray]:
     """Values of a strip, and half widths of their 95 % intervals."""
     q = np.linspace(*effect.domain, POINTS)
-    return _values(effect, q), COVERAGE * standard_uncertainty(effect, covariance, q)
+    return _values(effect, q), COVERAGE_FACTOR * standard_uncertainty(effect, covariance, q)
 
 
 def _values(effect: ErrorMotion, q: np.ndarray) -> np.ndarray:

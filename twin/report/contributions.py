@@ -10,11 +10,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.json_form import json_form
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics, Poses
 from twin.machine.effects import split_name
 from twin.machine.iso16907 import acts_as, iso_class
 from twin.report.words import named
-from twin.uncertainty.at_tool import NORMAL_95, ToolUncertainty, radius_95
+from twin.uncertainty.at_tool import ToolUncertainty, radius_95
 from twin.uncertainty.budget import BudgetRow, drawn_sides, error_budget, known_volume
 
 JSON_NAMES: Final = MappingProxyType(
@@ -208,7 +209,7 @@ def _contribution(row: BudgetRow, share: _Shares, effects: list[str], motion: st
         axis=split_name(motion)[2] if motion.startswith("E_") else "",
         unit=row.unit,
         peak=row.peak,
-        peak_half=NORMAL_95 * row.peak_u,
+        peak_half=COVERAGE_FACTOR * row.peak_u,
         rms_um=row.tool_rms_um,
         max_um=row.tool_max_um,
         u_rms_um=u_rms,

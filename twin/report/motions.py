@@ -10,6 +10,7 @@ import numpy as np
 
 from twin._common.arrays import locked
 from twin._common.json_form import json_form
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.conditions import APPROACH
 from twin.machine.display import combined_uncertainty
@@ -17,7 +18,6 @@ from twin.machine.effects import Effect, PitchError, unit_of
 from twin.machine.machine import DIRECTIONS
 from twin.report.readings import is_motion, reach, summed
 from twin.report.words import named
-from twin.uncertainty.at_tool import NORMAL_95
 
 FINE: Final = 361
 A_PERIOD: Final = 16
@@ -142,7 +142,7 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
         unit=unit_of(name),
         position=locked(q),
         value=locked(value),
-        half=locked(NORMAL_95 * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)),
+        half=locked(COVERAGE_FACTOR * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)),
         ways=locked(ways) if np.any(ways[0] != ways[1]) else None,
         corrected=locked(value + taken) if np.any(taken) else None,
         order=None if curve is None else curve.family.order(len(curve.coefficients)),

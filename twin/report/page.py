@@ -14,6 +14,7 @@ from typing import Final
 from twin.diagnosis.wording import words
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.control import ControlSection
 from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
@@ -25,7 +26,7 @@ from twin.report.result import MachineReport
 from twin.report.scene.field import field_html
 from twin.report.scene.path import scale_top_um
 from twin.report.words import CLASSES
-from twin.uncertainty.at_tool import DEFINITION, NORMAL_95
+from twin.uncertainty.at_tool import DEFINITION
 
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
 MARKS: Final = {"do": "✔ Do", "measure": "◎ Measure", "never": "✘ Do not", "unknown": "? Not known"}
@@ -123,7 +124,7 @@ def _degree(report: MachineReport, motion: Motion) -> str:
 def _numbers(report: MachineReport, effect: Effect) -> str:
     """An effect's parameters with their 95 % intervals."""
     known = report.calibration.covariance
-    halves = [(one, NORMAL_95 * uncertainty_of(one.name, known)) for one in effect.parameters]
+    halves = [(one, COVERAGE_FACTOR * uncertainty_of(one.name, known)) for one in effect.parameters]
     return "; ".join(f"{one.name.rpartition('.')[2]} {with_half(one.value, half, one.unit)}" for one, half in halves)
 
 

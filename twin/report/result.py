@@ -13,6 +13,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -32,7 +33,7 @@ from twin.report.readings import Checked, checked
 from twin.report.sources import Sources, sources
 from twin.report.tables import TablesLeft, tables_left
 from twin.report.words import named
-from twin.uncertainty.at_tool import DEFINITION, NORMAL_95
+from twin.uncertainty.at_tool import DEFINITION
 from twin.uncertainty.budget import known_at
 
 SCHEMA: Final = "twin.report/1"
@@ -322,7 +323,7 @@ def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
     made = {one.name: one.rms_um for one in shares.errors}
     found = []
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
-        half = NORMAL_95 * uncertainty_of(name, calibration.covariance)
+        half = COVERAGE_FACTOR * uncertainty_of(name, calibration.covariance)
         component, _, letter = split_name(name)
         axis = machine.by_name[letter]
         to, leans, travel = "", 0.0, None

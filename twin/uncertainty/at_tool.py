@@ -30,9 +30,6 @@ from twin.machine.calibration import Calibration
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import POSES, drawn_sides, state_at, volume, within
 
-COVERAGE: Final = 0.95
-NORMAL_95: Final = 1.959964
-"""Coverage factor of 95 % of a normal distribution along one line."""
 DEFINITION: Final = "U: 95 % of a normal error of the point lies within this radius"
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
 """√(χ²_0.95(ν)/ν) as powers of ν − 2 for 1 ≤ ν ≤ 3, within 4e-5 of it."""

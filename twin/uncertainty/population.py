@@ -28,16 +28,12 @@ from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
 from twin.compute.parallel import Workers, in_order
 from twin.display import card, histogram, note, pairs, several, table
+from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
-from twin.uncertainty.at_tool import (
-    COVERAGE,
-    DEFINITION,
-    NORMAL_95,
-    ToolUncertainty,
-)
+from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, volume, within
 
 SCHEMA: Final = "twin.volume/1"
@@ -479,7 +475,7 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
         ],
         axis=2,
     )
-    ends = np.abs(interval - first.standard_um[:, :, None] * np.array([-NORMAL_95, NORMAL_95]))
+    ends = np.abs(interval - first.standard_um[:, :, None] * np.array([-COVERAGE_FACTOR, COVERAGE_FACTOR]))
     tolerance = np.maximum(numerical_tolerance(first.standard_um, digits), NUMERICAL_UM)
     within = np.all(ends + 2.0 * noise <= tolerance[:, :, None], axis=(1, 2))
     beyond = np.any(ends - 2.0 * noise > tolerance[:, :, None], axis=(1, 2))

@@ -21,7 +21,7 @@ from twin.display import UNKNOWN, bar, card, note, pairs, several, table
 SCHEMA = "twin.path/1"
 SHOWN = 8
 """Lines of a list that the text shows before it counts the rest; JSON has them all."""
-COVERAGE_FACTOR: Final = 2.0
+EXPANSION_FACTOR: Final = 2.0
 PARTS: Final = ("fit", "chord", "path", "machine", "total")
 """What the tolerance is used for."""
 
@@ -49,7 +49,7 @@ class UncertaintyContribution:
 
 def combined(contributions: Sequence[UncertaintyContribution]) -> float:
     """U = k √Σu² in µm; NaN where a contribution is not known."""
-    return COVERAGE_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
+    return EXPANSION_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
 
 
 @final
@@ -178,7 +178,7 @@ class PathReport:
     def to_dict(self) -> dict[str, Any]:
         """The JSON."""
         uncertainty = {
-            "coverage_factor": COVERAGE_FACTOR,
+            "coverage_factor": EXPANSION_FACTOR,
             "expanded_um": self.expanded_um,
             "contributions": self.contributions,
         }

@@ -11,6 +11,7 @@ import numpy as np
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.result import Answer, Cause
 from twin.diagnosis.wording.words import column, plain, side
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects import Effect
 from twin.machine.effects.names import axis_of, motion
 from twin.machine.effects.specification import Drawing
@@ -29,7 +30,6 @@ SHOWN: Final = 0.2
 """Share of what the clearest column explains below which another is not drawn."""
 SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
 """Names of the sides that an axis comes from."""
-COVERAGE: Final = 1.96
 MOST: Final = 3
 """Panels of the misfit."""
 SMALL: Final = 0.02
@@ -387,7 +387,7 @@ def means(
     spread = np.bincount(groups, weight * (y - mean[groups]) ** 2) / total
     # How many readings of equal weight would say as much (Kish).
     effective = total**2 / np.maximum(np.bincount(groups, weight**2), 1e-300)
-    half = COVERAGE * np.sqrt(spread / np.maximum(effective - 1.0, 1.0))
+    half = COVERAGE_FACTOR * np.sqrt(spread / np.maximum(effective - 1.0, 1.0))
     some = count >= FEWEST
     return centre[some], mean[some], half[some]
 

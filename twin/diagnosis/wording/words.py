@@ -12,12 +12,12 @@ from math import ceil, exp, floor, isfinite, log10
 from typing import Any, Final, final
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects.names import axis_of
 from twin.machine.effects.specification import Advice, Kind
 
 MANY: Final = 8
 """Things a list names before it counts the rest."""
-COVERAGE: Final = 1.96
 ENOUGH: Final = 25.0
 """Chi² between two causes at which one of them is out."""
 HOPELESS: Final = 1000.0
@@ -105,7 +105,7 @@ def measured(value: float, u: float, unit: str) -> str:
         return f"{value:.4g}{sign}, uncertainty unknown".replace("-", "−")
     if u <= 0.0:
         return f"{value:.4g}{sign}".replace("-", "−")
-    half = COVERAGE * u
+    half = COVERAGE_FACTOR * u
     decimals = max(1 - floor(log10(half)), 0)
     # Plus zero: no minus before a nothing.
     return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−")

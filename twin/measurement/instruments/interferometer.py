@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.units import UM
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
 
-COVERAGE: Final = 2.0
+DATA_SHEET_FACTOR: Final = 2.0
 """The stated expanded uncertainty is at k = 2."""
 TRACKING: Final = InstrumentSpecification(
     name="interferometer",
@@ -57,7 +57,7 @@ class TrackingInterferometer(Instrument):
         """See `Instrument.covariance`."""
         length = np.linalg.norm(points, axis=1)
         matrix = np.zeros((len(points), 3, 3))
-        matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / COVERAGE) ** 2
+        matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / DATA_SHEET_FACTOR) ** 2
         return matrix
 
     def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.units import UM
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, along_and_across
 
-COVERAGE: Final = 2.0
+DATA_SHEET_FACTOR: Final = 2.0
 """A maximum permissible error is taken as two standard deviations (typical is about half of it)."""
 INTERFEROMETER: Final = InstrumentSpecification(
     name="tracker",
@@ -55,7 +55,7 @@ class LaserTracker(Instrument):
         length = np.linalg.norm(points, axis=1)
         along = self.length_um + self.length_um_per_m * length
         across = self.across_um + self.across_um_per_m * length
-        return along_and_across(points, along * UM / COVERAGE, across * UM / COVERAGE)
+        return along_and_across(points, along * UM / DATA_SHEET_FACTOR, across * UM / DATA_SHEET_FACTOR)
 
     def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
         """See `Instrument.pooled`: one variance along the beam, one across it."""
