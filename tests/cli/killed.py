@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from twin import cli
-from twin.cli import commands  # noqa: F401  (`cli.main` imports them where it needs them)
+from twin.cli.commands import load
 
 STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # of `sys.addaudithook`; told before the step is taken
 
@@ -37,9 +37,10 @@ def main(folder: str, file: str, *arguments: str) -> None:
     """What the file holds after each kill."""
     out = Path(file)
     old, found = out.read_text(), []
+    load(arguments[0])  # once, before the forks
     while True:
         out.write_text(old)
-        child = os.fork()  # what is loaded is loaded once
+        child = os.fork()
         if not child:
             sys.stdout = sys.stderr = open(os.devnull, "w")
             run(Path(folder), list(arguments), len(found) + 1)

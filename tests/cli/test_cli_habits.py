@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 
 import twin
 from twin import cli
 from twin._common.errors import InputError, is_it, nearest
+from twin.cli import commands
 from twin.cli import doctor as doctor_command
-from twin.cli.commands import app
+from twin.cli.commands import load
 from twin.cli.shared.words import gathered
 
-COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 EXAMPLES = [
     (name, line.strip())
     for name, command in COMMANDS.items()

@@ -11,20 +11,20 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import pytest
-import typer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.cli.hostile import KINDS, NUMBERS, TEXTS, beside, edited, layout, machine, sample
 from twin import cli
 from twin._common.errors import InputError
-from twin.cli.commands import app
+from twin.cli import commands
+from twin.cli.commands import load
 
 EXAMPLES = 60
 """Of a kind of file whose reading costs little; all in all some 1,000."""
 LONGEST_S = 10.0
 """Process time of one input; the dearest takes a tenth of it."""
-COMMANDS: dict[str, Any] = dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 SIMULATE = (
     "simulate-run",
     "--layout",

@@ -22,7 +22,7 @@ from tests.cli.commands import TWIN, refused
 from twin import cli
 from twin._common.errors import InputError
 from twin._common.files import TEMPORARY, command_files, read_bytes, whole_file, write_whole
-from twin.cli.commands import app
+from twin.cli import commands
 from twin.cli.shared.command import path_parameters
 from twin.machine.machine import bundled_folder
 
@@ -120,8 +120,8 @@ def test_an_input_is_never_an_output(
 def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other one is an input, and is compared with what is written."""
     written = {"json_file", "output", "report_file", "html_file", "extended"}
-    for command in app.registered_commands:
-        function: Callable[..., Any] = command.callback  # type: ignore[assignment]
+    for command in map(commands.load, commands.COMMANDS):
+        function: Callable[..., Any] = command.callback.__wrapped__
         marked = {name for name, mark in path_parameters(function).items() if mark is not None}
         named = set(get_type_hints(function)) & written
         assert marked == named, command.name

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
+from typing import Any, Final
 
-# In this order in the help.
-from twin.cli import info, compare, volume, compensate, path, scene, simulate  # isort: skip
-from twin.cli import identify, axis_run, diagnose, plan, report, control, doctor, doc  # isort: skip
+import typer
+from typer.core import TyperCommand, TyperGroup
+
 from twin._common.errors import InputError, OutputError
-from twin.cli.shared.command import app
-from twin.cli.shared.complete import told_word_by_word
+from twin.cli.shared import installation
+from twin.cli.shared.command import registered
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.cli.shared.signals import as_interrupt
 from twin.cli.shared.terminal import (
@@ -22,27 +24,74 @@ from twin.cli.shared.terminal import (
     tell_error,
 )
 from twin.cli.shared.usage import UsageError, help_of, line_of_usage
-from twin.cli.shared.words import gathered
+from twin.cli.shared.words import gathered, told_word_by_word
 
-__all__ = [
-    "app",
-    "axis_run",
-    "compare",
-    "compensate",
-    "control",
-    "diagnose",
-    "doc",
-    "doctor",
-    "identify",
-    "info",
-    "path",
-    "plan",
-    "report",
-    "run",
-    "scene",
-    "simulate",
-    "volume",
-]
+__all__ = ["COMMANDS", "app", "load", "run"]
+
+COMMANDS: Final = {
+    "info": "Show axes, ranges, frames and the error budget of a machine.",
+    "compare": "Show what changed between two calibrations of a machine.",
+    "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
+    "compensate": "Rewrite NC programs so that the real machine cuts what was programmed.",
+    "path": "Fit the same tool path with fewer blocks.",
+    "scene": "Show the machine running a program, in one HTML file.",
+    "simulate": "Simulate the measurement of a plan on a machine with errors.",
+    "identify": "Identify error motions from measured points, with their uncertainty.",
+    "axis-run": "Identify the six error motions of a linear axis from interferometer readings.",
+    "simulate-run": "Simulate the interferometer readings of a linear axis.",
+    "diagnose": "Find what the model gets wrong about measured data, and name the cause.",
+    "plan": "Plan the next measurement.",
+    "report": "Report the state of a machine, in one HTML file.",
+    "control": "Write and read the compensation tables of a control.",
+    "doctor": "Check the installation.",
+    "doc": "Show a page of the manual.",
+}
+"""The commands in the order of the help, each with its summary. A command's module has its name; see `MODULES` for the others."""
+MODULES: Final = {"axis-run": "axis_run", "simulate-run": "axis_run"}
+
+
+class LazyGroup(TyperGroup):
+    """Imports a command's module when that command runs: the list of commands needs none of them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command as the list of commands shows it, with its name and summary only; None if there is none of that name."""
+        return TyperCommand(cmd_name, help=COMMANDS[cmd_name]) if cmd_name in COMMANDS else None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the name, the command and the arguments left, as the parser asks for them before a command runs."""
+        name, found, rest = super().resolve_command(ctx, args)
+        return name, found if name is None else load(name), rest
+
+
+app = typer.Typer(
+    cls=LazyGroup,
+    help="A digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def _twin() -> None:
+    """Make `app` a group although no command is registered with it."""
+
+
+def load(name: str) -> Any:
+    """Import a command's module and return the command for the parser; where a package that it needs does not import, say which.
+
+    Args:
+        name: one of `COMMANDS`.
+    """
+    try:
+        import_module(f"twin.cli.{MODULES.get(name, name)}")
+    except installation.IMPORT_FAILURES as error:
+        installation.end(error)
+    return typer.main.get_group(registered).commands[name]
 
 
 def run(arguments: list[str]) -> None:

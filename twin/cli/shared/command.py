@@ -26,12 +26,8 @@ from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.terminal import echo, tell_error
 from twin.cli.shared.words import positive, usable_number
 
-app = typer.Typer(
-    help="A digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.",
-    no_args_is_help=True,
-    add_completion=True,
-    pretty_exceptions_enable=False,
-)
+registered = typer.Typer()
+"""Commands whose modules were imported; `twin.cli.commands.load` takes them from here."""
 
 
 @final
@@ -120,7 +116,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 if account is not None:
                     _give(account, outputs, given.get("json_file"))
 
-        app.command(name, epilog="\n\n".join(("Examples:", *examples)))(framed)
+        registered.command(name, epilog="\n\n".join(("Examples:", *examples)))(framed)
         return function
 
     return register

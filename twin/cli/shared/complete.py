@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from twin.cli.shared.words import MANY_WORDS, gathered
 from twin.machine.effects import MACHINE_EFFECTS
 from twin.machine.iso16907 import NAMES
 from twin.machine.machine import DEFAULT, Machine, bundled_folder
@@ -18,10 +16,6 @@ from twin.measurement.instruments import INSTRUMENTS
 from twin.nc import DIALECTS, find_program
 from twin.samples import PLANS
 
-VARIABLE: Final = "_TWIN_COMPLETE"
-WORDS: Final = "COMP_WORDS"
-WORD: Final = "COMP_CWORD"
-"""What bash sets: the whole line, and the number of the word that is being written."""
 YAML: Final = (".yaml", ".yml")
 
 
@@ -57,25 +51,6 @@ def causes(ctx: Any, incomplete: str) -> list[str]:
     if incomplete not in effects and " " not in incomplete:
         return effects
     return _begun(incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres])
-
-
-def told_word_by_word() -> None:
-    """Make the line that bash hands over one that the parser understands: an option of several words once for each of them."""
-    if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
-        return
-    line = os.environ[WORDS].split()
-    try:
-        at = int(os.environ.get(WORD, ""))
-    except ValueError:
-        return
-    before, now = line[1:at], line[at] if at < len(line) else ""
-    if any(mark in " ".join(line) for mark in "\"'\\"):
-        return  # quoted words are the shell's affair
-    words = gathered(before)
-    if len(words) >= 2 and words[-2] in MANY_WORDS and not now.startswith("-") and not Path(now).exists():
-        words.append(words[-2])
-    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, now])
-    os.environ[WORD] = str(len(words) + 1)
 
 
 def _machine(ctx: Any) -> Machine:

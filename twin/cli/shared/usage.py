@@ -39,7 +39,7 @@ def _said(error: Any, context: Any) -> str:
         return f"no such option: {option!r}{is_it(option, [name for name in known if name.startswith('-')])}"
     command = re.search(r"No such command '([^']*)'", text)
     if command is not None and context is not None:
-        known = list(getattr(context.command, "commands", {}))
+        known = context.command.list_commands(context)
         return f"no such command: {command[1]!r}{is_it(command[1], known)}"
     choice = re.search(r"'([^']*)' is not one of (.*)$", text)
     if choice is not None:

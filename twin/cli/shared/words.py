@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 from twin._common.errors import InputError
-from twin.machine.iso16907 import NAMES
 
 MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
     "--at": re.compile(r"[A-Za-z]\w*=.*"),
     "--temperature": re.compile(r"[^\W\d][\w.-]*=.*"),
-    "--scope": re.compile("|".join(re.escape(name) for name in NAMES), re.I),
+    "--scope": re.compile(r"[LR]-[A-Z]{3}\+?|FOR", re.I),
     "--only": re.compile(r"E_[A-Z0-9*?]+"),
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
 }
 """Options that take several words (contract §3), and what every word after the first looks like."""
+VARIABLE: Final = "_TWIN_COMPLETE"
+WORDS: Final = "COMP_WORDS"
+WORD: Final = "COMP_CWORD"
+"""What bash sets: the whole line, and the number of the word that is being written."""
 SMALLEST: Final = 1e-12
 LARGEST: Final = 1e12
 """Of a number on the command line, whatever its unit: less than an atom, more than the seconds since 1970."""
@@ -43,6 +48,25 @@ def gathered(arguments: list[str]) -> list[str]:
             gathering = None
             out.append(word)
     return [*out, gathering] if gathering and fresh else out
+
+
+def told_word_by_word() -> None:
+    """Make the line that bash hands over one that the parser understands: an option of several words once for each of them."""
+    if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
+        return
+    line = os.environ[WORDS].split()
+    try:
+        at = int(os.environ.get(WORD, ""))
+    except ValueError:
+        return
+    before, now = line[1:at], line[at] if at < len(line) else ""
+    if any(mark in " ".join(line) for mark in "\"'\\"):
+        return  # quoted words are the shell's affair
+    words = gathered(before)
+    if len(words) >= 2 and words[-2] in MANY_WORDS and not now.startswith("-") and not Path(now).exists():
+        words.append(words[-2])
+    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, now])
+    os.environ[WORD] = str(len(words) + 1)
 
 
 def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
