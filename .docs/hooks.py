@@ -1,0 +1,114 @@
+"""What mkdocs calls while it builds the site: pages made from the package itself, so that nothing is written twice.
+
+Generated: the manual and the files' reference from the pages of `twin doc`, the commands from their `--help`, the course from the notebooks,
+executed here, and the package diagram from the layers in pyproject.toml.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from mkdocs.structure.files import File, Files
+from nbclient import NotebookClient
+from nbconvert import MarkdownExporter
+
+from twin.cli.commands import COMMANDS, load
+from twin.cli.doc import PAGES, page_text
+
+ROOT = Path(__file__).resolve().parent.parent
+PICTURES = ROOT / ".pictures"
+BOX_WIDTH, BOX_HEIGHT, GAP = 150, 34, 16
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add every generated page and picture."""
+    for path, content in generated():
+        files.append(File.generated(config, path, content=content))
+    return files
+
+
+def generated() -> Iterator[tuple[str, str | bytes]]:
+    """Yield the path and the content of every generated file."""
+    for name, module in PAGES.items():
+        path = "reference/files.md" if name == "files" else f"manual/{name}.md"
+        yield path, manual_page(name, module)
+    yield "reference/commands.md", commands_page()
+    yield "development/packages.svg", package_diagram()
+    for picture in sorted(PICTURES.glob("*.png")):
+        yield f"pictures/{picture.name}", picture.read_bytes()
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        yield from course_pages(notebook)
+
+
+def manual_page(name: str, module: str) -> str:
+    """Return a page of `twin doc` with a title, and code where the docstring has indented blocks."""
+    first, _, rest = page_text(module).partition("\n")
+    return f"# {name.capitalize()}\n\n{first}\n{rest}\n\n*From the documentation of `{module}`; in a terminal: `twin doc {name}`.*\n"
+
+
+def commands_page() -> str:
+    """Return the reference of all commands: arguments and options with their help, and examples."""
+    parts = ["# Commands\n\nExit status: 0 done; 2 bad input; 3 done, but something that matters was not met.\n"]
+    for name, summary in COMMANDS.items():
+        command = load(name)
+        parts.append(f"## twin {name}\n\n{summary}\n\n{command.help or ''}\n")
+        rows = [f"| `{' '.join(one.opts) or one.name}` | {cell(getattr(one, 'help', None))} | {default(one)} |" for one in command.params]
+        parts.append("\n".join(["| option or argument | meaning | default |", "|---|---|---|", *rows, ""]))
+        examples = [line.strip() for line in (command.epilog or "").splitlines() if line.strip().startswith("twin ")]
+        parts.append("\n".join(["```sh", *examples, "```", ""]) if examples else "")
+    return "\n".join(parts)
+
+
+def cell(text: str | None) -> str:
+    """Return a text that fits a cell of a table."""
+    return escape(text or "", quote=False).replace("|", "\\|").replace("\n", " ")
+
+
+def default(parameter: Any) -> str:
+    """Return a parameter's default as text."""
+    value = parameter.default
+    if parameter.required or value is None or callable(value) or value == ():
+        return "required" if parameter.required else ""
+    return cell(f"{getattr(value, 'value', value)}")
+
+
+def package_diagram() -> str:
+    """Return the packages by import level as SVG, from the layers contract in pyproject.toml."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    levels = [level.split(" | ") for level in next(one for one in contracts if one.get("containers") == ["twin"])["layers"]]
+    width = max(map(len, levels)) * (BOX_WIDTH + GAP) + GAP
+    height = len(levels) * (BOX_HEIGHT + GAP) + GAP
+    shapes = []
+    for row, names in enumerate(levels):
+        left = (width - len(names) * (BOX_WIDTH + GAP) + GAP) / 2
+        for column, name in enumerate(names):
+            x, y = left + column * (BOX_WIDTH + GAP), GAP + row * (BOX_HEIGHT + GAP)
+            shapes.append(f'<rect x="{x:g}" y="{y}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" rx="5" fill="#eceff1" stroke="#546e7a"/>')
+            shapes.append(f'<text x="{x + BOX_WIDTH / 2:g}" y="{y + 22}" text-anchor="middle">{name}</text>')
+    style = "font-family: sans-serif; font-size: 14px; fill: #263238"
+    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" style="{style}">{"".join(shapes)}</svg>'
+
+
+def course_pages(path: Path) -> Iterator[tuple[str, str | bytes]]:
+    """Execute a notebook; yield its page and its pictures."""
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
+    text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": path.stem})
+    yield f"course/{path.stem}.md", without_blank_lines_in_html(text)
+    for name, content in resources.get("outputs", {}).items():
+        yield f"course/{name}", content
+
+
+def without_blank_lines_in_html(text: str) -> str:
+    """Return Markdown whose HTML outputs are one block each: a blank line would end the block."""
+
+    def joined(match: re.Match[str]) -> str:
+        return re.sub(r"\n\s*", "\n", match.group())
+
+    return re.sub(r"^<(div|style|table|svg)\b.*?^</\1>", joined, text, flags=re.M | re.S)
