@@ -1,4 +1,4 @@
-"""What mkdocs calls while it builds the site: pages made from the package itself, so that nothing is written twice.
+"""Functions that mkdocs calls while it builds the site: pages made from the package itself, so that nothing is written twice.
 
 Generated: the manual and the files' reference from the pages of `twin doc`, the commands from their `--help`, the course from the notebooks,
 executed here, and the package diagram from the layers in pyproject.toml.
@@ -100,6 +100,7 @@ def course_pages(path: Path) -> Iterator[tuple[str, str | bytes]]:
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": path.stem})
+    text = re.sub(r"\]\((\w+)\.ipynb\b", r"](\1.md", text)
     yield f"course/{path.stem}.md", without_blank_lines_in_html(text)
     for name, content in resources.get("outputs", {}).items():
         yield f"course/{name}", content
