@@ -17,7 +17,8 @@ from twin._common.errors import InputError, is_it, nearest
 from twin.cli import commands
 from twin.cli import doctor as doctor_command
 from twin.cli.commands import load
-from twin.cli.shared.words import gathered
+from twin.cli.shared.words import MANY_WORDS, gathered
+from twin.machine.iso16907 import NAMES
 
 COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 EXAMPLES = [
@@ -281,3 +282,7 @@ def test_doctor_says_what_fails_and_what_to_do(
     assert by_name["C++ compiler"]["status"] == "missing" and by_name["inverse"]["status"] == "ok"
     assert by_name["kinematics"]["remedy"] in out and "FAILED: kinematics" in out
     assert told["seconds"] < 2.0 * 5.0  # two seconds alone on this machine; it may be shared
+
+
+def test_every_class_is_a_word_of_scope() -> None:
+    assert all(MANY_WORDS["--scope"].fullmatch(name) for name in NAMES)
