@@ -1,4 +1,4 @@
-"""The form in JSON of what a command found: one rule instead of a dictionary written out for every class."""
+"""Conversion of results to JSON data by one rule for all dataclasses."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def json_form(value: Any, *, rename: Mapping[str, str] = _NONE, leave_out: Collection[str] = ()) -> Any:
-    """Numbers, text, lists and dictionaries of a value; null for a number that is not finite.
+    """Return a value as numbers, text, lists and dictionaries; null for a number that is not finite.
 
-    A dataclass gives its fields in their order; a part that has a `to_dict` of its own is asked for it.
+    A dataclass becomes a dictionary of its fields in their order; a part with a method `to_dict` becomes what that returns.
 
     Args:
         value: a dataclass, mapping, sequence, array, number, text, or None.
-        rename: JSON keys of fields of ``value`` that are not called so.
-        leave_out: fields of ``value`` that are not written.
+        rename: JSON keys of those fields of ``value`` whose key is not the field name.
+        leave_out: fields of ``value`` to omit.
 
     Raises:
-        TypeError: a part that has no form in JSON.
+        TypeError: a part cannot be converted to JSON.
     """
     if is_dataclass(value) and not isinstance(value, type):
         kept = [field.name for field in fields(value) if field.name not in leave_out]
@@ -47,4 +47,4 @@ def _part(value: Any) -> Any:
         return [_part(one) for one in value]
     if is_dataclass(value) and not isinstance(value, type):
         return json_form(value)
-    raise TypeError(f"no form in JSON for {type(value).__name__}")
+    raise TypeError(f"cannot convert {type(value).__name__} to JSON")
