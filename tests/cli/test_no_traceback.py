@@ -63,7 +63,7 @@ LAUGHS = "a: &a [x, x]\n" + "".join(
         (
             "source: x\nsquareness: {E_C0Y: 1}\ncovariance: {parameters: [E_C0Y], lower: '1e300'}\n",
             5,
-            "number too large",
+            "too large a number",
         ),
         ("source: &a [*a]\n", 3, "alias inside its own anchor"),
         ("source: &a {b: [*a]}\n", 3, "alias inside its own anchor"),

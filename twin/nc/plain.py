@@ -1,7 +1,7 @@
-"""Plain blocks: lines of nothing but a block number, a motion word, axis words and a feed.
+"""Simple blocks: lines with only a block number, a motion word, axis words and a feed.
 
-Most lines of most programs are plain. One regular expression recognises such a line and finds its words, where the
-dialects' tokens take several times as long. Whatever else a line says is left to those, and a property test compares the two.
+Most lines of most programs are simple. One regular expression matches such a line and finds its words, several times faster than the
+tokenisers of the dialects. Those handle all other lines; a property test compares the two.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ import re
 from typing import NamedTuple
 
 _ORDER = "XYZABCUVW"
-"""The order nearly all programs write their words in; other orders are read token by token."""
+"""The order in which nearly all programs write their words; other orders go through the tokeniser."""
 VALUE = r"[+-]?+(?:\d{1,9}+(?:\.\d*+)?+|\.\d++)"
-"""A number that is one beyond doubt, and of a sensible size."""
+"""A number in unambiguous form and of plausible size."""
 NOTHING = re.compile(r"(?!)")
-"""No line is plain."""
+"""Matches no line."""
 
 
 class Plain(NamedTuple):
-    """What plain blocks look like on one machine.
+    """The pattern of simple blocks on one machine.
 
     Attributes:
-        pattern: to be matched with a whole line. Its groups: two of what stands before the words (the dialect says what), one
-            value for each of ``axes``, then of ``others``, then what the dialect has behind them.
+        pattern: to be matched with a whole line. Its groups: two for the text before the words (defined by the dialect), one value
+            for each of ``axes``, then of ``others``, then those of the dialect's tail.
         axes: group and index of each axis.
-        others: group and name of the words that are no axis words.
-        behind: where the values of those stand among all groups.
+        others: group and name of the words that are not axis words.
+        behind: the range of the values of ``others`` among all groups.
     """
 
     pattern: re.Pattern[str]
@@ -35,7 +35,7 @@ class Plain(NamedTuple):
 
 
 def plain_letters(names: tuple[str, ...]) -> str:
-    """The axes a plain block can name, in order; none where an axis has the letter of something else."""
+    """Return the axes a simple block can name, in order; none if an axis has a letter with another meaning."""
     letters = [name.upper() for name in names if len(name) == 1]
     return "".join(sorted(letters, key=_ORDER.index)) if all(letter in _ORDER for letter in letters) else ""
 
@@ -43,14 +43,14 @@ def plain_letters(names: tuple[str, ...]) -> str:
 def plain_blocks(
     names: tuple[str, ...], head: str, value: str, others: tuple[str, ...], equals: str, tail: str
 ) -> Plain:
-    """What plain blocks look like.
+    """Return the pattern of simple blocks.
 
     Args:
         names: axis names.
-        head: pattern of what stands before the words, with two groups.
+        head: pattern of the text before the words, with two groups.
         value: pattern of a number.
         others: names of the words that may follow the axis words.
-        equals: what stands behind the longer ones of those.
+        equals: separator after names of several letters among these.
         tail: pattern of what follows.
     """
     letters = plain_letters(names)

@@ -1,4 +1,4 @@
-"""What the writers of languages of words share: blocks rewritten word by word, every other byte kept."""
+"""Base of the ISO and Heidenhain writers: blocks rewritten word by word, every other byte kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.nc.emit import Said
 from twin.nc.text import Style, apply_edits, ending, number, style_of
 
 Pieces = tuple[Rewrite, list[list[float]]]
-"""What replaces a move, and its positions as lists."""
+"""A rewrite, and its positions as lists."""
 Edit = tuple[int, int, str]
 
 
@@ -21,17 +21,17 @@ B = TypeVar("B", bound=Block)
 
 
 class WordWriter(ABC, Generic[B]):
-    """Writes a program block by block, remembering what the output said.
+    """Writer of a program block by block that keeps track of the values written.
 
     Args:
-        source: the program's name.
+        source: file name for messages.
         axes: axis words.
-        newline: the line ending it uses.
-        style: of its numbers.
+        newline: line ending of the program.
+        style: its number format.
 
     Attributes:
-        said: what the output last said of every axis.
-        lower: whether letters are small.
+        said: the last value written for every axis.
+        lower: whether the program uses small letters.
     """
 
     separator = " "
@@ -51,7 +51,7 @@ class WordWriter(ABC, Generic[B]):
         self._vector_text: tuple[str, str, str] | None = None
 
     def heard(self, block: B) -> None:
-        """Take note of a block whose move stays."""
+        """Record the words of a block whose move is unchanged."""
         move = block.moves[0]
         for word in block.words:
             if move.machine:
@@ -64,11 +64,11 @@ class WordWriter(ABC, Generic[B]):
             self._vector_text = None
 
     def rewritten(self, block: B, pieces: Pieces) -> list[str]:
-        """The lines that replace a block.
+        """Return the lines that replace a block.
 
         Args:
             block: the block; its first move is replaced.
-            pieces: by what.
+            pieces: the segments that replace it.
         """
         rewrite, rows = pieces
         many = len(rows) > 1
@@ -114,32 +114,32 @@ class WordWriter(ABC, Generic[B]):
 
     @abstractmethod
     def _begin(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> str:
-        """Make a block one that goes straight; what it has to begin with."""
+        """Turn a block into a straight move and return the text with which each line begins."""
 
     @abstractmethod
     def _insert(self, block: B, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
-        """Put the words that a block lacks where they belong; what the lines of later pieces begin with."""
+        """Insert the missing words into a block and return the text with which the lines of later segments begin."""
 
     @abstractmethod
     def _tails(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
-        """What stands at the end of each of several pieces, for the first one as an edit; empty for nothing."""
+        """Return the text at the end of each of several segments, for the first one as an edit; empty if there is none."""
 
     @abstractmethod
     def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
-        """The components of a tool vector as this program writes them."""
+        """Return the components of a tool vector as text in the style of the program."""
 
     @abstractmethod
     def _vector_names(self, block: B) -> Sequence[str]:
-        """The names of the tool vector's words, none where the block can have none."""
+        """Return the names of the tool vector's words, none if the block cannot have them."""
 
     def _later(self, block: B, row: list[float], vector: list[float] | None) -> list[str]:
-        """The words of a piece behind the first."""
+        """Return the words of a segment after the first."""
         return self._missing(block, row, 0) + ([] if vector is None else self._vector(block, vector, None))
 
     # ------------------------------------------------------------------ words
 
     def _number(self, block: B, word: AxisWord, target: float) -> str:
-        """The number of an axis word for a target."""
+        """Return the number of an axis word for a target."""
         axis, _, _, start, end, _, incremental, _ = word
         old = block.text[start:end]
         value = number(old)
@@ -151,11 +151,11 @@ class WordWriter(ABC, Generic[B]):
         return self.said.replace(axis, old, value, target, block.inch, incremental, self.style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
-        """The edit of a word that has a form: a language without forms has no such words."""
+        """Return the edit of a word that has a form (``AC( )``); only ISO has such words."""
         raise NotImplementedError(word.form)
 
     def _missing(self, block: B, row: list[float], written: int) -> list[str]:
-        """Words for the axes that are not where they should be; ``written``: those that have one, as bits."""
+        """Return words for the axes that are not at their target; ``written``: axes that have a word already, as bits."""
         axes = self.said.missing(row, written, block.inch)
         return [self._added(block, axis, row[axis]) for axis in axes]
 
@@ -169,7 +169,7 @@ class WordWriter(ABC, Generic[B]):
     def _check(self, axis: int) -> None:
         if self.said.value[axis] != self.said.value[axis]:
             raise InputError(
-                f"{self.names[axis]} is incremental where its position is unknown",
+                f"incremental {self.names[axis]} while its position is unknown",
                 expected="absolute position first",
                 file=self.source,
                 line=self._line + 1,
@@ -177,7 +177,7 @@ class WordWriter(ABC, Generic[B]):
             )
 
     def _vector(self, block: B, vector: list[float], edits: list[Edit] | None) -> list[str]:
-        """Words of a tool vector: replaced where the block has them (edits), the others returned."""
+        """Replace the words of a tool vector that the block has (as edits) and return the others."""
         names = self._vector_names(block)
         if not names:
             if block.vector_words:
@@ -199,7 +199,7 @@ class WordWriter(ABC, Generic[B]):
 
 
 def _drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
-    """Take words out of a block, with the spaces before them; their texts."""
+    """Delete words from a block, with the spaces before them, and return their texts."""
     text = block.text
     for span in spans:
         edits.append((len(text[: span.start].rstrip(" \t")), span.end, ""))

@@ -1,4 +1,4 @@
-"""APT cutter locations (``.cls``, ``.apt``) as a dialect: ``GOTO/x,y,z,i,j,k`` in the work frame."""
+"""The APT dialect: cutter locations (``.cls``, ``.apt``), ``GOTO/x,y,z,i,j,k`` in the work frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NOT_PER_MINUTE: Final = frozenset({"MMPR", "IPR", "PERREV", "INVERS"})
 
 @final
 class Apt(Dialect):
-    """APT cutter locations: tool-tip coordinates and tool vectors, whatever the machine's kinematics."""
+    """APT cutter locations: tool-tip coordinates and tool vectors, independent of the machine's kinematics."""
 
     name = "apt"
     suffixes = (".cls", ".apt")
@@ -58,7 +58,7 @@ class Apt(Dialect):
         return "".join(writer.out)
 
     def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind ``PARTNO``."""
+        """See `Dialect.commented`: after ``PARTNO``."""
         lines = first_lines(text)
         at = place = 0
         while place < len(lines):
@@ -121,7 +121,7 @@ def _words(statement: Statement) -> set[str]:
 
 
 def _feed(statement: Statement, unit: float, last: float) -> float:
-    """The feed of a ``FEDRAT`` in mm/min; what is not per minute leaves the last one."""
+    """Return the feed of a ``FEDRAT`` in mm/min; the last feed if it is not per minute."""
     values = [v for v in (number(text) for text in statement.texts) if math.isfinite(v) and v > 0]
     words = _words(statement)
     if not values or words & _NOT_PER_MINUTE:
@@ -132,6 +132,6 @@ def _feed(statement: Statement, unit: float, last: float) -> float:
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = line.strip()
     return body[2:].strip() if body.startswith("$$") else None if body else ""

@@ -1,4 +1,4 @@
-"""Heidenhain plain language as a dialect."""
+"""The Heidenhain plain-language dialect."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Heidenhain(Dialect):
         return writer.text()
 
     def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind ``BEGIN PGM``; the numbers of later blocks grow by those inserted."""
+        """See `Dialect.commented`: after ``BEGIN PGM``; the numbers of later blocks increase by the number of comments."""
         lines = first_lines(text)
         at = next((i + 1 for i, line in enumerate(lines) if _body(line).upper().split()[:2] == ["BEGIN", "PGM"]), 0)
         number = None if at == 0 else HEAD.match(lines[at - 1])
@@ -146,13 +146,13 @@ def _body(line: str) -> str:
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = _body(line)
     return body[1:].strip() if body.startswith(";") else None if body else ""
 
 
 def _renumbered(text: str, by: int) -> str:
-    """Numbered blocks with larger numbers; a block that goes on over several lines has one."""
+    """Return blocks with their numbers increased; a block continued over several lines has one number."""
     parts: list[str] = []
     continued = False
     for line in lines_in(text.encode("latin-1")):

@@ -1,4 +1,4 @@
-"""The interpreter of Heidenhain plain language: blocks in, what each says in full out."""
+"""Modal interpreter of Heidenhain programs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 @final
 class HeidenhainInterpreter(Interpreter):
-    """Reads blocks in order, keeping what is modal.
+    """Interpreter of blocks in order, with their modal state.
 
     Attributes:
-        continued: whether the next line continues the present block (a cycle's parameters).
+        continued: whether the next line continues the current block (parameters of a cycle).
     """
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
@@ -43,7 +43,7 @@ class HeidenhainInterpreter(Interpreter):
         Args:
             line: 0-based index of the line.
             text: its text.
-            known: the move it makes, where somebody has read it before.
+            known: its move, if it has been interpreted before.
 
         Raises:
             InputError: with file, line and value.
@@ -52,12 +52,12 @@ class HeidenhainInterpreter(Interpreter):
         return self._block(text) if found is None else self._plain_block(found, known)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
-        """Return the moves of one line as `step` does, without the words that only a writer asks for."""
+        """Return the moves of one line as `step` does, without the words that only a writer needs."""
         found = self._found(line, text)
         return self._block(text).moves if found is None else (self._plain_move(found, self._plain_words(found)),)
 
     def _found(self, line: int, text: str) -> re.Match[str] | None:
-        """Begin with a line; its match if it is a plain block, with vectors only in one that can have them."""
+        """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._shown = line, text
         found = None if self.continued else self._plain.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._plain.behind]):
@@ -65,7 +65,7 @@ class HeidenhainInterpreter(Interpreter):
         return found
 
     def _block(self, text: str) -> PathBlock:
-        """Interpret a line that is no plain block."""
+        """Interpret a line that is not a simple block."""
         head = vocabulary.HEAD.match(text)
         begin = head.end() if head else 0
         block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
@@ -80,7 +80,7 @@ class HeidenhainInterpreter(Interpreter):
         return block
 
     def _plain_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
-        """Interpret a plain block by the words its pattern found."""
+        """Interpret a simple block from the groups of its pattern."""
         text, spans = match.string, match.regs
         start, end = spans[2]
         move = self._plain_move(match, self._plain_words(match)) if known is None else known
@@ -103,7 +103,7 @@ class HeidenhainInterpreter(Interpreter):
         return block
 
     def _plain_words(self, match: re.Match[str]) -> int:
-        """Take the axis words of a plain block to the position; their axes as bits."""
+        """Set the position from the axis words of a simple block and return their axes as bits."""
         unit, linear, position = MM_PER_INCH if self.inch else 1.0, self.linear, self.position
         seen = 0
         for (_, axis), written in zip(self._plain.axes, match.groups()[2:], strict=False):
@@ -114,7 +114,7 @@ class HeidenhainInterpreter(Interpreter):
         return seen
 
     def _plain_move(self, match: re.Match[str], seen: int) -> Move:
-        """Return the move of a plain block whose axis words are taken."""
+        """Return the move of a simple block after its axis words have been applied."""
         normal = tool = None
         if len(match[2]) > 1:
             values = match.groups()[self._plain.behind]
@@ -126,12 +126,12 @@ class HeidenhainInterpreter(Interpreter):
         return Move(self._line, kind, self.tcp, position, self.named(seen), False, self.vector, unit_normal)
 
     def _directed(self, seen: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
-        """Take the tool vector of a block that names some axes (bits); its surface normal at unit length."""
+        """Set the tool vector from a block that names some axes (bits) and return its surface normal at unit length."""
         if tool is not None:
             vector = self.direction("tool vector", tool)
             if not self.tcp:
-                what = "a tool vector while the control's kinematics are off"
-                raise self.refuse(what, "M128 or FUNCTION TCPM first")
+                what = "tool vector while tool centre point control is off"
+                raise self.refuse(what, "M128 or FUNCTION TCPM before it")
             self.turn_to(seen, vector)
         elif seen >> self.linear:
             self.vector = None
@@ -143,7 +143,7 @@ class HeidenhainInterpreter(Interpreter):
         if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
             self._path(block, "", block.head)
         elif found is None:
-            raise self.refuse("a block that is not understood", "a plain-language block such as L X+10 FMAX", body)
+            raise self.refuse("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN", "C", "CR"):
             self._path(block, keyword, block.head + found.end())
         elif keyword == "CC":
@@ -164,16 +164,16 @@ class HeidenhainInterpreter(Interpreter):
         elif keyword[0] == "Q":
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
-            raise self.refuse("a word without a number", f"a number after {keyword}")
+            raise self.refuse("word without a number", f"a number after {keyword}")
         elif keyword not in vocabulary.PASSED:
-            what = "probing" if keyword == "TCH" else "a statement that is not understood"
-            self.note(f"{what} passes through, every axis is unknown afterwards: {body[:60]}")
+            what = "probing" if keyword == "TCH" else "unknown statement"
+            self.note(f"{what} passed through; all axis positions are unknown afterwards: {body[:60]}")
             self.forget(block, range(len(self.names)), moved=keyword == "TCH")
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
         unit = vocabulary.UNIT.match(body)
         if unit is None or unit.group(1).upper() not in ("MM", "INCH"):
-            raise self.refuse("a unit that is not one", "BEGIN PGM name MM or INCH")
+            raise self.refuse("unknown unit", "BEGIN PGM name MM or INCH")
         self.inch = unit.group(1).upper() == "INCH"
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
@@ -194,7 +194,7 @@ class HeidenhainInterpreter(Interpreter):
         if not upper.startswith("PLANE RESET"):
             raise self.refuse("coordinate transformation PLANE", vocabulary.BAKED)
         if "STAY" not in block.text.upper():
-            self.note("PLANE RESET may move the rotary axes; they are unknown afterwards")
+            self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
             self.forget(block, range(self.linear, len(self.names)))
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
@@ -202,12 +202,12 @@ class HeidenhainInterpreter(Interpreter):
             raise self.refuse("cycle call", vocabulary.EXPAND)
         found = vocabulary.CYCLE.match(body)
         if found is None:
-            raise self.refuse("a cycle without its number", "CYCL DEF and a number")
+            raise self.refuse("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(found.group(1)), found.group(2), found.group(3).split(";")[0].strip(" \t\r\n~")
         if cycle in vocabulary.RUN_AT_ONCE:
-            raise self.refuse(f"cycle {cycle} runs where it is defined", vocabulary.EXPAND)
+            raise self.refuse(f"cycle {cycle} is executed where it is defined", vocabulary.EXPAND)
         if cycle == 247:
-            self.note("CYCL DEF 247 chooses a preset: its offset is the one given with --work-offset")
+            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
         elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.refuse(what, vocabulary.BAKED)
@@ -216,7 +216,7 @@ class HeidenhainInterpreter(Interpreter):
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         found = vocabulary.FN.match(body)
         if found is None:
-            raise self.refuse("a parameter function without its number", "FN 0: Q1 = +5")
+            raise self.refuse("parameter function without a number", "FN 0: Q1 = +5")
         if 9 <= int(found.group(1)) <= 12:
             raise self.refuse("control flow", vocabulary.FLAT)
         self._assignments(found.group(2))
@@ -231,7 +231,7 @@ class HeidenhainInterpreter(Interpreter):
         elif upper.startswith("FUNCTION TCPM"):
             self.switch(block, True, "FUNCTION TCPM")
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
-            raise self.refuse("a function that changes what words mean", vocabulary.BAKED)
+            raise self.refuse("function that changes the meaning of axis words", vocabulary.BAKED)
 
     # ------------------------------------------------------------------ words of paths
 
@@ -242,11 +242,11 @@ class HeidenhainInterpreter(Interpreter):
             if take is not None:
                 take(self, block, match)
         if block.retracts:
-            self.note("M140 retracts along the tool axis; the linear axes are unknown afterwards")
+            self.note("M140 retracts along the tool axis; the positions of the linear axes are unknown afterwards")
         if block.words or block.vector_words or (keyword in ("C", "CR") and block.clockwise is not None):
             self._move(block)
         elif keyword in ("C", "CR"):
-            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+            raise self.refuse("circular block without its sense", "DR+ or DR-")
         if block.retracts:
             self.forget(block, range(self.linear), moved=True)
 
@@ -265,8 +265,8 @@ class HeidenhainInterpreter(Interpreter):
         if value == value:
             return value
         if "Q" in written.upper():
-            what = f"the value of {name} is not known here"
-            raise self.refuse(what, "a number, or a Q parameter set to one", written)
+            what = f"the value of {name} is unknown"
+            raise self.refuse(what, "a number, or a Q parameter set to a number before", written)
         raise self.no_number(name, written)
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
@@ -284,7 +284,7 @@ class HeidenhainInterpreter(Interpreter):
         code = int(match.group(match.lastindex + 1) if match.lastindex else 0)
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
-            what = "cycle call" if code in (89, 99) else "a function that changes what words mean"
+            what = "cycle call" if code in (89, 99) else "function that changes the meaning of axis words"
             raise self.refuse(f"{what} {word}", vocabulary.EXPAND if code != 118 else vocabulary.BAKED)
         if code in vocabulary.LAST_M:
             block.last_m.append(Span(match.start("misc"), match.end()))
@@ -330,7 +330,7 @@ class HeidenhainInterpreter(Interpreter):
             return self.refuse(f"{letter} has no number", f"a number after {letter}", shown)
         if letter in "XYZABCUVW":
             return self.no_axis(shown)
-        return self.refuse("a word that is not understood", "axis words, R0, F and M", shown)
+        return self.refuse("unknown word", "axis words, R0, F and M", shown)
 
     # ------------------------------------------------------------------ moves
 
@@ -373,7 +373,7 @@ class HeidenhainInterpreter(Interpreter):
 
     def _arc(self, block: PathBlock, start: list[float]) -> Arc:
         if block.clockwise is None:
-            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+            raise self.refuse("circular block without its sense", "DR+ or DR-")
         a, b, _ = self.plane
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
         if block.keyword == "CR":
@@ -383,7 +383,7 @@ class HeidenhainInterpreter(Interpreter):
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
             return self.checked(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
-        return self.checked(ArcMisfit("a circular block without its centre", "CC before it"))
+        return self.checked(ArcMisfit("circular block without its centre", "CC before it"))
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
@@ -396,7 +396,7 @@ _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match
     "misc": HeidenhainInterpreter._misc,
     "bad": HeidenhainInterpreter._bad,
 }
-"""What each kind of `vocabulary.TOKEN` does; those that are not here pass."""
+"""Handler of each kind of `vocabulary.TOKEN`; other kinds are ignored."""
 
 _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str, str], None]]] = {
     "BEGIN": HeidenhainInterpreter._begin,
@@ -411,17 +411,17 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "TOOL": HeidenhainInterpreter._tool,
     "TRANS": HeidenhainInterpreter._transform,
 }
-"""What statements do, by their first word."""
+"""Handler of each statement, by its first word."""
 
 
 def _rapid(match: re.Match[str]) -> str:
-    """``FMAX`` of a plain block as written, or nothing."""
+    """Return ``FMAX`` of a simple block as written, or an empty text."""
     feed = match[match.re.groups]
     return feed if feed is not None and feed[-1] in "xX" else ""
 
 
 def _cancels(cycle: int, rest: str) -> bool:
-    """Whether the values of a transformation cycle are those that cancel it."""
+    """Return whether the values of a transformation cycle cancel it."""
     values = [number(text) for text in vocabulary.NUMBERS.findall(rest)]
     if cycle in (11, 26):
         return bool(values) and all(value == 1.0 for value in values)

@@ -1,4 +1,4 @@
-"""The writer of plain language: moves replaced in their blocks, blocks renumbered where lines were inserted."""
+"""Writer of Heidenhain programs: moves replaced in their blocks, blocks renumbered where lines were inserted."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ VECTOR_DECIMALS = 7
 
 @final
 class HeidenhainWriter(WordWriter[PathBlock]):
-    """Writes a program block by block, remembering what the output said.
+    """Writer of a program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as of `WordWriter`.
+        source, axes, newline, style: as for `WordWriter`.
     """
 
     equals = ""
@@ -32,7 +32,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         self._inserted = False
 
     def text(self) -> str:
-        """The whole output, blocks renumbered where lines were inserted among numbered ones."""
+        """Return the whole output, renumbered if lines were inserted among numbered blocks."""
         if not self._inserted:
             return "".join(self._out)
         parts = []
@@ -46,7 +46,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         return "".join(parts)
 
     def block(self, block: PathBlock, pieces: Pieces | None) -> None:
-        """Write one block, its move replaced if there are pieces."""
+        """Write one block, with its move replaced if there are segments for it."""
         if block.forgets:
             self.said.forget(block.forgets)
         if block.switched:
@@ -96,7 +96,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if vector is not None:
             before = self._vector_text
             if block.keyword == "LN":
-                self._vector_text = None  # an LN block says its vectors in full
+                self._vector_text = None  # an LN block has its vectors in full
             tool = self._vector(block, vector, None)
             if words or self._vector_text != before:
                 words += [*block.normal_text, *tool]

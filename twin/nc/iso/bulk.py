@@ -1,7 +1,7 @@
-"""Plain lines written all at once: words replaced as `twin.nc.iso.writer.IsoWriter` replaces them one by one.
+"""Simple lines written together: words replaced as `twin.nc.iso.writer.IsoWriter` does one by one.
 
-What a word looks like depends on the words before it (`twin.nc.text.style_of`): each says something of the style or leaves it as it
-was. So the style at every word is, part by part, what was said last, and that is found for all words together.
+The format of a word depends on the words before it (`twin.nc.text.style_of`): each sets some attributes of the style and keeps the
+others. Each attribute at a word is therefore the last value set, which is computed for all words together.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.nc.iso.scan import Scan, Words
 from twin.nc.text import Style, grid
 
 LARGEST_STEPS: Final = 1e11
-"""Values of more least increments are written one by one: a double no longer has all their decimals beyond doubt."""
+"""Larger values, in least increments, are written one by one: a double no longer holds all their decimals exactly."""
 _UNKNOWN: Final = np.iinfo(np.int64).min
 _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
 
@@ -24,12 +24,12 @@ _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
 @final
 @dataclass(frozen=True)
 class NewPositions:
-    """What replaces the moves of a stretch of program.
+    """Replacements for the moves of a chunk of a program.
 
     Attributes:
-        first: (moves,) the row that each one's pieces begin at.
-        count: (moves,) how many it becomes; 0 for one that stays as it is.
-        positions: (rows, axes) as of `twin.nc.blocks.Rewrite`.
+        first: (moves,) the first row of each move's segments.
+        count: (moves,) number of segments; 0 for a move that is unchanged.
+        positions: (rows, axes) as in `twin.nc.blocks.Rewrite`.
         vectors: (rows, 3) tool vectors, for moves that have one.
     """
 
@@ -39,11 +39,11 @@ class NewPositions:
     vectors: np.ndarray
 
     def part(self, first: int, last: int) -> NewPositions:
-        """What replaces some moves, one behind the other."""
+        """Return the replacements of the moves from one index up to, but excluding, another."""
         return replace(self, first=self.first[first:last], count=self.count[first:last])
 
     def rows(self, which: np.ndarray) -> np.ndarray:
-        """The rows of some moves, move by move."""
+        """Return the rows of some moves, move by move."""
         first, count = self.first[which], self.count[which]
         return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
 
@@ -51,11 +51,11 @@ class NewPositions:
 @final
 @dataclass(frozen=True)
 class Habits:
-    """How a program writes, at some place of it.
+    """Formatting of a program at some place.
 
     Attributes:
-        style: of its numbers.
-        spaced: whether words stand apart.
+        style: number format.
+        spaced: whether words are separated by spaces.
         lower: whether letters are small.
     """
 
@@ -66,7 +66,7 @@ class Habits:
 
 @final
 class Grids:
-    """The steps that axis words are written in, where they can be written all at once.
+    """The steps of the axis words, for writing many together.
 
     Args:
         names: axis names.
@@ -85,14 +85,14 @@ class Grids:
 
 
 def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray) -> bytes:
-    """A text with stretches replaced; they do not overlap, and those at one place are in order.
+    """Return a text with some ranges replaced; they do not overlap, and insertions at one place are in order.
 
     Args:
         text: the text.
-        start: (n,) of each stretch, and
-        end: (n,) its end.
-        length: (n,) of what replaces it.
-        new: all of that, one behind the other.
+        start: (n,) beginnings of the ranges.
+        end: (n,) their ends.
+        length: (n,) length of each replacement.
+        new: all replacements, concatenated.
     """
     order = np.argsort(start, kind="stable")
     start, end = start[order], end[order]
@@ -118,20 +118,20 @@ def edited(
     habits: Habits,
     grids: Grids,
 ) -> tuple[bytes, Habits]:
-    """Plain lines, one behind the other but for blank ones, with new positions.
+    """Return simple lines, consecutive except for blank ones, with new positions.
 
     Args:
         scan: the text.
-        whole: the stretch of it that they are in.
-        lines: (lines,) which.
-        count: (lines,) how many pieces each becomes.
-        targets: (pieces, axes) their ends, mm and degrees; NaN in the columns of axes nobody writes.
-        said: what the output said so far; brought up to date.
-        habits: before the first of the lines.
+        whole: the range of the text that contains the lines.
+        lines: (lines,) indices of the lines.
+        count: (lines,) number of segments of each line.
+        targets: (segments, axes) end positions, mm and degrees; NaN in the columns of axes that are not written.
+        said: last values in the output; updated.
+        habits: formatting before the first of the lines.
         grids: of the axes.
 
     Returns:
-        That stretch, and the habits behind the last line.
+        The new text of the range, and the formatting after the last line.
     """
     pieces = _Pieces(scan, lines, count, targets, said, grids)
     of, words = pieces.of_word, pieces.words
@@ -145,12 +145,12 @@ def edited(
     shown = second | pieces.headed
     spaced = _last_said(np.where(shown, (before == _SPACE) | (before == 9), -1), habits.spaced).astype(bool)
     lower = scan.text[letter] >= ord("a")
-    # Words there are: those that say another value than before.
+    # Words in the text whose value changes.
     steps = pieces.steps.take(of * pieces.steps.shape[1] + words.axis)
     same = np.abs(words.value - steps * grids.step[words.axis]) < SAME
     same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & look.plus)
     new = np.flatnonzero(~same)
-    # Words there are not.
+    # Words that are missing in the text.
     row, axis = np.nonzero(pieces.missing)
     line = pieces.line[row]
     last_word = pieces.last_word[line]
@@ -182,7 +182,7 @@ def edited(
 
 @final
 class _Pieces:
-    """The pieces of some lines, and which words they need beside those that stand there."""
+    """The segments of some lines, and which words they need in addition to those in the text."""
 
     def __init__(
         self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, grids: Grids
@@ -207,7 +207,7 @@ class _Pieces:
         np.not_equal(self.steps[1:], self.steps[:-1], out=self.missing[1:])
         self.missing &= known
         self.missing[self.of_word, self.words.axis] = False
-        # A word before the first axis word, whether or not it is one that moves.
+        # Whether any word stands before the first axis word.
         letter = self.words.start[self.first_word] - 1
         start = scan.start[lines]
         self.headed = np.zeros(len(lines), dtype=bool)
@@ -222,7 +222,7 @@ class _Pieces:
 
 @final
 class _Look:
-    """The style in force behind every word (`twin.nc.text.style_of`)."""
+    """The style in force after every word (`twin.nc.text.style_of`)."""
 
     def __init__(self, words: Words, style: Style) -> None:
         zero = words.value == 0.0
@@ -241,16 +241,16 @@ class _Look:
         self.plus = _last_said(plus, style.plus).astype(bool)
 
     def at(self, word: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Point, keep, lead and plus behind some words."""
+        """Return point, keep, lead and plus after some words."""
         return self.point[word].astype(bool), self.keep[word], self.lead[word].astype(bool), self.plus[word]
 
     def last(self) -> Style:
-        """Behind the last word."""
+        """Return the style after the last word."""
         return Style(bool(self.point[-1]), int(self.keep[-1]), bool(self.lead[-1]), bool(self.plus[-1]), False)
 
 
 def _last_said(values: np.ndarray, before: int) -> np.ndarray:
-    """(n,) of each the value, or where that is -1 the last one that is not."""
+    """Return (n,) each value, or the last one before it that is not -1."""
     says = values >= 0
     if says.all():
         return values
@@ -261,7 +261,7 @@ def _last_said(values: np.ndarray, before: int) -> np.ndarray:
 
 
 def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
-    """(lines, 2) the characters that end each line, 0 for none."""
+    """Return (lines, 2) the characters that end each line, 0 for none."""
     end = scan.end[lines]
     two = (scan.text[end - 1] == 10) & (scan.text[np.maximum(end - 2, 0)] == 13)
     return np.stack([np.where(two, 13, 0), scan.text[end - 1]], axis=1).astype(np.uint8)
@@ -276,16 +276,16 @@ def _printed(
     letter: np.ndarray,
     ending: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Words as `twin.nc.text.format_number` prints their numbers, all behind one another, and the length of each.
+    """Return words with numbers formatted as by `twin.nc.text.format_number`, concatenated, and the length of each.
 
     Args:
         steps: (n,) values in least increments.
-        axis: (n,) of which axis.
-        look: of the numbers (`_Look.at`).
+        axis: (n,) axis of each word.
+        look: style of the numbers (`_Look.at`).
         grids: of the axes.
         spaced: (n,) whether a space comes first.
-        letter: (n,) then a letter, 0 for none.
-        ending: (n, 2) characters behind the number, 0 for none.
+        letter: (n,) the following letter, 0 for none.
+        ending: (n, 2) characters after the number, 0 for none.
     """
     point, keep, lead, plus = look
     places = int(max(grids.decimals.max(initial=0), keep.max(initial=0)))
@@ -294,7 +294,7 @@ def _printed(
     whole = size // power
     fraction = (size - whole * power) * (10 ** (places - grids.decimals))[axis]
     digits = len(str(int(whole.max(initial=0))))
-    # A row a place, so that each is written at a stretch; what is not shown is zero, and taken out.
+    # One row per character position, for contiguous writes; characters not shown are zero and removed below.
     text = np.empty((digits + places + 6, len(steps)), dtype=np.uint8)
     text[0] = spaced * np.uint8(_SPACE)
     text[1] = letter
@@ -307,7 +307,7 @@ def _printed(
     wanted = np.array(keep)
     for i in range(places):
         wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
-        # Later digits are looked at later, so the last that is not 0 decides.
+        # Digits are visited in order, so the last nonzero one decides.
     for i in range(places):
         text[4 + digits + i] *= wanted > i
     text[3 + digits] = ((wanted > 0) | point) * np.uint8(_POINT)
@@ -317,7 +317,7 @@ def _printed(
 
 
 def _digits(number: np.ndarray, out: np.ndarray) -> None:
-    """The decimal digits of whole numbers, as characters, into the rows of an array."""
+    """Write the decimal digits of whole numbers, as characters, into the rows of an array."""
     left = number
     for row in range(len(out) - 1, -1, -1):
         rest = left // 10

@@ -1,4 +1,4 @@
-"""ISO programs as a dialect."""
+"""The ISO dialect (G-code)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TAPE: Final = re.compile(
     r"%.*|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
     re.IGNORECASE,
 )
-"""Lines before which nothing may stand: tape mark, program number or name, ``PROC``."""
+"""Lines that must stay first: tape mark, program number or name, ``PROC``."""
 _NUMBER: Final = re.compile(r"[ \t]*(?:/\d?[ \t]*)?(?:N\d+[ \t]*)?", re.IGNORECASE)
 _ROUND: Final = re.compile(r"\(([^()]*)\)[ \t]*;?")
 _SIEMENS: Final = re.compile(
@@ -61,9 +61,9 @@ class Iso(Dialect):
             axes,
             newline_of(program),
             style_in(program.texts, Style(point=True)),
-            # A switch of kinematics before the first move makes the start irrelevant, else the first move shows it.
+            # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=reading.moves[0].tcp,
-            # A cycle is written out where one of its strokes, or the block that it follows, is rewritten.
+            # Expand a cycle if one of its strokes, or the block that executes it, is rewritten.
             expand_cycles=any(
                 before.line == move.line in by_line
                 for before, move in zip(reading.moves, reading.moves[1:], strict=False)
@@ -85,9 +85,9 @@ class Iso(Dialect):
         return b"".join(out).decode("latin-1").replace(GONE, "")
 
     def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind tape mark and program number.
+        """See `Dialect.commented`: after tape mark and program number.
 
-        In round brackets, or behind a semicolon where the program's own comments or words are those of a SINUMERIK.
+        In round brackets, or after a semicolon if the program's comments or words are those of a SINUMERIK.
         """
         lines = first_lines(text)
         at = place = 0
@@ -154,12 +154,12 @@ def _is_tape(line: str) -> bool:
 
 
 def _bare(line: str) -> str:
-    """A line without its skip mark and number."""
+    """Return a line without its skip mark and number."""
     return line[_NUMBER.match(line).end() :].strip()  # type: ignore[union-attr]  # it matches anything
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = _bare(line.removeprefix(BOM))
     if body.startswith(";"):
         return body[1:].strip()
@@ -175,7 +175,7 @@ def _uses_semicolon(lines: Sequence[str]) -> bool:
     for body in map(_bare, lines):
         if body.startswith("("):
             return False
-        # A semicolon at the end of a line is the end of a block; with text behind it a comment.
+        # A semicolon at the end of a line ends a block; followed by text, it begins a comment.
         if body.partition(";")[2].strip():
             return True
     return False

@@ -1,4 +1,4 @@
-"""The modal interpreter of ISO programs: blocks in, what each says in full out."""
+"""Modal interpreter of ISO programs."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
 }
-"""By group of G codes: the attribute of the interpreter that holds its state, and what a code makes of it."""
+"""For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
 
 
 @final
 class IsoInterpreter(IsoMotion):
-    """Reads blocks in order, keeping the modal state."""
+    """Interpreter of blocks in order, with their modal state."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         super().__init__(source, axes, tcp=tcp)
@@ -44,7 +44,7 @@ class IsoInterpreter(IsoMotion):
     # ------------------------------------------------------------------ a block
 
     def step(self, line: int, text: str) -> IsoBlock | None:
-        """Interpret one line; None for a line that says nothing (blank, comment, ``%``).
+        """Interpret one line; return None for a line without words (blank, comment, ``%``).
 
         Args:
             line: 0-based index of the line.
@@ -73,7 +73,7 @@ class IsoInterpreter(IsoMotion):
         return self._apply(block) if self._started or block.names else None
 
     def _plain_block(self, match: re.Match[str]) -> IsoBlock:
-        """Interpret a plain block by the words its pattern found."""
+        """Interpret a simple block from the groups of its pattern."""
         text = match.string
         block = IsoBlock(text, max(match.end(1), 0))
         spans = match.regs
@@ -114,7 +114,9 @@ class IsoInterpreter(IsoMotion):
         if "still" in groups:
             return block
         if "reference" in groups:
-            self.note("reference return or probing passes through uncompensated; its axes are unknown afterwards")
+            self.note(
+                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
+            )
             which = [self.index[item.name] for item in block.items]
             self.forget(block, which or range(len(self.names)), moved=True)
             return block
@@ -126,7 +128,7 @@ class IsoInterpreter(IsoMotion):
         return block
 
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
-        """Whether a word that is no axis word belongs to the motion; what is not understood is refused or noted."""
+        """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
         name, shown = item.name, block.text[item.start : item.end]
         if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and block.items):
             return True
@@ -135,15 +137,15 @@ class IsoInterpreter(IsoMotion):
         if name == "L":
             raise self.refuse("subprogram call or repetition", vocabulary.FLAT, shown)
         if name == "N":
-            raise self.refuse("a block number inside a block", "N at its start", shown)
+            raise self.refuse("block number inside a block", "N at the start of the block", shown)
         if name == "O":
             if block.items or block.names:
                 raise self.refuse("control flow", vocabulary.FLAT)
         elif name not in _NO_MOTION:
             if block.items:
-                what = "a word that is not understood in a block that moves axes"
+                what = "unknown word in a block that moves axes"
                 raise self.refuse(what, "words whose effect on the motion is known", shown)
-            self.note(f"{shown.strip()} is not understood and passes through")
+            self.note(f"unknown word {shown.strip()} passed through")
         return False
 
     # ------------------------------------------------------------------ tokens
@@ -180,7 +182,7 @@ class IsoInterpreter(IsoMotion):
             self._sort(block, item)
 
     def _name(self, block: IsoBlock, match: re.Match[str]) -> bool:
-        """Take a name; whether the rest of the line is its own."""
+        """Interpret a name; return whether it takes the rest of the line."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
@@ -203,7 +205,7 @@ class IsoInterpreter(IsoMotion):
 
     def _skip(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
-            raise self.refuse("a slash inside a block", "block skip at the start of a block")
+            raise self.refuse("slash inside a block", "block skip at the start of the block")
         skips = match["skip"]
         block.skip = skips[skips.rindex("/") :]
         block.head = match.end()
@@ -214,7 +216,7 @@ class IsoInterpreter(IsoMotion):
 
     def _main(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
-            raise self.refuse("a colon inside a block", "a block number or label at its start")
+            raise self.refuse("colon inside a block", "a block number or label at the start of the block")
         block.head = match.end()
 
     def _bad(self, block: IsoBlock, match: re.Match[str]) -> None:
@@ -225,10 +227,10 @@ class IsoInterpreter(IsoMotion):
         if letter in _AXIS_LETTERS:
             raise self.no_axis(rest)
         if character == "(":
-            raise self.refuse("a comment or argument list without its closing parenthesis", "( ... )", rest)
+            raise self.refuse("comment or argument list without closing parenthesis", "( ... )", rest)
         if letter == "O":
             raise self.refuse("control flow", vocabulary.FLAT, rest)
-        raise self.refuse("a character that is not understood", "words: letter and number", rest)
+        raise self.refuse("unexpected character", "words of a letter and a number", rest)
 
     # ------------------------------------------------------------------ words
 
@@ -252,13 +254,13 @@ class IsoInterpreter(IsoMotion):
         self.switch_by(block, word)
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:
-        """Apply the G words of a block; the groups they are of."""
+        """Apply the G words of a block and return their groups."""
         seen: set[str] = set()
         for span in block.codes:
             code = span.name
             group = self._group(block, code)
             if group in seen:
-                raise self.refuse(f"two G words of one modal group ({group})", "one G word of a group in a block")
+                raise self.refuse(f"two G words of one modal group ({group})", "one G word per group in a block")
             if group is None:
                 continue
             if group:
@@ -278,7 +280,7 @@ class IsoInterpreter(IsoMotion):
         return frozenset(seen)
 
     def _group(self, block: IsoBlock, code: str) -> str | None:
-        """The modal group of a G code, empty if it is of none; None for one that is not understood and passes."""
+        """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
         group = vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
@@ -287,13 +289,13 @@ class IsoInterpreter(IsoMotion):
         if f"G{code}" in self.tcp_on | self.tcp_off:
             return ""
         if block.items:
-            raise self.refuse("a G word that is not understood", "G words whose effect is known", f"G{code}")
-        self.note(f"G{code} is not understood and passes through")
+            raise self.refuse("unknown G word in a block that moves axes", "G words whose effect is known", f"G{code}")
+        self.note(f"unknown G{code} passed through; all axis positions are unknown afterwards")
         self.forget(block, range(len(self.names)))
         return None
 
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """As of `Interpreter`; G49 ends a length offset, not what another word switched on."""
+        """As `Interpreter.switch`; G49 ends a length offset only, not the effect of other words."""
         if on or word != "G49" or self.tcp_by in ("", "G43.4", "G43.5"):
             super().switch(block, on, word)
 
@@ -305,7 +307,7 @@ class IsoInterpreter(IsoMotion):
         self.offset, self.offset_line = code, self._line
 
     def _names(self, block: IsoBlock) -> bool:
-        """Apply statements by name; whether one says machine coordinates."""
+        """Apply statements by name and return whether one of them selects machine coordinates."""
         names = block.names
         for place, (name, start, end, _, _, arguments) in enumerate(names):
             shown = block.text[start:end]
@@ -323,11 +325,11 @@ class IsoInterpreter(IsoMotion):
                 if vocabulary.CYCLE.fullmatch(name):
                     raise self.refuse(f"canned cycle {name}", vocabulary.EXPAND, shown)
                 if name[0] in self.index and not arguments and "_" not in name and not name.startswith("CYCLE"):
-                    raise self.refuse("a word without a number", f"a number after {name[0]}", shown)
+                    raise self.refuse("word without a number", f"a number after {name[0]}", shown)
                 if block.items:
-                    what = "a word that is not understood in a block that moves axes"
+                    what = "unknown word in a block that moves axes"
                     raise self.refuse(what, _SOME_WORDS, shown)
-                self.note(f"{shown.strip()} is not understood and passes through; every axis is unknown afterwards")
+                self.note(f"unknown word {shown.strip()} passed through; all axis positions are unknown afterwards")
                 self.forget(block, range(len(self.names)))
         return any(item.name == "SUPA" for item in names)
 
@@ -342,7 +344,7 @@ class IsoInterpreter(IsoMotion):
             raise self.refuse(f"canned cycle {item.name}", vocabulary.EXPAND, block.text[item.start :].strip())
 
     def _assigned(self, item: Item, bracket: str) -> bool:
-        """Take an assignment that is no word of the block; whether it was one."""
+        """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
         if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
@@ -356,7 +358,7 @@ class IsoInterpreter(IsoMotion):
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
         if name.startswith("$"):
-            self.note(f"{name} is set by the program; what that does is not known here")
+            self.note(f"the program sets the system variable {name}; its effect is not modelled")
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
@@ -372,4 +374,4 @@ _TOKENS: Final[Mapping[str, Callable[[IsoInterpreter, IsoBlock, re.Match[str]], 
     "main": IsoInterpreter._main,
     "bad": IsoInterpreter._bad,
 }
-"""What each kind of `vocabulary.TOKEN` does; True: the rest of the line is not words."""
+"""Handler of each kind of `vocabulary.TOKEN`; it returns True if the rest of the line is not words."""

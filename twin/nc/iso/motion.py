@@ -1,4 +1,4 @@
-"""What ISO blocks do to the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
+"""Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
 class IsoMotion(Interpreter):
-    """The modal state that decides what axis words mean, and what blocks do to it."""
+    """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
@@ -38,19 +38,19 @@ class IsoMotion(Interpreter):
 
     @property
     def settled(self) -> bool:
-        """Whether a plain line means no more than it says."""
+        """Whether simple lines can be interpreted together: no cycle, pending work offset, incremental mode or tool vector."""
         return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
-        """Make the moves of a block whose axis words are known.
+        """Add the moves of a block whose axis words are known.
 
         Args:
             block: the block.
-            centre: its words of a centre, a radius, full turns or a tool vector.
+            centre: its words for a centre, a radius, full turns or a tool vector.
             machine: whether its axis words are machine coordinates.
 
         Raises:
-            InputError: a word contradicts another or the modal state.
+            InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
         if machine:
@@ -65,10 +65,10 @@ class IsoMotion(Interpreter):
         vector = self._vector(block, centre) if centre else None
         arc: Arc | None = None
         if motion is None:
-            self.note("axes move before any of G0, G1, G2, G3: taken as a linear move", once=True)
+            self.note("axes move before any of G0, G1, G2, G3: assumed to be a linear move", once=True)
         elif motion >= 2:
             if vector is not None or (self.length_vector and self.tcp):
-                raise self.refuse("an arc with a tool vector", vocabulary.LINEAR)
+                raise self.refuse("arc with a tool vector", vocabulary.LINEAR)
             arc = self._arc(block, centre, start)
         elif centre and vector is None:
             first = centre[0]
@@ -82,7 +82,7 @@ class IsoMotion(Interpreter):
         if self.vector is not None:
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
         if block.skip:
-            self.note("block skip: taken as executed", once=True)
+            self.note("block skip: assumed to be executed", once=True)
         kind = Kind.LINEAR if motion is None else _KINDS[motion]
         named = self.named(block.seen)
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
@@ -90,7 +90,7 @@ class IsoMotion(Interpreter):
             self._drill(block, self.cycle)
 
     def take(self, block: IsoBlock) -> None:  # type: ignore[override]
-        """Go where the words of a block say, the shorter or the said way round where they say so."""
+        """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
         turning = [word for word in block.words if word.form and word.form in vocabulary.WAYS]
         before = [self.position[word.axis] for word in turning]
         super().take(block)
@@ -105,8 +105,8 @@ class IsoMotion(Interpreter):
         if self.offset is None or self.offset == self.used_offset:
             return
         if self.used_offset is not None:
-            expected = f"one work offset in a program (moves so far are in G{self.used_offset})"
-            raise self.refuse("a second work offset", expected, f"G{self.offset}", self.offset_line + 1)
+            expected = f"one work offset per program (moves before use G{self.used_offset})"
+            raise self.refuse("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
         self.used_offset = self.offset
 
     # ------------------------------------------------------------------ words
@@ -115,7 +115,7 @@ class IsoMotion(Interpreter):
         """Return an axis word with its value.
 
         Raises:
-            InputError: that is not known, and the block is not in machine coordinates.
+            InputError: the value is unknown, and the block is not in machine coordinates.
         """
         name, start, end, value_start, value_end, text = item
         axis = self.index[name]
@@ -130,7 +130,9 @@ class IsoMotion(Interpreter):
             if value != value and not machine:
                 if vocabulary.LITERAL.fullmatch(text):
                     raise self.no_number(name, text)
-                raise self.refuse(f"the value of {name} is not known here", "a number, or a variable set to one", text)
+                raise self.refuse(
+                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
+                )
         if self.inch and axis < self.linear:
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
@@ -146,7 +148,9 @@ class IsoMotion(Interpreter):
             if index is None:
                 continue
             if not self.tcp:
-                raise self.refuse(f"tool vector {name} while the control's kinematics are off", "TRAORI first", text)
+                raise self.refuse(
+                    f"tool vector {name} while tool centre point control is off", "TRAORI before it", text
+                )
             components[index] = self.value_of(text)
             if components[index] != components[index]:
                 raise self.no_number(name, text)
@@ -188,12 +192,12 @@ class IsoMotion(Interpreter):
         if centre and radius is None:
             middle = (centre.get(a, start[a]), centre.get(b, start[b]))
             return self.checked(arc_by_centre(plane, from_, to, middle, clockwise, turns))
-        return self.checked(ArcMisfit("an arc needs either a centre or a radius", "I, J, K or R (CR=)"))
+        return self.checked(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
 
     # ------------------------------------------------------------------ drilling
 
     def drilling(self, name: str, arguments: str) -> Drilling | None:
-        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be told.
+        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be determined.
 
         Args:
             name: the cycle.

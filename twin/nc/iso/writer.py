@@ -1,4 +1,4 @@
-"""The writer of ISO programs: moves replaced in their blocks, every other byte kept."""
+"""Writer of ISO programs: moves replaced in their blocks, every other byte kept."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 
 @final
 class IsoWriter(WordWriter[IsoBlock]):
-    """Writes an ISO program block by block, remembering what the output said.
+    """Writer of an ISO program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as of `WordWriter`.
-        expand_cycles: whether drilling cycles are written out.
+        source, axes, newline, style: as for `WordWriter`.
+        expand_cycles: whether drilling cycles are expanded into blocks.
 
     Attributes:
         motion: motion code in force in the output (None: before the first, or uncertain).
-        spaced: whether words stand apart.
+        spaced: whether words are separated by spaces.
         wide: whether motion words have two digits.
     """
 
@@ -44,16 +44,16 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     @property
     def separator(self) -> str:  # type: ignore[override]
-        """What stands between words."""
+        """The separator of words."""
         return " " if self.spaced else ""
 
     def block(self, line: int, block: IsoBlock, pieces: Mapping[int, Pieces] | None) -> str:
-        """The output for one block.
+        """Return the output for one block.
 
         Args:
             line: 0-based index of its line.
             block: as interpreted.
-            pieces: what replaces its moves, by the move's place in the block.
+            pieces: replacements of its moves, by the index of the move in the block.
         """
         self._line = line
         if block.switched or block.forgets:
@@ -81,14 +81,14 @@ class IsoWriter(WordWriter[IsoBlock]):
         return text
 
     def _doubt(self, block: IsoBlock) -> None:
-        """Behind a block that the operator can skip, nothing it said is certain."""
+        """Mark everything as uncertain after a block that the operator can skip."""
         if block.skip:
             self.said.doubt(range(len(self.names)))
             self._vector_text = None
             self.motion = None
 
     def _kept(self, block: IsoBlock) -> str:
-        """A block whose move stays: its text, with the motion word it relied on where the output's differs."""
+        """Return a block whose move is unchanged; its motion word is added if the modal state of the output differs."""
         text = block.text
         self.heard(block)
         if block.motion_word is None and block.motion is not None and self.motion != block.motion:
@@ -101,7 +101,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return text
 
     def _strokes(self, block: IsoBlock, pieces: Mapping[int, Pieces], text: str) -> str:
-        """The strokes of a drilling cycle, written out as blocks."""
+        """Return the strokes of a drilling cycle as blocks."""
         end = ending(block.text) or self.newline
         out = [] if ending(text) else [end]
         for place in range(1, len(block.moves)):
@@ -122,7 +122,7 @@ class IsoWriter(WordWriter[IsoBlock]):
     # ------------------------------------------------------------------ one block
 
     def _see(self, block: IsoBlock) -> None:
-        """How this program spaces words and writes letters."""
+        """Record how the program separates words and whether its letters are small."""
         words, text = block.words, block.text
         if words:
             first = words[0].start
@@ -135,7 +135,7 @@ class IsoWriter(WordWriter[IsoBlock]):
             self.lower = text[block.motion_word.start] == "g"
 
     def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
-        """Make the motion word say a straight move; the word to insert, if one is needed."""
+        """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
         code = _CODE[rewrite.move.kind] if block.motion is not None else None
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
@@ -170,14 +170,14 @@ class IsoWriter(WordWriter[IsoBlock]):
         return block.skip
 
     def _tails(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
-        """Inverse time feeds, each for its piece."""
+        """Return the inverse time feed of each segment."""
         if not block.inverse_time or block.motion is None or _CODE[rewrite.move.kind] != 1:
             return []
         span, rows = block.feed, len(rewrite.positions)
         if span is None:
             raise InputError(
-                "an inverse time block without F cannot be split",
-                expected="an F word in every block of G93",
+                "block with inverse time feed (G93) but without F cannot be split",
+                expected="an F word in every block with G93",
                 file=self.source,
                 line=self._line + 1,
                 value=block.text.strip(),
@@ -189,7 +189,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return [f"{letter if letter.upper() == 'F' else 'F'}{feed}" for feed in feeds]
 
     def _faster(self, block: IsoBlock, span: Span, factor: float) -> str:
-        """An inverse time feed for one of several pieces."""
+        """Return the inverse time feed of one of several segments."""
         old = block.text[span.start : span.end]
         value = number(old)
         decimals = max(4, len(old.partition(".")[2]))
@@ -216,9 +216,9 @@ class IsoWriter(WordWriter[IsoBlock]):
         return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
 
     def _head(self, block: IsoBlock, word: AxisWord, target: float) -> str:
-        """What stands before the value of a word with a way round; one that is no longer needed becomes the short way.
+        """Return the text before the value of a word with ``ACP`` or ``ACN``; ``DC`` replaces a direction that is no longer needed.
 
-        ``C=ACP(30)`` from 30 stays there, but ``C=ACP(29.999)`` would go round once.
+        ``C=ACP(30)`` from 30 does not move, but ``C=ACP(29.999)`` would make a full turn.
         """
         if word.form not in ("ACP", "ACN"):
             return ""
