@@ -287,7 +287,7 @@ def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         for address in ("banana", "tcp://127.0.0.1:1", f"tcp://127.0.0.1:{silent.getsockname()[1]}"):
-            with pytest.raises(InputError, match="no Dask scheduler answers there"):
+            with pytest.raises(InputError, match="no Dask scheduler at this address"):
                 list(in_order(chores.squared, 1, range(3), Workers(scheduler=address)))
 
 
@@ -353,7 +353,7 @@ importlib.metadata.version = without
 """
     (tmp_path / "sitecustomize.py").write_text(hidden)
 
-    _refused_while_there(scheduler, tmp_path, "a worker without twin")
+    _refused_while_there(scheduler, tmp_path, "twin is not installed on a worker")
 
 
 @pytest.mark.slow

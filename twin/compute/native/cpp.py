@@ -1,7 +1,7 @@
-"""A tape as C++ on SIMD registers: several poses an instruction, no branch, no call.
+"""Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls.
 
-The vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them, and with sine and cosine of our own
-nothing needs ``-ffast-math``, so that not-a-number stays one and a comparison means what it says.
+It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own, so
+that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Final
 from twin.compute.native.tape import OPERATIONS, TRUTHS, Tape
 
 LARGEST_ANGLE: Final = 1e5
-"""Radians up to which the C++ reduces an angle without loss; a pose beyond it is left to NumPy. 16,000 turns of a table."""
+"""Largest angle in radians that the C++ reduces without loss, 16,000 turns of a table; poses beyond it are left to NumPy."""
 
 
 def routine(name: str, tape: Tape) -> str:
-    """``name(x, k, y)``: inputs, constants, results."""
+    """Return the C++ function ``name(x, k, y)`` of inputs, constants and results."""
     first = tape.inputs + len(tape.constants)
     lines = [f"INLINE void {name}(const V *x, const double *k, V *y) {{"]
     turns: dict[int, str] = {}

@@ -1,4 +1,4 @@
-"""Solves a problem the fastest way there is here: compiled where there is a compiler and work enough for it, else by NumPy."""
+"""Solver that uses compiled code where there is a compiler and enough work for it, else NumPy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.compute.native.problem import CONVERGED, LEFT, ROUTINES, Batch, BatchO
 from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
-"""Poses whose answer NumPy confirms before compiled code is believed."""
+"""Number of poses on which compiled code must agree with NumPy before it is used."""
 
 _POINTERS: Final = ctypes.c_void_p
 
@@ -45,7 +45,7 @@ class _SolveJob(ctypes.Structure):
 @final
 @dataclass
 class _Compiled:
-    """One problem, solved by compiled code."""
+    """Solver of one problem with compiled code."""
 
     problem: InverseProblem
     library: ctypes.CDLL
@@ -93,9 +93,9 @@ class _Compiled:
 
 @final
 class Solver:
-    """One problem, solved whichever way is fastest; the answers agree to rounding.
+    """Solver of one problem that chooses the fastest method; the results agree to rounding.
 
-    The compiled code is kept in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
+    The compiled code is cached in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
     """
 
     def __init__(self, problem: InverseProblem) -> None:
@@ -105,7 +105,7 @@ class Solver:
         self._confirmed = False
 
     def solve(self, batch: Batch) -> BatchOutcome:
-        """All poses of a batch."""
+        """Solve all poses of a batch."""
         if len(batch) < loading.WORTH_COMPILING or not loading.enabled():
             return self._plain.solve(batch)
         if self._native is None:
@@ -120,7 +120,7 @@ class Solver:
         return self._completed(found, batch)
 
     def _completed(self, found: BatchOutcome, batch: Batch) -> BatchOutcome:
-        """With what the C++ leaves to NumPy: large angles."""
+        """Return the outcome with the poses that the C++ leaves to NumPy: large angles."""
         far = np.flatnonzero((found.apart > 0.01) & np.isfinite(found.apart) & (found.code != LEFT))
         found.apart[far] = angle(found.apart[far])
         rows = np.flatnonzero(found.code == LEFT)
@@ -131,12 +131,12 @@ class Solver:
         return replace(found, iterations=max(found.iterations, rest.iterations))
 
     def _agrees(self, found: BatchOutcome, batch: Batch) -> bool:
-        """Whether poses said to be reached are, by NumPy: the check of a compiler nobody has tried this with."""
+        """Return whether NumPy confirms poses that compiled code reports as reached; guards against a faulty compiler."""
         rows = np.flatnonzero(found.code == CONVERGED)[:TRIED]
         if not rows.size:
             return not np.any(self._plain.solve(batch.part(slice(0, TRIED))).code == CONVERGED)
         left = self._plain.check(found.positions[rows], batch.part(rows))
-        # Twice: the promise itself holds to rounding of either evaluation.
+        # Twice the tolerance, since it holds only to rounding of either evaluation.
         self._confirmed = bool(np.all(left <= 2.0 * 2.0 * self.problem.tolerance / self.problem.mm))
         return self._confirmed
 
@@ -171,7 +171,7 @@ class Solver:
 
 
 def _aligned(batch: Batch) -> Batch:
-    """Arrays C++ can step through: doubles, whole strides."""
+    """Return a batch of arrays that C++ can step through: doubles, whole strides."""
 
     def ready(values: np.ndarray, kind: Any) -> np.ndarray:
         fits = values.dtype == kind and values.flags.aligned and all(s % values.itemsize == 0 for s in values.strides)

@@ -1,7 +1,7 @@
-"""A CasADi function as straight-line code, every value computed once: what is turned into C++, and what NumPy runs without it.
+"""A CasADi function as straight-line code with every value computed once; source of the C++ code, and run by NumPy without it.
 
 CasADi's own evaluation spends most of its time on finding the next instruction, five nanoseconds each for every row. Here an
-instruction is one NumPy call for a block of rows, or a line of C++ for a register full of them.
+instruction is one NumPy call for a block of rows, or a line of C++ for a register of rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 BLOCK: Final = 1024
-"""Rows an instruction: a call into NumPy costs as much as these, and the values in use stay in cache."""
+"""Rows per instruction: enough to outweigh the cost of a NumPy call, few enough to keep the values in cache."""
 
 
 def _where(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
@@ -34,9 +34,9 @@ class Operation:
 
     Attributes:
         code: CasADi's number.
-        run: by NumPy: operands, and where the result goes.
-        cpp: in C++, with places for the operands; empty for sine and cosine, which are made together.
-        lifted: whether the C++ wants a vector even for a constant; sums and products take a number.
+        run: NumPy function of the operands and the result array.
+        cpp: C++ expression with places for the operands; empty for sine and cosine, which are computed together.
+        lifted: whether the C++ needs a vector even for a constant; sums and products accept a number.
     """
 
     code: int
@@ -65,24 +65,24 @@ OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
         "where": Operation(ca.OP_IF_ELSE_ZERO, _where, "where({0}, {1})"),
     }
 )
-"""What is known here; squares, doubles, inverses and whole powers are put down to these."""
+"""Supported operations; squares, doubles, inverses and whole powers are reduced to these."""
 NAMES: Final[Mapping[int, str]] = MappingProxyType({one.code: name for name, one in OPERATIONS.items()})
 COMMUTE: Final = frozenset({"add", "mul"})
 TURNS: Final = frozenset({"sin", "cos"})
 TRUTHS: Final = frozenset({"lt", "le", "not"})
-"""Operations whose result is true or false; ``where`` (condition, value) takes one, and is zero where it is false."""
+"""Operations with a logical result; ``where`` (condition, value) takes one, and is zero where it is false."""
 
 MULTIPLES: Final = 20
-"""Largest multiple of an angle that is built from the angle: each costs one rounding."""
+"""Largest multiple of an angle that is built from the angle; each step costs one rounding."""
 ONE: Final = 4e-16
-"""Two roundings from one."""
+"""Tolerance for a factor of one: two roundings."""
 
 Node = tuple[str, int, int]
 """Operation and the numbers of its operands (−1: none)."""
 
 
 class UnknownOperationError(Exception):
-    """An operation of a CasADi function that has no place here: the caller evaluates it by CasADi."""
+    """An operation of a CasADi function is not supported here; the caller uses CasADi instead."""
 
 
 @final
@@ -93,14 +93,13 @@ class Tape:
         function: an SX function of dense inputs and outputs.
 
     Attributes:
-        inputs, outputs: how many numbers go in and come out, all arguments after one another, column-major.
-        constants: every constant, so that the same code serves other numbers; two calibrations with curves of the same orders differ
-            in nothing else.
-        nodes: operations on values: 0 … are the inputs, then the constants, then the nodes themselves.
-        results: numbers of the values that come out.
+        inputs, outputs: numbers of scalar inputs and outputs, all arguments concatenated, column-major.
+        constants: the constants, kept out of the code so that calibrations with curves of the same orders share it.
+        nodes: operations on values: values 0 … are the inputs, then the constants, then the nodes themselves.
+        results: numbers of the output values.
 
     Raises:
-        UnknownOperationError: an operation that is not in `OPERATIONS`.
+        UnknownOperationError: an operation is not in `OPERATIONS`.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -115,17 +114,17 @@ class Tape:
 
     @classmethod
     def of(cls, function: ca.Function) -> Tape | None:
-        """The instructions of a function; None if it has an operation that is not known here."""
+        """Return the instructions of a function; None if it has an unsupported operation."""
         try:
             return cls(function)
         except UnknownOperationError:
             return None
 
     def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Evaluate by NumPy.
+        """Evaluate with NumPy.
 
         Args:
-            columns: one (rows,) array an input.
+            columns: one (rows,) array per input.
 
         Returns:
             (outputs, rows).
@@ -133,14 +132,14 @@ class Tape:
         rows = len(columns[0])
         found = np.empty((self.outputs, rows))
         program, slots, results = self._program
-        room = np.empty((slots, min(rows, BLOCK)))
+        scratch = np.empty((slots, min(rows, BLOCK)))
         constants = [np.array(value) for value in self.constants]
         with np.errstate(all="ignore"):
             for start in range(0, rows, BLOCK):
                 part = slice(start, start + BLOCK)
                 given = [*(np.ascontiguousarray(column[part]) for column in columns), *constants]
                 size = len(given[0])
-                place = [*given, *room[:, :size]]
+                place = [*given, *scratch[:, :size]]
                 for function, a, b, out in program:
                     function(place[a], place[b], place[out]) if b >= 0 else function(place[a], place[out])
                 for k, slot in enumerate(results):
@@ -149,7 +148,7 @@ class Tape:
 
     @cached_property
     def _program(self) -> tuple[list[tuple[Callable[..., Any], int, int, int]], int, list[int]]:
-        """Instructions on places that are used again as soon as nobody needs them, how many places, and where results are."""
+        """Instructions on slots, reused when their value is no longer needed; the number of slots; the slots of the results."""
         last: dict[int, int] = {}
         for i, (_, a, b) in enumerate(self.nodes):
             last[a] = last[b] = i
@@ -173,7 +172,7 @@ class Tape:
 
 
 class _Builder:
-    """Reads instructions, giving equal values one number."""
+    """Reader of instructions that assigns one number to equal values."""
 
     def __init__(self, inputs: int) -> None:
         self.inputs = inputs
@@ -194,16 +193,16 @@ class _Builder:
         return key[1] if isinstance(key, tuple) and key[0] == "const" else None
 
     def truth(self, number: int) -> bool:
-        """Whether a value is true or false."""
+        """Return whether a value is logical."""
         key = self.known[number] if number >= 0 else None
         return isinstance(key, tuple) and key[0] in TRUTHS
 
     def numeric(self, number: int) -> int:
-        """A value as a number: one for true, zero for false."""
+        """Return a value as a number: one for true, zero for false."""
         return self.value(("where", number, self.constant(1.0))) if self.truth(number) else number
 
     def operation(self, name: str, a: int, b: int = -1) -> int:
-        # CasADi counts with truths: the derivative of a maximum is the slope times whether it is the larger one.
+        # CasADi multiplies by logical values: the derivative of a maximum is the slope times a comparison.
         if name == "mul" and self.truth(a) is not self.truth(b):
             a, b = (a, b) if self.truth(a) else (b, a)
             return self.value(("where", a, b))
@@ -220,7 +219,7 @@ class _Builder:
         return self.value((name, a, b))
 
     def product(self, a: int, b: int) -> int:
-        """A product; constant factors become one, and none where they cancel to rounding (degrees and back)."""
+        """Return a product; constant factors are combined, and dropped if they cancel to rounding (degrees and back)."""
         factor, rest = 1.0, [v for v in (a, b) if self.given(v) is None]
         for given in (self.given(v) for v in (a, b)):
             factor *= 1.0 if given is None else given
@@ -233,7 +232,7 @@ class _Builder:
         return self.value(("mul", *sorted(rest))) if rest else self.constant(factor)
 
     def factor(self, value: int) -> tuple[float, int]:
-        """A value as a number times another value."""
+        """Return a value as a constant and another value to be multiplied by it."""
         key = self.known[value]
         if isinstance(key, tuple) and key[0] == "add" and key[1] == key[2]:
             number, rest = self.factor(key[1])
@@ -246,7 +245,7 @@ class _Builder:
         return 1.0, value
 
     def turn(self, name: str, angle: int) -> int:
-        """Sine or cosine; of a whole multiple of an angle by way of the multiple below."""
+        """Return sine or cosine; for a whole multiple of an angle by recurrence from the multiple below."""
         number, rest = self.factor(angle)
         times = round(number) if abs(number) <= MULTIPLES else 0
         if times < 2 or abs(number / times - 1.0) >= ONE:
@@ -304,7 +303,7 @@ class _Builder:
         return self.operation(NAMES[code], *given)
 
     def finished(self, results: list[int]) -> tuple[tuple[float, ...], tuple[Node, ...], tuple[int, ...]]:
-        """Constants, nodes and results without what nobody uses, renumbered."""
+        """Return constants, nodes and results without unused values, renumbered."""
         used: set[int] = set()
         stack = list(results)
         while stack:
