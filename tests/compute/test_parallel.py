@@ -277,7 +277,7 @@ def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(run, "DEATHS", 2)
     found = dict(finished(chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", refusals=True))
     refusal = found.pop(3)
-    assert isinstance(refusal, InputError) and "had this task" in str(refusal) and "task number 3" in str(refusal)
+    assert isinstance(refusal, InputError) and "while running this task" in str(refusal) and "task number 3" in str(refusal)
     assert found == {0: 0, 1: 1, 2: 2}
 
 

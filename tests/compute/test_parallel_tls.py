@@ -166,4 +166,4 @@ def test_the_documentation_says_whom_a_scheduler_must_trust(capsys: pytest.Captu
     with pytest.raises(SystemExit):
         cli.main(["doc", "many"])
     page = " ".join(capsys.readouterr().out.split())
-    assert "trusted like your own code" in page and "cloudpickle" in page and "--tls-ca" in page
+    assert "only as you trust your own code" in page and "cloudpickle" in page and "--tls-ca" in page

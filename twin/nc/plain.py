@@ -51,7 +51,7 @@ def plain_blocks(
         value: pattern of a number.
         others: names of the words that may follow the axis words.
         equals: separator after names of several letters among these.
-        tail: pattern of what follows.
+        tail: pattern of the rest of the line.
     """
     letters = plain_letters(names)
     if not letters:

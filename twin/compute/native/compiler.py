@@ -60,7 +60,7 @@ class Compiler:
 
     @property
     def identity(self) -> str:
-        """Everything that affects the compiled code, except the source."""
+        """Text of all that affects the compiled code, except the source."""
         return "\n".join([*self.command, self.version, *FLAGS, processor()])
 
     def build(self, source: str, target: Path) -> None:

@@ -22,7 +22,7 @@ class StepFunctions(Protocol):
 
     @property
     def turn(self) -> ca.Function:
-        """q after a Newton step of all axes, the size of the residual before it, and the matrices of the step."""
+        """Position q after a Newton step of all axes, the size of the residual before it, and the matrices of the step."""
 
     @property
     def again(self) -> ca.Function:
@@ -30,11 +30,11 @@ class StepFunctions(Protocol):
 
     @property
     def follow(self) -> ca.Function:
-        """q after a Newton step of the linear axes, and the largest component of the point's residual before it."""
+        """Position q after a Newton step of the linear axes, and the largest component of the point's residual before it."""
 
     @property
     def repair(self) -> ca.Function:
-        """q with the rotary axes in the best position where the whole orientation cannot be reached."""
+        """Position q with the rotary axes in the best position where the whole orientation cannot be reached."""
 
     @property
     def check(self) -> ca.Function:

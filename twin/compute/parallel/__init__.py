@@ -17,19 +17,19 @@ Work goes to processes of this computer (joblib; `--workers`, by default one per
 scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker ADDRESS --nworkers N --nthreads 1`, here
 `--scheduler ADDRESS`). `python -m tests.diagnosis.battery` and `tests.diagnosis.rivals` take the same two options. The same seed
 gives the same bits on any number of workers, local or remote: tasks have a fixed size and a seed each, linear algebra runs on one
-thread, and results are added in the order of the tasks. A worker that dies is replaced and its tasks are repeated. A task whose worker
-dies four times is reported as failed: with several programs the others are completed, otherwise the run ends (on a cluster:
+thread, and results are added in the order of the tasks. A worker that dies is replaced and its tasks are repeated. A task whose
+worker dies four times is reported as failed: with several programs the others are completed, otherwise the run ends (on a cluster:
 `distributed.scheduler.allowed-failures`). Before the work the versions of `twin` (digest of its source), Python, numpy, scipy, casadi
 and pin on every worker are checked; a worker with other versions is rejected. Workers with another processor or compiler are used
 with a warning: last digits may differ. Programs are sent to a cluster and back as data; it needs no shared file system.
 
 **Trust.** Trust a scheduler only as you trust your own code. Tasks and results are sent as pickles (cloudpickle), and unpickling runs
 the code in them: the scheduler and its workers can run any code on this computer, and anyone with access to the scheduler's port can
-run any code on its computer and on the workers. Use only schedulers of your own, in a network of your own, or with TLS: start scheduler and
-workers with `--tls-ca-file`, `--tls-cert` and `--tls-key`, and give `--scheduler tls://host:8786 --tls-ca ca.pem --tls-cert me.pem
---tls-key me.key` here (`twin.Workers(scheduler=…, tls=twin.compute.parallel.Tls(…))`). Without these options Dask's own
-configuration applies (`distributed.comm.tls.*`, `distributed.comm.require-encryption`). With them only certificates of that authority
-are accepted, on both sides.
+run any code on its computer and on the workers. Use only schedulers of your own, in a network of your own, or with TLS: start
+scheduler and workers with `--tls-ca-file`, `--tls-cert` and `--tls-key`, and give `--scheduler tls://host:8786 --tls-ca ca.pem
+--tls-cert me.pem --tls-key me.key` here (`twin.Workers(scheduler=…, tls=twin.compute.parallel.Tls(…))`). Without these options Dask's
+own configuration applies (`distributed.comm.tls.*`, `distributed.comm.require-encryption`). With them only certificates of that
+authority are accepted, on both sides.
 
 From a script: `twin.draw_machines(kinematics, trials=…, workers=twin.Workers(8))`, `twin.compensate_files(…)`.
 """

@@ -151,7 +151,7 @@ def _quiet() -> Iterator[None]:
 def _client(address: str, security: Security) -> Iterator[Client]:
     secure = address.startswith("tls://")
     try:
-        # A client without a scheduler takes ten seconds to close, so check first; in another thread, since a notebook runs an event loop here.
+        # Check first: a client without a scheduler takes ten seconds to close. In another thread: a notebook has an event loop here.
         with ThreadPoolExecutor(1) as pool:
             pool.submit(asyncio.run, _greet(address, security)).result()
         client = Client(address, timeout=CONNECT_S, set_as_default=False, name="twin", security=security)

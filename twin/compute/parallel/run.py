@@ -47,7 +47,7 @@ _one_at_a_time = threading.Lock()
 @final
 @dataclass(frozen=True)
 class Workers:
-    """Where tasks run: on processes of this computer or on a Dask cluster.
+    """Choice of where tasks run: on processes of this computer or on a Dask cluster.
 
     Attributes:
         processes: number of processes on this computer; 1: this process itself; None: one per core. Ignored with a scheduler.

@@ -40,12 +40,12 @@ class Statement(NamedTuple):
 
     @property
     def texts(self) -> list[str]:
-        """The texts of its arguments."""
+        """The texts of the arguments."""
         return [field.strip() for field in self._pieces()]
 
     @property
     def fields(self) -> list[AptField]:
-        """Its arguments with their ranges."""
+        """The arguments with their ranges."""
         found = []
         at = self.at + (1 if self.arguments.startswith(",") else 0)
         for piece in self._pieces():
