@@ -1,4 +1,4 @@
-"""`json_form`: what every `--json` file is made of."""
+"""Tests of `json_form`, which makes the data of every `--json` file."""
 
 from __future__ import annotations
 

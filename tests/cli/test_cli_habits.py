@@ -277,7 +277,7 @@ def test_doctor_says_what_fails_and_what_to_do(
         return found
 
     monkeypatch.setattr(twin.Machine, "configuration", off)
-    monkeypatch.setattr(doctor_command.compiler, "found", lambda: None)
+    monkeypatch.setattr(doctor_command.compiler, "find_compiler", lambda: None)
     status, out, _ = run(capsys, "doctor", "--json", tmp_path / "d.json")
     told = json.loads((tmp_path / "d.json").read_text())
     assert status == 3 and told["failed"] == ["kinematics"] and told["ok"] is False

@@ -246,7 +246,7 @@ def test_sizes_that_no_machine_has_are_refused(
 @pytest.mark.parametrize("named", ['g++ "', "'", "g++ \\"])
 def test_a_compiler_whose_name_cannot_be_split_is_none(monkeypatch: pytest.MonkeyPatch, named: str) -> None:
     monkeypatch.setenv("CXX", named)
-    assert compiler.found() is None
+    assert compiler.find_compiler() is None
 
 
 def test_text_of_a_file_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""What is refused, with the line and the value; what passes; what is noted."""
+"""Errors with line and value, blocks that pass, and notices."""
 
 from __future__ import annotations
 

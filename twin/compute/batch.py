@@ -18,7 +18,7 @@ MANY: Final = 4096
 """Number of rows in a call from which `twin.compute.native.rows` is faster than CasADi's own evaluation."""
 CHUNK = 1024
 """Rows per call of CasADi: enough to make the cost of a call negligible, few enough to fit in cache."""
-REST = 128
+SMALL_CHUNK = 128
 """Rows per call for the remaining rows, so that little of the call is padding."""
 
 
@@ -39,11 +39,11 @@ class BatchFunction:
         )
         threads = ("thread", os.cpu_count() or 1) if (os.cpu_count() or 1) > 1 else ()
         self._function = dense
-        self._mapped, self._rest = (dense.map(size, *threads) for size in (CHUNK, REST))
+        self._mapped, self._mapped_small = (dense.map(size, *threads) for size in (CHUNK, SMALL_CHUNK))
         self._single = dense.map(1)
 
     @cached_property
-    def _fast(self) -> RowFunction:
+    def _row_function(self) -> RowFunction:
         return RowFunction(self._function)
 
     def __call__(self, *inputs: np.ndarray | Taken) -> tuple[np.ndarray, ...]:
@@ -56,21 +56,21 @@ class BatchFunction:
             One (rows, entries) array per output.
         """
         rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
-        given = [
+        arrays = [
             array if isinstance(array, Taken) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
-        if rows >= MANY and self._fast(given, outputs):
+        if rows >= MANY and self._row_function(arrays, outputs):
             return outputs
-        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in given]
+        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in arrays]
         start = 0
         while start < rows:
             left = rows - start
             if rows <= 4:
                 function, size = self._single, 1
             else:
-                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._rest, REST)
+                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._mapped_small, SMALL_CHUNK)
             # Calls of one size share one buffer.
             end = start + max(left // size, 1) * size
             self._run(function, size, range(start, min(end, rows), size), columns, outputs)
@@ -89,18 +89,18 @@ class BatchFunction:
         buffer, trigger = function.buffer()
         for start in starts:
             part = slice(start, start + size)
-            have = min(size, len(columns[0]) - start)
-            whole = have == size
-            given = [column[part] if whole else _padded(column[part], size) for column in columns]
-            results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
-            for i, array in enumerate(given):
+            count = min(size, len(columns[0]) - start)
+            complete = count == size
+            arrays = [column[part] if complete else _padded(column[part], size) for column in columns]
+            results = [output[part] if complete else np.empty((size, output.shape[1])) for output in outputs]
+            for i, array in enumerate(arrays):
                 buffer.set_arg(i, _view(array))
             for i, array in enumerate(results):
                 buffer.set_res(i, _view(array))
             trigger()
-            if not whole:
+            if not complete:
                 for output, result in zip(outputs, results, strict=True):
-                    output[part] = result[:have]
+                    output[part] = result[:count]
 
 
 def _view(array: np.ndarray) -> Any:

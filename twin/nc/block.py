@@ -44,28 +44,28 @@ class Block:
 
     Attributes:
         text: the line's text.
-        head: end of the skip mark and block number.
+        head_end: end of the skip mark and block number.
         inch: whether the program is in inches here.
         incremental: whether words without a form are incremental here.
         words: axis words, in their order.
-        seen: the axes of these words, as bits.
+        axis_bits: the axes of these words, as bits.
         vector_words: ranges of the tool vector's values, by component 0, 1, 2.
         arc_words: centre, radius, sense and turns of an arc.
-        last_m: M words that take effect at the end of the block.
+        end_m_words: M words that take effect at the end of the block.
         moves: none, one, or one move followed by the strokes of a drilling cycle.
-        forgets: indices of the axes whose position is unknown after the block.
-        switched: whether the block switches tool centre point control.
+        unknown_axes: indices of the axes whose position is unknown after the block.
+        tcp_switched: whether the block switches tool centre point control.
     """
 
     text: str
-    head: int = 0
+    head_end: int = 0
     inch: bool = False
     incremental: bool = False
     words: list[AxisWord] = field(default_factory=list)
-    seen: int = 0
+    axis_bits: int = 0
     vector_words: dict[int, Span] = field(default_factory=dict)
     arc_words: list[Span] = field(default_factory=list)
-    last_m: list[Span] = field(default_factory=list)
+    end_m_words: list[Span] = field(default_factory=list)
     moves: tuple[Move, ...] = ()
-    forgets: tuple[int, ...] = ()
-    switched: bool = False
+    unknown_axes: tuple[int, ...] = ()
+    tcp_switched: bool = False

@@ -150,7 +150,7 @@ class Reading:
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
-    left: tuple[Left, ...] = ()
+    lost_positions: tuple[Left, ...] = ()
 
 
 @final

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
-from twin.nc.emit import Said
+from twin.nc.emit import OutputState
 from twin.nc.text import Style, format_number, read_lines
 
 
@@ -27,7 +27,7 @@ class Dialect(ABC):
         vector_decimals: decimals of a tool vector (7: 0.1 µrad).
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
         cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
-        in_stretches: whether `twin.nc.iso.stream` can process its programs in chunks.
+        in_chunks: whether `twin.nc.iso.stream` can process its programs in chunks.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Dialect(ABC):
     vector_decimals: int = 7
     linear_increment_mm: float | None = None
     cutter_locations: bool = False
-    in_stretches: bool = False
+    in_chunks: bool = False
 
     @abstractmethod
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
@@ -61,7 +61,7 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def commented(self, text: str, comments: Sequence[str]) -> str:
+    def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """Return the text with comments in its header, in this language's syntax; comments already there are not repeated.
 
         Args:
@@ -82,14 +82,14 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def is_remark(self, text: str) -> bool:
+    def is_comment(self, text: str) -> bool:
         """Return whether the control ignores a line (blank or comment)."""
 
     @abstractmethod
-    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
+    def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """Return whether a line has nothing but a position and a feed; ``names``: the axes."""
 
-    def feed_said(self, text: str) -> tuple[str, bool | None]:
+    def feed_word(self, text: str) -> tuple[str, bool | None]:
         """Return the feed word of a line (empty: none), and whether it switches inverse time feed on or off (None: neither)."""
         return "", None
 
@@ -105,7 +105,7 @@ class Dialect(ABC):
         """Return the text with consecutive block numbers if the program's blocks are numbered consecutively."""
         return text
 
-    def becomes(self, other: Dialect) -> bool:
+    def can_post_to(self, other: Dialect) -> bool:
         """Return whether programs can be written in another language."""
         return other.name == self.name or self.cutter_locations
 
@@ -152,15 +152,15 @@ class NewProgram(ABC):
         self.feed = 0.0
         self.out: list[str] = []
         self._names = axes.names
-        self._said = Said(axes)
+        self._said = OutputState(axes)
         self._style = style
         self._feed_said = -1.0
 
     def move(self, row: Sequence[float], *, rapid: bool) -> None:
         """Write a move to a position of all axes, mm and degrees; nothing if they are there already."""
         words = [
-            word_text(self._names[axis], self._said.say(axis, row[axis], False, False, self._style))
-            for axis in self._said.missing(row, 0, False)
+            word_text(self._names[axis], self._said.number_for(axis, row[axis], False, False, self._style))
+            for axis in self._said.axes_to_write(row, 0, False)
         ]
         if words:
             new = not rapid and self.feed > 0 and self.feed != self._feed_said

@@ -10,13 +10,13 @@ from twin.nc.blocks import AxisWords, Reading, Rewrite
 from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
-SAME = 1e-10
+SAME_NUMBER = 1e-10
 """Numbers closer than this print alike: words have at most 9 decimals."""
 _BARE = Style()
 _SIGNED = Style(plus=True)
 
 
-class Said:
+class OutputState:
     """The last value of every axis in the output program, mm and degrees, in program coordinates.
 
     A value is NaN when unknown (after a reference return, for example) and stale when it may not have been executed (after a block that
@@ -45,7 +45,7 @@ class Said:
         self.stale[axis] = False
         return value, decimals
 
-    def say(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
+    def number_for(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
         """Set an axis to a target and return the number to write, formatted."""
         value, decimals = self._step(axis, target, inch, incremental)
         return format_number(value, decimals, style)
@@ -53,20 +53,20 @@ class Said:
     def replace(
         self, axis: int, old: str, number: float, target: float, inch: bool, incremental: bool, style: Style
     ) -> str:
-        """As `say`, but return the number as written if it already has the target value."""
+        """As `number_for`, but return the number as written if it already has the target value."""
         value, decimals = self._step(axis, target, inch, incremental)
-        if -SAME < number - value < SAME:
+        if -SAME_NUMBER < number - value < SAME_NUMBER:
             first = old[0]
             if (first != "-" or number != 0.0) and (first in "+-" or not style.plus):
                 return old
         return format_number(value, decimals, style)
 
-    def heard(self, axis: int, value: float, incremental: bool) -> None:
+    def record(self, axis: int, value: float, incremental: bool) -> None:
         """Record a word of a block that passes through (mm, degrees; NaN: unknown)."""
         self.value[axis] = self.value[axis] + value if incremental else value
         self.stale[axis] = False
 
-    def missing(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
+    def axes_to_write(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
         """Return the axes that need a word to reach their targets.
 
         Args:
@@ -87,18 +87,18 @@ class Said:
             found.append(axis)
         return found
 
-    def forget(self, which: Iterable[int]) -> None:
+    def mark_unknown(self, which: Iterable[int]) -> None:
         """Mark axes as unknown."""
         for axis in which:
             self.value[axis] = math.nan
 
-    def doubt(self, which: Iterable[int]) -> None:
+    def mark_stale(self, which: Iterable[int]) -> None:
         """Mark axes as stale."""
         for axis in which:
             self.stale[axis] = True
 
 
-def pieces_of(
+def rewrites_by_line(
     reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords
 ) -> dict[int, dict[int, tuple[Rewrite, list[list[float]]]]]:
     """Return rewrites by line, and within a line by the index of their move, with positions as lists.

@@ -29,7 +29,7 @@ def first_lines(text: str) -> list[str]:
     ]
 
 
-def missing(lines: Sequence[str], comments: Iterable[str], content: Callable[[str], str | None]) -> list[str]:
+def missing_comments(lines: Sequence[str], comments: Iterable[str], content: Callable[[str], str | None]) -> list[str]:
     """Return the lines of those comments that are not among the comments at the beginning of some lines."""
     there: set[str] = set()
     for line in lines:
@@ -45,7 +45,7 @@ def missing(lines: Sequence[str], comments: Iterable[str], content: Callable[[st
     return new
 
 
-def inserted(
+def insert_comments(
     text: str,
     lines: Sequence[str],
     at: int,
@@ -65,7 +65,7 @@ def inserted(
         content: function that returns the text of a comment line, None for any other line.
         rest: function applied to the text after the comments.
     """
-    new = missing(lines[at:], comments, content)
+    new = missing_comments(lines[at:], comments, content)
     if not new:
         return text
     begin = sum(len(line) for line in lines[:at])

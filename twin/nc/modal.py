@@ -28,9 +28,9 @@ class Interpreter:
         position: last commanded position, mm and degrees, NaN where unknown.
         vector: the tool vector in force, if orientation is given as one.
         notices: remarks for the report.
-        left: lines after which axis positions are unknown.
+        lost_positions: lines after which axis positions are unknown.
         tcp: whether tool centre point control is on.
-        tcp_by: the word that switched it last; empty: none yet.
+        tcp_word: the word that switched it last; empty: none yet.
     """
 
     def __init__(
@@ -44,22 +44,22 @@ class Interpreter:
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
-        self.left: list[Left] = []
+        self.lost_positions: list[Left] = []
         self.tcp = tcp
-        self.tcp_by = ""
+        self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
         self.tcp_off = frozenset(tcp_off) - self.tcp_on
         self._line = 0
-        self._shown = ""
+        self._block_text = ""
         self._variables: dict[str, float] = {}
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
 
     # ------------------------------------------------------------------ messages
 
-    def refuse(self, what: str, expected: str, value: object = None, line: int | None = None) -> InputError:
+    def error(self, what: str, expected: str, value: object = None, line: int | None = None) -> InputError:
         """Return an error at the current line; ``value``: the offending text, the whole block if None."""
-        shown = self._shown.strip() if value is None else value
+        shown = self._block_text.strip() if value is None else value
         return InputError(what, expected=expected, file=self.source, line=line or self._line + 1, value=shown)
 
     def note(self, text: str, *, once: bool = False) -> None:
@@ -68,13 +68,13 @@ class Interpreter:
             self._noted.add(text)
             self.notices.append(Notice(self._line, text))
 
-    def no_number(self, name: str, written: str) -> InputError:
+    def missing_number(self, name: str, written: str) -> InputError:
         """Return the error for a word without a number."""
-        return self.refuse(f"{name} has no number", "a number such as 12.5", f"{name}{written}")
+        return self.error(f"{name} has no number", "a number such as 12.5", f"{name}{written}")
 
-    def no_axis(self, shown: str) -> InputError:
+    def unknown_axis(self, shown: str) -> InputError:
         """Return the error for an axis that this machine does not have."""
-        return self.refuse("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
+        return self.error("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
 
     # ------------------------------------------------------------------ values
 
@@ -106,14 +106,14 @@ class Interpreter:
         Raises:
             InputError: the block already has a word for that axis.
         """
-        if block.seen >> word.axis & 1:
-            raise self.refuse(f"axis {self.names[word.axis]} twice in one block", "each axis once")
-        block.seen |= 1 << word.axis
+        if block.axis_bits >> word.axis & 1:
+            raise self.error(f"axis {self.names[word.axis]} twice in one block", "each axis once")
+        block.axis_bits |= 1 << word.axis
         block.words.append(word)
 
     # ------------------------------------------------------------------ state
 
-    def forget(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
+    def mark_unknown(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
         """Mark axis positions as unknown after a block.
 
         Args:
@@ -123,8 +123,8 @@ class Interpreter:
         """
         axes = tuple(which)
         if moved is not None:
-            self.left.append(Left(self._line, axes, moved))
-        block.forgets = tuple(sorted({*block.forgets, *axes})) if block.forgets else axes
+            self.lost_positions.append(Left(self._line, axes, moved))
+        block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
 
@@ -133,13 +133,13 @@ class Interpreter:
         if on == self.tcp:
             return
         if not on:
-            if not self.tcp_by:
+            if not self.tcp_word:
                 self.note(f"{word} switches tool centre point control off")
             self.vector = None
         self.tcp = on
-        self.tcp_by = word if on else "off"
-        block.switched = True
-        self.forget(block, range(self.linear), moved=None)
+        self.tcp_word = word if on else "off"
+        block.tcp_switched = True
+        self.mark_unknown(block, range(self.linear), moved=None)
 
     def switch_by(self, block: Block, word: str) -> None:
         """Switch tool centre point control if a word does so."""
@@ -150,7 +150,7 @@ class Interpreter:
 
     # ------------------------------------------------------------------ moves
 
-    def take(self, block: Block) -> None:
+    def apply_words(self, block: Block) -> None:
         """Set the position from the axis words of a block.
 
         Raises:
@@ -162,10 +162,10 @@ class Interpreter:
             if word.incremental and last != last:
                 name = self.names[word.axis]
                 what = f"incremental {name} while its position is unknown"
-                raise self.refuse(what, "absolute position first", name)
+                raise self.error(what, "absolute position first", name)
             position[word.axis] = last + word.value if word.incremental else word.value
 
-    def direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
+    def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.
 
         Raises:
@@ -173,31 +173,31 @@ class Interpreter:
         """
         vector, length = unit_vector((components[0], components[1], components[2]))
         if length == 0.0:
-            raise self.refuse(f"{what} of zero length", "a direction")
+            raise self.error(f"{what} of zero length", "a direction")
         if abs(length - 1.0) > 1e-3:
             self.note(f"{what} of length {length:.6g} normalised")
         return vector
 
-    def turn_to(self, seen: int, vector: tuple[float, float, float]) -> None:
+    def set_tool_vector(self, axis_bits: int, vector: tuple[float, float, float]) -> None:
         """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
         Raises:
             InputError: the block names rotary axes too.
         """
-        if seen >> self.linear:
-            raise self.refuse("tool vector and rotary axes in one block", "only one of them")
+        if axis_bits >> self.linear:
+            raise self.error("tool vector and rotary axes in one block", "only one of them")
         self.vector = vector
         for i in range(self.linear, len(self.position)):
             self.position[i] = math.nan
 
-    def checked(self, found: Arc | ArcMisfit) -> Arc:
+    def valid_arc(self, found: Arc | ArcMisfit) -> Arc:
         """Return an arc.
 
         Raises:
             InputError: the arc is invalid.
         """
         if isinstance(found, ArcMisfit):
-            raise self.refuse(found.what, found.expected)
+            raise self.error(found.what, found.expected)
         return found
 
     def machine_position(self, block: Block) -> tuple[float, ...]:
@@ -210,5 +210,5 @@ class Interpreter:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):
             self.vector = None
-        self.forget(block, which, moved=None)
+        self.mark_unknown(block, which, moved=None)
         return tuple(position)

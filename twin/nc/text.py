@@ -116,46 +116,46 @@ class Style(NamedTuple):
 
     Attributes:
         point: whether a whole number ends in a decimal point (``5.``).
-        keep: minimum number of decimals (``5.0`` has 1, ``5.120`` has 3).
-        lead: whether there is a zero before the decimal point (``0.5``).
+        min_decimals: minimum number of decimals (``5.0`` has 1, ``5.120`` has 3).
+        leading_zero: whether there is a zero before the decimal point (``0.5``).
         plus: whether positive numbers carry a sign.
         comma: whether the decimal separator is a comma.
     """
 
     point: bool = False
-    keep: int = 0
-    lead: bool = True
+    min_decimals: int = 0
+    leading_zero: bool = True
     plus: bool = False
     comma: bool = False
 
 
-_TELLS_NOTHING = frozenset("123456789")
+_NEUTRAL_DIGITS = frozenset("123456789")
 """First and last digits of numbers such as 12.5, which do not determine the style."""
 
 
 def style_of(text: str, base: Style) -> Style:
     """Return the style of one written number; what the number does not determine comes from ``base``."""
     first = text[:1]
-    if text[-1:] in _TELLS_NOTHING and "." in text and not base.comma:
-        if first in _TELLS_NOTHING:
+    if text[-1:] in _NEUTRAL_DIGITS and "." in text and not base.comma:
+        if first in _NEUTRAL_DIGITS:
             if not base.plus:
                 return base
-        elif text[1:2] in _TELLS_NOTHING and "," not in text and (first == "-" or (first == "+" and base.plus)):
+        elif text[1:2] in _NEUTRAL_DIGITS and "," not in text and (first == "-" or (first == "+" and base.plus)):
             return base
     plus = True if first == "+" else base.plus if first == "-" else False
     comma = "," in text
     whole, separator, fraction = text.partition("," if comma else ".")
     if not separator:
         if not whole.strip("+- \t0"):  # a bare zero is written like that in any style
-            return Style(base.point, base.keep, base.lead, plus, base.comma)
-        return Style(False, 0, base.lead, plus, base.comma)
+            return Style(base.point, base.min_decimals, base.leading_zero, plus, base.comma)
+        return Style(False, 0, base.leading_zero, plus, base.comma)
     digits = whole.lstrip("+- \t")
     if not fraction:
-        return Style(True, 0, base.lead if digits else False, plus, comma)
-    lead = False if not digits else True if digits == "0" and fraction.strip("0") else base.lead
+        return Style(True, 0, base.leading_zero if digits else False, plus, comma)
+    leading_zero = False if not digits else True if digits == "0" and fraction.strip("0") else base.leading_zero
     if fraction[-1] == "0":
-        return Style(False, len(fraction), lead, plus, comma)
-    return Style(base.point, base.keep, lead, plus, comma)
+        return Style(False, len(fraction), leading_zero, plus, comma)
+    return Style(base.point, base.min_decimals, leading_zero, plus, comma)
 
 
 _AXIS_NUMBER = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*([+-]?\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
@@ -232,22 +232,22 @@ _SIGNED = tuple(f"%+.{decimals}f" for decimals in range(16))
 
 def format_number(value: float, decimals: int, style: Style) -> str:
     """Return a number as text in a style, rounded to some decimals; never ``-0``."""
-    point, keep, lead, plus, comma = style
+    point, min_decimals, leading_zero, plus, comma = style
     text = (_SIGNED if plus else _BARE)[decimals] % value
     if text[0] == "-" and text[1] == "0" and not text.strip("-0."):
         text = f"+{text[1:]}" if plus else text[1:]
-    if decimals > keep:
+    if decimals > min_decimals:
         if text[-1] == "0":
             text = text.rstrip("0")
-            if keep:
-                text = text.ljust(text.index(".") + 1 + keep, "0")
+            if min_decimals:
+                text = text.ljust(text.index(".") + 1 + min_decimals, "0")
             elif text[-1] == "." and not point:
                 text = text[:-1]
-    elif keep > decimals:
-        text = f"{text if decimals else text + '.'}{'0' * (keep - decimals)}"
+    elif min_decimals > decimals:
+        text = f"{text if decimals else text + '.'}{'0' * (min_decimals - decimals)}"
     elif not decimals and point:
         text += "."
-    if not lead:
+    if not leading_zero:
         at = 1 if text[0] in "+-" else 0
         if text[at : at + 2] == "0." and text[at:].strip("0."):
             text = text[:at] + text[at + 1 :]

@@ -9,10 +9,10 @@ from typing import Generic, TypeVar
 from twin._common.errors import InputError
 from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
-from twin.nc.emit import Said
+from twin.nc.emit import OutputState
 from twin.nc.text import Style, apply_edits, ending, number, style_of
 
-Pieces = tuple[Rewrite, list[list[float]]]
+Segments = tuple[Rewrite, list[list[float]]]
 """A rewrite, and its positions as lists."""
 Edit = tuple[int, int, str]
 
@@ -45,32 +45,32 @@ class WordWriter(ABC, Generic[B]):
         self.linear = len(axes.linear)
         self.newline = newline
         self.style = style
-        self.said = Said(axes)
+        self.said = OutputState(axes)
         self.lower = False
         self._line = 0
         self._vector_text: tuple[str, str, str] | None = None
 
-    def heard(self, block: B) -> None:
+    def record(self, block: B) -> None:
         """Record the words of a block whose move is unchanged."""
         move = block.moves[0]
         for word in block.words:
             if move.machine:
-                self.said.forget((word.axis,))
+                self.said.mark_unknown((word.axis,))
             elif word.form in ("DC", "ACP", "ACN"):
-                self.said.heard(word.axis, move.position[word.axis], False)
+                self.said.record(word.axis, move.position[word.axis], False)
             else:
-                self.said.heard(word.axis, word.value, word.incremental)
-        if block.vector_words or block.seen >> self.linear:
+                self.said.record(word.axis, word.value, word.incremental)
+        if block.vector_words or block.axis_bits >> self.linear:
             self._vector_text = None
 
-    def rewritten(self, block: B, pieces: Pieces) -> list[str]:
+    def rewritten(self, block: B, segments: Segments) -> list[str]:
         """Return the lines that replace a block.
 
         Args:
             block: the block; its first move is replaced.
-            pieces: the segments that replace it.
+            segments: the segments that replace it.
         """
-        rewrite, rows = pieces
+        rewrite, rows = segments
         many = len(rows) > 1
         vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
         edits: list[Edit] = []
@@ -79,12 +79,12 @@ class WordWriter(ABC, Generic[B]):
         for word in block.words:
             target = row[word[0]]
             if target != target:
-                self.said.heard(word.axis, word.value, word.incremental)
+                self.said.record(word.axis, word.value, word.incremental)
             elif word[5]:
                 edits.append(self._replaced(block, word, target))
             else:
                 edits.append((word[3], word[4], self._number(block, word, target)))
-        added = self._missing(block, rows[0], block.seen)
+        added = self._missing(block, rows[0], block.axis_bits)
         tool: list[str] = []
         if vectors is not None:
             tool = self._vector(block, vectors[0], edits)
@@ -93,7 +93,7 @@ class WordWriter(ABC, Generic[B]):
         if rewrite.move.kind is Kind.ARC:
             _drop(block, block.arc_words, edits)
         tails = self._tails(block, rewrite, edits) if many else []
-        last_m = _drop(block, block.last_m, edits) if many else []
+        end_m_words = _drop(block, block.end_m_words, edits) if many else []
         begin = self._insert(block, begin, added, tool, edits)
         lines = [apply_edits(block.text, edits) if edits else block.text]
         if not many:
@@ -105,7 +105,7 @@ class WordWriter(ABC, Generic[B]):
             if words and tails:
                 words.append(tails[place])
             if place == len(rows) - 1:
-                words += last_m
+                words += end_m_words
             if words:
                 lines.append(f"{begin}{self.separator.join(words)}{end or self.newline}")
         if not end:
@@ -156,14 +156,14 @@ class WordWriter(ABC, Generic[B]):
 
     def _missing(self, block: B, row: list[float], written: int) -> list[str]:
         """Return words for the axes that are not at their target; ``written``: axes that have a word already, as bits."""
-        axes = self.said.missing(row, written, block.inch)
+        axes = self.said.axes_to_write(row, written, block.inch)
         return [self._added(block, axis, row[axis]) for axis in axes]
 
     def _added(self, block: B, axis: int, target: float) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]
         if block.incremental:
             self._check(axis)
-        text = self.said.say(axis, target, block.inch, block.incremental, self.style)
+        text = self.said.number_for(axis, target, block.inch, block.incremental, self.style)
         return f"{name}{self.equals if len(name) > 1 else ''}{text}"
 
     def _check(self, axis: int) -> None:

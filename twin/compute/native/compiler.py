@@ -26,7 +26,7 @@ FLAGS: Final = (
     "-fPIC",
 )
 """Compiler flags. Not ``-ffast-math``: at most 6 % faster, and it would remove comparisons with not-a-number."""
-GUARD: Final = """
+GUARD_PROGRAM: Final = """
 import os, signal, subprocess, sys, threading
 
 def end_with_parent():
@@ -37,7 +37,7 @@ threading.Thread(target=end_with_parent, daemon=True).start()
 sys.exit(subprocess.call(sys.argv[2:]))
 """
 """Program that runs the compiler in its own process group and kills the group when the parent process has ended."""
-PATIENCE_S: Final = 120.0
+COMPILE_TIMEOUT_S: Final = 120.0
 """Timeout of the compiler, which takes one or two seconds."""
 
 
@@ -92,7 +92,7 @@ def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
     read_end, write_end = os.pipe()
     with open(read_end, "rb"), open(write_end, "wb") as alive, source.open("rb") as stream:
         guard = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", GUARD, str(read_end), *command],
+            [sys.executable, "-I", "-S", "-c", GUARD_PROGRAM, str(read_end), *command],
             stdin=stream,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -103,11 +103,11 @@ def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
             errors="replace",
         )
         with guard, alive:  # closing `alive` first ends a compiler that still runs
-            printed = guard.communicate(timeout=PATIENCE_S)[1]
+            printed = guard.communicate(timeout=COMPILE_TIMEOUT_S)[1]
     return guard.returncode, printed
 
 
-def found() -> Compiler | None:
+def find_compiler() -> Compiler | None:
     """Return the compiler that ``CXX`` names, else the first of `CANDIDATES`; None if there is none."""
     return _found(os.environ.get("CXX", ""), os.environ.get("PATH", ""))
 

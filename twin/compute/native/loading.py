@@ -33,7 +33,7 @@ _failed: dict[str, str] = {}
 _loaded: dict[str, ctypes.CDLL] = {}
 
 
-def text(name: str) -> str:
+def cpp_text(name: str) -> str:
     """Return the text of a C++ file in this package."""
     return (_HERE / name).read_text(encoding="utf-8")
 
@@ -45,7 +45,7 @@ def enabled() -> bool:
 
 def library(source: str) -> ctypes.CDLL | None:
     """Return the compiled library of a source: loaded before, from the cache, or compiled now; None if that fails."""
-    tool = compiler.found()
+    tool = compiler.find_compiler()
     if tool is None or source in _failed:
         return None
     name = store.key(source, tool)
@@ -53,12 +53,12 @@ def library(source: str) -> ctypes.CDLL | None:
         try:
             _loaded[name] = store.library(source, tool)
         except (CompilerError, OSError) as error:
-            give_up(source, str(error))
+            disable(source, str(error))
             return None
     return _loaded[name]
 
 
-def give_up(source: str, why: str) -> None:
+def disable(source: str, why: str) -> None:
     """Stop using the compiled code of a source; only the first failure is reported."""
     if not _failed:
         warnings.warn(f"solving without compiled code: {why}", RuntimeWarning, stacklevel=2)
@@ -67,10 +67,10 @@ def give_up(source: str, why: str) -> None:
 
 @cache
 def _lanes(tool: compiler.Compiler) -> int:
-    return int(store.library(text("simd.hpp") + '\nextern "C" int lanes() { return W; }\n', tool).lanes())
+    return int(store.library(cpp_text("simd.hpp") + '\nextern "C" int lanes() { return W; }\n', tool).lanes())
 
 
-def in_portions(rows: int, work: Callable[[slice], Part]) -> list[Part]:
+def map_row_chunks(rows: int, work: Callable[[slice], Part]) -> list[Part]:
     """Apply a function to chunks of rows in threads and return the results; ctypes releases the GIL during the calls."""
     parts = [slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)]
     if len(parts) <= 1:
@@ -83,7 +83,7 @@ def in_use() -> str:
     """Return a description of the solver for large batches; compiles a few lines to find out."""
     if not enabled():
         return f"NumPy ({SWITCH}=0)"
-    tool = compiler.found()
+    tool = compiler.find_compiler()
     if tool is None:
         return "NumPy (no C++ compiler found)"
     try:

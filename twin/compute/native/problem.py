@@ -11,7 +11,7 @@ import numpy as np
 CONVERGED: Final = 0
 OUT_OF_RANGE: Final = 1
 SINGULAR: Final = 2
-LEFT: Final = 3
+FOR_NUMPY: Final = 3
 """Status codes of a pose. The last one is internal to the C++: an angle too large for it, which is left to NumPy."""
 ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
 """Names of the functions of a step, as in `StepFunctions`."""
@@ -116,21 +116,21 @@ class BatchOutcome:
     Attributes:
         positions: (n, axes) mm and degrees; NaN for an input that is not finite.
         distance: (n,) remaining distance of the point, mm.
-        apart: (n,) angle between tool axis and target, radians.
+        axis_angle_rad: (n,) angle between tool axis and target, radians.
         code: (n,) `CONVERGED`, `OUT_OF_RANGE`, `SINGULAR`.
         iterations: largest number of Newton steps of a pose.
     """
 
     positions: np.ndarray
     distance: np.ndarray
-    apart: np.ndarray
+    axis_angle_rad: np.ndarray
     code: np.ndarray
     iterations: int
 
     def put(self, rows: slice | np.ndarray, other: BatchOutcome) -> None:
         """Store the results of some of the poses."""
         self.positions[rows], self.code[rows] = other.positions, other.code
-        self.distance[rows], self.apart[rows] = other.distance, other.apart
+        self.distance[rows], self.axis_angle_rad[rows] = other.distance, other.axis_angle_rad
 
     @staticmethod
     def empty(rows: int, axes: int) -> BatchOutcome:

@@ -102,7 +102,7 @@ class RowFunction:
         if tape is None:
             return ""
         sizes = f"enum {{ N = {tape.inputs}, O = {tape.outputs} }};"
-        return "\n".join([loading.text("simd.hpp"), sizes, routine("row", tape), loading.text("rows.cpp")])
+        return "\n".join([loading.cpp_text("simd.hpp"), sizes, routine("row", tape), loading.cpp_text("rows.cpp")])
 
     @cached_property
     def _constants(self) -> np.ndarray:
@@ -124,7 +124,7 @@ class RowFunction:
         there = np.isfinite(plain)
         if np.all(np.abs(fast - plain)[there] <= ROUNDING * np.maximum(1.0, np.abs(plain[there]))):
             return library
-        loading.give_up(self._source, "its results are wrong")
+        loading.disable(self._source, "its results are wrong")
         return None
 
     def _compiled(self, library: ctypes.CDLL, columns: list[_Column], found: list[np.ndarray]) -> None:
@@ -147,7 +147,7 @@ class RowFunction:
             )
             library.run(ctypes.byref(job))
 
-        loading.in_portions(len(found[0]), part)
+        loading.map_row_chunks(len(found[0]), part)
 
 
 @final

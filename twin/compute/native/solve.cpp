@@ -1,14 +1,14 @@
 // Newton's method on blocks of poses. Before this file: simd.hpp, the sizes
 //   A axes, N inputs of a routine, R rotary axes and ROTARY[], DIRECTED, K numbers in the matrices of a step,
 // and the routines turn, again, follow, repair, check (StepFunctions in problem.py).
-// The algorithm is that of plain.py, pose by pose; tests compare the two.
+// The algorithm is that of numpy_solver.py, pose by pose; tests compare the two.
 
 struct Job {
   int64_t rows;
   const double *start, *point, *axis, *approach;
   const uint8_t *loose;  // whether the rotary axes may move
   int64_t start_row, start_column, point_row, point_column, axis_row, axis_column, approach_row, approach_column, loose_row;
-  double *positions, *distance, *apart;
+  double *positions, *distance, *axis_angle_rad;
   uint8_t *code;
   const double *k_turn, *k_again, *k_follow, *k_repair, *k_check;
   const double *scale, *lower, *upper;   // mm and degrees: range and domain of the curves
@@ -17,7 +17,7 @@ struct Job {
   int64_t steps, taken;
 };
 
-enum { CONVERGED = 0, OUT_OF_RANGE = 1, SINGULAR = 2, LEFT = 3 };
+enum { CONVERGED = 0, OUT_OF_RANGE = 1, SINGULAR = 2, FOR_NUMPY = 3 };
 enum { BLOCK = 1024, SOON = 3, COLUMNS = N };
 enum { LINE = BLOCK + W };  // column stride: not a multiple of a page, or all columns would share one cache line
 
@@ -195,7 +195,7 @@ extern "C" void solve(Job *given) {
           ((double *)b.out[A])[i] = ((double *)b.out[A + 1])[i] = inf;
           b.code[i] = OUT_OF_RANGE;
         } else if (!small[l]) {
-          b.code[i] = LEFT;
+          b.code[i] = FOR_NUMPY;
         } else if (R == 0 || !job.loose[(from + i) * job.loose_row]) {
           held[helds++] = i;
         } else {
@@ -251,7 +251,7 @@ extern "C" void solve(Job *given) {
     for (int i = 0; i < count; ++i)
       for (int a = 0; a < A; ++a) job.positions[(from + i) * A + a] = out[a * LINE + i];
     __builtin_memcpy(job.distance + from, out + A * LINE, count * sizeof(double));
-    __builtin_memcpy(job.apart + from, out + (A + 1) * LINE, count * sizeof(double));
+    __builtin_memcpy(job.axis_angle_rad + from, out + (A + 1) * LINE, count * sizeof(double));
     __builtin_memcpy(job.code + from, b.code, count);
   }
 }

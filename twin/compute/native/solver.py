@@ -11,8 +11,8 @@ import numpy as np
 
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE, routine
-from twin.compute.native.plain import NumpySolver, angle
-from twin.compute.native.problem import CONVERGED, LEFT, ROUTINES, Batch, BatchOutcome, InverseProblem
+from twin.compute.native.numpy_solver import NumpySolver, angle
+from twin.compute.native.problem import CONVERGED, FOR_NUMPY, ROUTINES, Batch, BatchOutcome, InverseProblem
 from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
@@ -33,7 +33,7 @@ class _SolveJob(ctypes.Structure):
             for step in ("row", "column")
         ),
         ("loose_row", ctypes.c_int64),
-        *((name, _POINTERS) for name in ("positions", "distance", "apart", "code")),
+        *((name, _POINTERS) for name in ("positions", "distance", "axis_angle_rad", "code")),
         *((f"k_{name}", _POINTERS) for name in ROUTINES),
         *((name, _POINTERS) for name in ("scale", "lower", "upper", "first", "last")),
         *((name, ctypes.c_double) for name in ("rotary_limit", "tolerance", "near", "largest", "mm")),
@@ -62,7 +62,7 @@ class _Compiled:
 
     def solve(self, batch: Batch) -> BatchOutcome:
         found = BatchOutcome.empty(len(batch), self.problem.axes)
-        taken = loading.in_portions(len(batch), lambda part: self._run(batch, found, part))
+        taken = loading.map_row_chunks(len(batch), lambda part: self._run(batch, found, part))
         return replace(found, iterations=max(taken, default=0))
 
     def _run(self, batch: Batch, found: BatchOutcome, part: slice) -> int:
@@ -78,7 +78,7 @@ class _Compiled:
         )
         for name, values in self.numbers.items():
             setattr(job, name, values.ctypes.data)
-        for name in ("positions", "distance", "apart", "code"):
+        for name in ("positions", "distance", "axis_angle_rad", "code"):
             setattr(job, name, getattr(found, name)[part].ctypes.data)
         for name in ("start", "point", "axis", "approach", "loose"):
             values = getattr(batch, name)
@@ -114,16 +114,18 @@ class Solver:
             return self._plain.solve(batch)
         found = self._native.solve(_aligned(batch))
         if not self._confirmed and not self._agrees(found, batch):
-            loading.give_up(self._source, "its results are wrong")
+            loading.disable(self._source, "its results are wrong")
             self._native = None
             return self._plain.solve(batch)
         return self._completed(found, batch)
 
     def _completed(self, found: BatchOutcome, batch: Batch) -> BatchOutcome:
         """Return the outcome with the poses that the C++ leaves to NumPy: large angles."""
-        far = np.flatnonzero((found.apart > 0.01) & np.isfinite(found.apart) & (found.code != LEFT))
-        found.apart[far] = angle(found.apart[far])
-        rows = np.flatnonzero(found.code == LEFT)
+        far = np.flatnonzero(
+            (found.axis_angle_rad > 0.01) & np.isfinite(found.axis_angle_rad) & (found.code != FOR_NUMPY)
+        )
+        found.axis_angle_rad[far] = angle(found.axis_angle_rad[far])
+        rows = np.flatnonzero(found.code == FOR_NUMPY)
         if not rows.size:
             return found
         rest = self._plain.solve(batch.part(rows))
@@ -153,11 +155,11 @@ class Solver:
         sizes["K"] = tapes[0].outputs - problem.axes - 1
         return "\n".join(
             [
-                loading.text("simd.hpp"),
+                loading.cpp_text("simd.hpp"),
                 f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
                 f"static const int ROTARY[] = {{{', '.join(map(str, problem.rotary or (0,)))}}};",
                 *(routine(name, tape) for name, tape in zip(ROUTINES, tapes, strict=True)),
-                loading.text("solve.cpp"),
+                loading.cpp_text("solve.cpp"),
             ]
         )
 

@@ -36,7 +36,7 @@ def key(source: str, compiler: Compiler) -> str:
     return hashlib.sha256(f"{compiler.identity}\0{source}".encode()).hexdigest()[:40]
 
 
-def kept(name: str) -> ctypes.CDLL | None:
+def cached_library(name: str) -> ctypes.CDLL | None:
     """Return the cached library of that key, if it exists and is trusted."""
     place = folder()
     return _loaded(place / f"{name}.so") if _private(place) else None
@@ -56,18 +56,18 @@ def library(source: str, compiler: Compiler) -> ctypes.CDLL:
     except OSError:
         usable = False
     if not usable:
-        found = kept(name)
-        return found if found is not None else _for_once(source, compiler)
+        found = cached_library(name)
+        return found if found is not None else _build_temporary(source, compiler)
     target = place / f"{name}.so"
-    with _alone(place / f"{name}.lock"):
+    with _locked(place / f"{name}.lock"):
         found = _loaded(target)
         if found is None:
             try:
                 _build(source, compiler, target)
             except OSError:  # a full disc, or a folder that is not writable after all
-                return _for_once(source, compiler)
+                return _build_temporary(source, compiler)
             found = _loaded(target)
-    return found if found is not None else _for_once(source, compiler)
+    return found if found is not None else _build_temporary(source, compiler)
 
 
 def _build(source: str, compiler: Compiler, target: Path) -> None:
@@ -81,7 +81,7 @@ def _build(source: str, compiler: Compiler, target: Path) -> None:
         os.replace(noted, _note(target))
 
 
-def _for_once(source: str, compiler: Compiler) -> ctypes.CDLL:
+def _build_temporary(source: str, compiler: Compiler) -> ctypes.CDLL:
     with scratch_folder() as scratch:
         made = scratch / "made.so"
         compiler.build(source, made)
@@ -91,7 +91,7 @@ def _for_once(source: str, compiler: Compiler) -> ctypes.CDLL:
 def _loaded(path: Path) -> ctypes.CDLL | None:
     note = _note(path)
     try:
-        if not (_own(path, stat.S_ISREG) and _own(note, stat.S_ISREG)):
+        if not (_is_private(path, stat.S_ISREG) and _is_private(note, stat.S_ISREG)):
             return None
         if note.read_text(encoding="ascii", errors="replace").strip() != _digest(path):
             return None
@@ -110,12 +110,12 @@ def _digest(path: Path) -> str:
 
 def _private(place: Path) -> bool:
     try:
-        return _own(place, stat.S_ISDIR)
+        return _is_private(place, stat.S_ISDIR)
     except OSError:
         return False
 
 
-def _own(path: Path, kind: object) -> bool:
+def _is_private(path: Path, kind: object) -> bool:
     """Return whether a path has the given kind (not a link), belongs to this user and is not writable by others."""
     status = path.lstat()
     mine = not hasattr(os, "geteuid") or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
@@ -123,7 +123,7 @@ def _own(path: Path, kind: object) -> bool:
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _locked(path: Path) -> Iterator[None]:
     """Hold a lock between processes; where files cannot be locked, each process builds its own library."""
     with contextlib.ExitStack() as stack:
         if fcntl is not None:

@@ -23,13 +23,13 @@ from joblib._dask import DaskDistributedBackend
 from twin._common.errors import InputError
 from twin._common.files import read_bytes
 from twin.compute.parallel.tls import Tls
-from twin.compute.parallel.versions import apart, arithmetic, versions
+from twin.compute.parallel.versions import arithmetic, version_differences, versions
 
-CONNECT_S: Final = 5.0
+CONNECT_TIMEOUT_S: Final = 5.0
 """Timeout of the connection to the scheduler."""
-WORKERS_S: Final = 20.0
+FIRST_WORKER_TIMEOUT_S: Final = 20.0
 """Timeout for the first worker."""
-ALONE_S: Final = 60.0
+NO_WORKER_TIMEOUT_S: Final = 60.0
 """Timeout without any worker during the work; a restarted worker takes a few seconds."""
 
 
@@ -84,12 +84,12 @@ class GuardedBackend(DaskDistributedBackend):  # type: ignore[misc]
         if isinstance(out, InputError):
             raise out
         if isinstance(out, _Failure):
-            return [(out.index, self._refusal(out))]
+            return [(out.index, self._task_error(out))]
         if isinstance(out, BaseException):
             raise InputError("the connection to the scheduler was lost", expected="a scheduler that runs until the end")
         return super().retrieve_result_callback(out)
 
-    def _refusal(self, failure: _Failure) -> InputError:
+    def _task_error(self, failure: _Failure) -> InputError:
         error, name = failure.error, self._name(failure.index)
         if isinstance(error, KilledWorker):
             return InputError(
@@ -120,21 +120,21 @@ def connected(address: str, tls: Tls | None, name: Callable[[int], str]) -> Iter
     Raises:
         InputError: there is no scheduler, it has no workers, or a worker has no `twin` or other versions.
     """
-    with _quiet(), _client(address, _security(tls)) as client:
+    with _dask_logs_off(), _client(address, _security(tls)) as client:
         _check(client, address)
         backend = GuardedBackend(client, name)
-        over = threading.Event()
-        watch = threading.Thread(target=_watch, args=(client, address, backend, over), daemon=True)
+        stopped = threading.Event()
+        watch = threading.Thread(target=_watch, args=(client, address, backend, stopped), daemon=True)
         watch.start()
         try:
             yield backend, max(sum(client.nthreads().values()), 1)
         finally:
-            over.set()
-            watch.join(CONNECT_S)
+            stopped.set()
+            watch.join(CONNECT_TIMEOUT_S)
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _dask_logs_off() -> Iterator[None]:
     """Suppress Dask's own messages on lost connections and dead workers, which are handled here."""
     logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
     levels = [log.level for log in logs]
@@ -153,8 +153,8 @@ def _client(address: str, security: Security) -> Iterator[Client]:
     try:
         # Check first: a client without a scheduler takes ten seconds to close. In another thread: a notebook has an event loop here.
         with ThreadPoolExecutor(1) as pool:
-            pool.submit(asyncio.run, _greet(address, security)).result()
-        client = Client(address, timeout=CONNECT_S, set_as_default=False, name="twin", security=security)
+            pool.submit(asyncio.run, _probe(address, security)).result()
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, name="twin", security=security)
     except (OSError, ValueError, MemoryError) as error:  # another protocol may look like a message of exabytes
         raise InputError(
             "no Dask scheduler at this address",
@@ -174,7 +174,7 @@ def _client(address: str, security: Security) -> Iterator[Client]:
     try:
         yield client
     finally:
-        client.close(CONNECT_S)
+        client.close(CONNECT_TIMEOUT_S)
 
 
 def _security(tls: Tls | None) -> Security:
@@ -201,17 +201,17 @@ def _security(tls: Tls | None) -> Security:
     return security
 
 
-async def _greet(address: str, security: Security) -> None:
+async def _probe(address: str, security: Security) -> None:
     # The timeout of connect does not apply if the other side accepts the connection and sends nothing.
-    greeting = connect(address, timeout=CONNECT_S, **security.get_connection_args("client"))
-    comm = await asyncio.wait_for(greeting, CONNECT_S + 1.0)
+    greeting = connect(address, timeout=CONNECT_TIMEOUT_S, **security.get_connection_args("client"))
+    comm = await asyncio.wait_for(greeting, CONNECT_TIMEOUT_S + 1.0)
     comm.abort()
 
 
 def _check(client: Client, address: str) -> None:
     """Raise `InputError` unless scheduler and workers can do the work with the versions of this computer."""
     try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
+        client.wait_for_workers(1, timeout=FIRST_WORKER_TIMEOUT_S)
     except TimeoutError as error:
         raise InputError(
             "scheduler without workers", expected=f"workers started with `dask worker {address}`", value=address
@@ -229,7 +229,9 @@ def _check(client: Client, address: str) -> None:
         if isinstance(version, BaseException):
             raise InputError("twin is not installed on a worker", expected=f"twin {mine['twin']} there", value=worker)
     for worker, found in client.run(versions, on_error="return").items():
-        different = f"twin {there.get(worker)}" if isinstance(found, BaseException) else apart(mine, found)
+        different = (
+            f"twin {there.get(worker)}" if isinstance(found, BaseException) else version_differences(mine, found)
+        )
         if different:
             raise InputError(
                 f"a worker has other versions: {different}",
@@ -244,15 +246,15 @@ def _check(client: Client, address: str) -> None:
         )
 
 
-def _watch(client: Client, address: str, backend: GuardedBackend, over: threading.Event) -> None:
+def _watch(client: Client, address: str, backend: GuardedBackend, stopped: threading.Event) -> None:
     """End the wait of the backend when no worker remains."""
-    alone = 0.0
-    while not over.wait(CONNECT_S):
+    without_workers = 0.0
+    while not stopped.wait(CONNECT_TIMEOUT_S):
         try:
-            alone = 0.0 if client.nthreads() else alone + CONNECT_S
+            without_workers = 0.0 if client.nthreads() else without_workers + CONNECT_TIMEOUT_S
         except (OSError, RuntimeError):  # lost, or closed
-            alone = ALONE_S
-        if alone >= ALONE_S and not over.is_set():
+            without_workers = NO_WORKER_TIMEOUT_S
+        if without_workers >= NO_WORKER_TIMEOUT_S and not stopped.is_set():
             backend.give_up(
                 InputError("no worker of the cluster remains", expected="workers that run until the end", value=address)
             )

@@ -27,21 +27,21 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError, OutputError
 from twin.compute.parallel.tls import Tls
-from twin.compute.parallel.versions import apart, versions
+from twin.compute.parallel.versions import version_differences, versions
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Refusal = InputError | OutputError
 
-AHEAD: Final = 2
+TASKS_PER_WORKER: Final = 2
 """Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
-TOGETHER: Final = 2
+SUSPECT_DEATHS: Final = 2
 """Number of worker deaths after which the tasks in flight at each of them are run one at a time, to find the cause."""
-DEATHS: Final = 4
+MAX_DEATHS: Final = 4
 """Number of worker deaths during a task after which it is given up."""
 
-_one_at_a_time = threading.Lock()
+_task_lock = threading.Lock()
 
 
 @final
@@ -83,7 +83,7 @@ def finished(
     workers: Workers | None = None,
     *,
     name: Callable[[Task], str] = str,
-    refusals: bool = False,
+    return_errors: bool = False,
 ) -> Generator[tuple[int, Result | Refusal], None, None]:
     """Run tasks and yield their results in order of completion, each with the index of its task.
 
@@ -94,7 +94,7 @@ def finished(
         tasks: the arguments of the tasks; each is read when it is sent, and again if its worker dies.
         workers: None for one process per core.
         name: function that returns the name of a task, for messages.
-        refusals: whether to yield the error of a task as its result and go on with the others, instead of raising it.
+        return_errors: whether to yield the error of a task as its result and go on with the others, instead of raising it.
 
     Raises:
         InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
@@ -102,7 +102,7 @@ def finished(
     own = Workers() if workers is None else workers
     processes = min(cpu_count() if own.processes is None else own.processes, len(tasks))
     if own.scheduler is None and processes <= 1:
-        found = _here(function, shared, tasks)
+        found = _in_this_process(function, shared, tasks)
     else:
         common = cloudpickle.dumps((function, shared))
 
@@ -116,7 +116,7 @@ def finished(
         )
     with closing(found):
         for index, result in found:
-            if isinstance(result, InputError | OutputError) and not refusals:
+            if isinstance(result, InputError | OutputError) and not return_errors:
                 raise result
             yield index, result
 
@@ -143,7 +143,7 @@ def in_order(
                 following += 1
 
 
-def _here(
+def _in_this_process(
     function: Callable[[Shared, Task], Result], shared: Shared, tasks: Sequence[Task]
 ) -> Generator[tuple[int, Result], None, None]:
     for index, task in enumerate(tasks):
@@ -158,46 +158,46 @@ def _on_processes(
     left = dict.fromkeys(range(len(tasks)))
     deaths: Counter[int] = Counter()
     while left:
-        suspect = next((index for index in left if deaths[index] >= TOGETHER), None)
+        suspect = next((index for index in left if deaths[index] >= SUSPECT_DEATHS), None)
         out: set[int] = set()
         # At least two, since joblib would run a single job in this process.
         pool = Parallel(
             n_jobs=max(2, processes),
             backend="loky",
             batch_size=1,
-            pre_dispatch=AHEAD * max(2, processes),
+            pre_dispatch=TASKS_PER_WORKER * max(2, processes),
             return_as="generator_unordered",
             max_nbytes=None,
-            initializer=_start_worker,
+            initializer=_prepare_worker,
             initargs=(os.getpid(),),
         )
         some = list(left) if suspect is None else [suspect]
         try:
-            with _ended(pool(_calls(common, tasks, some, out, None))) as results:
+            with _closing(pool(_calls(common, tasks, some, out, None))) as results:
                 for index, result in results:
                     del left[index]
                     yield index, result
         except BrokenProcessPool:
             deaths.update(out & left.keys())
-            if suspect is not None and deaths[suspect] >= DEATHS:
+            if suspect is not None and deaths[suspect] >= MAX_DEATHS:
                 del left[suspect]
                 yield (
                     suspect,
                     InputError(
-                        f"a worker process died {DEATHS} times while running this task",
+                        f"a worker process died {MAX_DEATHS} times while running this task",
                         expected="enough memory for the task, or fewer workers",
                         value=name(suspect),
                     ),
                 )
 
 
-def _start_worker(parent: int) -> None:
+def _prepare_worker(parent: int) -> None:
     """Make a worker process ignore Ctrl-C, which its parent handles, and end when its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
 
 
-def _end_with(parent: int) -> None:
+def _exit_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
@@ -213,16 +213,16 @@ def _on_cluster(
             n_jobs=threads,
             backend=backend,
             batch_size=1,
-            pre_dispatch=AHEAD * threads,
+            pre_dispatch=TASKS_PER_WORKER * threads,
             return_as="generator_unordered",
         )
-        with _ended(pool(_calls(common, tasks, range(len(tasks)), set(), versions()))) as results:
-            for found in results:  # noqa: UP028  # `yield from` would close them without `_ended`
+        with _closing(pool(_calls(common, tasks, range(len(tasks)), set(), versions()))) as results:
+            for found in results:  # noqa: UP028  # `yield from` would close them without `_closing`
                 yield found
 
 
 @contextmanager
-def _ended(results: Any) -> Iterator[Any]:
+def _closing(results: Any) -> Iterator[Any]:
     """Close the results on leaving the context, which ends the workers, also on Ctrl-C and after a partial read."""
     try:
         yield results
@@ -250,8 +250,8 @@ def work(index: int, common: bytes, packed: bytes, expected: dict[str, str] | No
         expected: the versions on the calling computer; None for a worker on the same computer.
     """
     # A Dask worker may have several threads, but only one at a time may use the shared value.
-    with _one_at_a_time:
-        different = "" if expected is None else apart(expected, versions())
+    with _task_lock:
+        different = "" if expected is None else version_differences(expected, versions())
         if different:
             return index, InputError(
                 f"a worker has other versions: {different}",

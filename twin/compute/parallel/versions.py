@@ -35,12 +35,12 @@ def versions() -> dict[str, str]:
 @cache
 def arithmetic() -> str:
     """Return a digest of the processor, and of the compiler if compiled code may be used; where it differs, last digits may differ."""
-    tool = compiler.found() if loading.enabled() else None
+    tool = compiler.find_compiler() if loading.enabled() else None
     identity = f"{compiler.processor()}\0{'' if tool is None else tool.identity}"
     return hashlib.sha256(identity.encode()).hexdigest()
 
 
-def apart(here: dict[str, str], there: dict[str, str]) -> str:
+def version_differences(here: dict[str, str], there: dict[str, str]) -> str:
     """Return a description of the differences between two sets of versions; empty if there are none."""
     return ", ".join(
         f"{name} {there.get(name, 'none')} instead of {mine}" for name, mine in here.items() if there.get(name) != mine

@@ -57,7 +57,7 @@ class AptReader:
         self._noted: set[str] = set()
         self._line = 0
 
-    def refuse(self, what: str, value: object, expected: str) -> InputError:
+    def error(self, what: str, value: object, expected: str) -> InputError:
         """Return an error at the current statement."""
         return InputError(what, expected=expected, file=self.source, line=self._line + 1, value=value)
 
@@ -81,7 +81,7 @@ class AptReader:
             _MEANINGS[word](self, statement)
         elif word in _REFUSED:
             what, expected = _REFUSED[word]
-            raise self.refuse(what, statement.raw.strip(), expected)
+            raise self.error(what, statement.raw.strip(), expected)
         elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
             self.note(f"unknown statement passed through: {statement.raw.strip()[:60]}")
 
@@ -91,7 +91,7 @@ class AptReader:
     def _units(self, statement: Statement) -> None:
         unit = statement.texts[0].upper() if statement.arguments else ""
         if unit not in ("MM", "INCHES", "INCH"):
-            raise self.refuse("unknown unit", statement.raw.strip(), "UNITS/MM or UNITS/INCHES")
+            raise self.error("unknown unit", statement.raw.strip(), "UNITS/MM or UNITS/INCHES")
         self.unit = 1.0 if unit == "MM" else MM_PER_INCH
 
     def _home(self, statement: Statement) -> None:
@@ -107,36 +107,36 @@ class AptReader:
     def _origin(self, statement: Statement) -> None:
         if any(number(text) != 0.0 for text in statement.texts):
             shown = statement.raw.strip()
-            raise self.refuse("coordinate transformation ORIGIN", shown, "locations in one work frame")
+            raise self.error("coordinate transformation ORIGIN", shown, "locations in one work frame")
 
     def _cycle(self, statement: Statement) -> None:
         if not statement.arguments or statement.texts[0].upper() not in ("OFF", "NOMORE"):
-            raise self.refuse("canned cycle", statement.raw.strip(), "a cycle expanded into GOTO statements")
+            raise self.error("canned cycle", statement.raw.strip(), "a cycle expanded into GOTO statements")
 
     def _cutcom(self, statement: Statement) -> None:
         if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
             shown = statement.raw.strip()
-            raise self.refuse("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
+            raise self.error("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
 
     def _mode(self, statement: Statement) -> None:
         if any(text.upper().startswith("INCR") for text in statement.texts):
-            raise self.refuse("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
+            raise self.error("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
 
     def _goto(self, statement: Statement) -> None:
         texts = statement.texts
         shown = statement.raw.strip()
         if len(texts) not in (3, 6):
-            raise self.refuse(f"location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
+            raise self.error(f"location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
         values = []
         for text in texts:
             value = number(text)
             if value != value and (value := number(text.replace("D", "E").replace("d", "e"))) != value:
-                raise self.refuse("coordinate that is not a number", text or shown, "a number such as 12.5")
+                raise self.error("coordinate that is not a number", text or shown, "a number such as 12.5")
             values.append(value)
         if len(values) == 6:
             vector, length = unit_vector((values[3], values[4], values[5]))
             if length == 0.0:
-                raise self.refuse("tool vector of zero length", shown, "a direction")
+                raise self.error("tool vector of zero length", shown, "a direction")
             if abs(length - 1.0) > 1e-3:
                 self.note(f"tool vector of length {length:.6g} normalised")
             self.vector = vector

@@ -41,21 +41,21 @@ class Statement(NamedTuple):
     @property
     def texts(self) -> list[str]:
         """The texts of the arguments."""
-        return [field.strip() for field in self._pieces()]
+        return [field.strip() for field in self._split_arguments()]
 
     @property
     def fields(self) -> list[AptField]:
         """The arguments with their ranges."""
         found = []
         at = self.at + (1 if self.arguments.startswith(",") else 0)
-        for piece in self._pieces():
-            bare = piece.strip()
-            start = at + piece.find(bare)
+        for field in self._split_arguments():
+            bare = field.strip()
+            start = at + field.find(bare)
             found.append(_new(AptField, (start, start + len(bare), bare)))
-            at += len(piece) + 1
+            at += len(field) + 1
         return found
 
-    def _pieces(self) -> list[str]:
+    def _split_arguments(self) -> list[str]:
         arguments = self.arguments
         return arguments.removeprefix(",").split(",") if arguments else []
 

@@ -28,7 +28,7 @@ class AptWriter:
         self.out: list[str] = []
         self._said: tuple[str, str, str] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
 
-    def keep(self, raw: str, *, tilts: bool) -> None:
+    def write_unchanged(self, raw: str, *, tilts: bool) -> None:
         """Write a statement unchanged; ``tilts``: whether it has a tool vector."""
         self.out.append(raw)
         if tilts:
@@ -50,8 +50,8 @@ class AptWriter:
         for (start, end, text), places, target in zip(fields, decimals, rows[0], strict=False):
             if target == target:
                 style = style_of(text, style)
-                if style.keep != places or style.comma:
-                    style = style._replace(keep=places, comma=False)
+                if style.min_decimals != places or style.comma:
+                    style = style._replace(min_decimals=places, comma=False)
                 edits.append((start, end, format_number(target / unit, places, style)))
         vectors: list[list[float] | None] = [None] * len(rows) if rewrite.vectors is None else rewrite.vectors.tolist()
         written = len(fields) == 6
@@ -69,7 +69,7 @@ class AptWriter:
         rapid = f"RAPID{newline}" if rewrite.move.kind is Kind.RAPID else ""
         for row, vector in zip(rows[1:], vectors[1:], strict=True):
             numbers = [
-                format_number(target / unit, places, style._replace(keep=places))
+                format_number(target / unit, places, style._replace(min_decimals=places))
                 for target, places in zip(row, decimals, strict=False)
             ]
             lines.append(f"{rapid}{goto}{','.join([*numbers, *self._vector(vector, again=False)])}{newline}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from twin.nc.plain import Plain, plain_blocks
+from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
@@ -55,19 +55,19 @@ RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 REFUSED_M = frozenset({89, 98, 99, 118, 130, 144})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
-EXPAND = "a cycle expanded into L blocks by the postprocessor"
+EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
 LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
-BAKED = "a program without coordinate transformations"
-FLAT = "one program without jumps or calls"
+NO_TRANSFORMATION = "a program without coordinate transformations"
+NO_CALLS = "one program without jumps or calls"
 
 
 @lru_cache(maxsize=16)
-def plain(names: tuple[str, ...]) -> Plain:
+def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
     """Return the pattern of simple blocks: ``10 L X+1,5 Y-2 R0 F500``, ``LN`` with vectors; groups: block number, keyword, .., feed."""
     head = r"[ \t]*+(?:(\d++)[ \t]*+)?+(LN?+)[ \t]++"
     feed = r"(?:(F[ \t]*+MAX|F\d++(?:[.,]\d*+)?+)[ \t]*+)?+"
     others = ("NX", "NY", "NZ", "TX", "TY", "TZ")
-    return plain_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
+    return simple_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
 
 
 def numbered_as(text: str, head: re.Match[str], number: int) -> str:

@@ -11,7 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.emit import SAME, Said
+from twin.nc.emit import SAME_NUMBER, OutputState
 from twin.nc.iso.scan import Scan, Words
 from twin.nc.text import Style, grid
 
@@ -50,7 +50,7 @@ class NewPositions:
 
 @final
 @dataclass(frozen=True)
-class Habits:
+class Formatting:
     """Formatting of a program at some place.
 
     Attributes:
@@ -84,7 +84,9 @@ class Grids:
         self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
 
 
-def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray) -> bytes:
+def _with_replacements(
+    text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray
+) -> bytes:
     """Return a text with some ranges replaced; they do not overlap, and insertions at one place are in order.
 
     Args:
@@ -108,16 +110,16 @@ def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.
     return np.concatenate([text, new])[places].tobytes()
 
 
-def edited(
+def rewritten_lines(
     scan: Scan,
     whole: slice,
     lines: np.ndarray,
     count: np.ndarray,
     targets: np.ndarray,
-    said: Said,
-    habits: Habits,
+    said: OutputState,
+    formatting: Formatting,
     grids: Grids,
-) -> tuple[bytes, Habits]:
+) -> tuple[bytes, Formatting]:
     """Return simple lines, consecutive except for blank ones, with new positions.
 
     Args:
@@ -127,42 +129,42 @@ def edited(
         count: (lines,) number of segments of each line.
         targets: (segments, axes) end positions, mm and degrees; NaN in the columns of axes that are not written.
         said: last values in the output; updated.
-        habits: formatting before the first of the lines.
+        formatting: formatting before the first of the lines.
         grids: of the axes.
 
     Returns:
         The new text of the range, and the formatting after the last line.
     """
-    pieces = _Pieces(scan, lines, count, targets, said, grids)
-    of, words = pieces.of_word, pieces.words
-    look = _Look(words, habits.style)
+    segments = _Segments(scan, lines, count, targets, said, grids)
+    of, words = segments.of_word, segments.words
+    styles = _Styles(words, formatting.style)
     second = np.diff(scan.first)[lines] > 1
-    first = pieces.first_word
+    first = segments.first_word
     letter = words.start[first] - 1
     before = scan.text[
         np.maximum(np.where(second, words.start[np.minimum(first + 1, len(words.start) - 1)] - 1, letter) - 1, 0)
     ]
-    shown = second | pieces.headed
-    spaced = _last_said(np.where(shown, (before == _SPACE) | (before == 9), -1), habits.spaced).astype(bool)
+    shown = second | segments.headed
+    spaced = _forward_filled(np.where(shown, (before == _SPACE) | (before == 9), -1), formatting.spaced).astype(bool)
     lower = scan.text[letter] >= ord("a")
     # Words in the text whose value changes.
-    steps = pieces.steps.take(of * pieces.steps.shape[1] + words.axis)
-    same = np.abs(words.value - steps * grids.step[words.axis]) < SAME
-    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & look.plus)
+    steps = segments.steps.take(of * segments.steps.shape[1] + words.axis)
+    same = np.abs(words.value - steps * grids.step[words.axis]) < SAME_NUMBER
+    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & styles.plus)
     new = np.flatnonzero(~same)
     # Words that are missing in the text.
-    row, axis = np.nonzero(pieces.missing)
-    line = pieces.line[row]
-    last_word = pieces.last_word[line]
-    extra = row != pieces.head[line]
+    row, axis = np.nonzero(segments.missing)
+    line = segments.line[row]
+    last_word = segments.last_word[line]
+    extra = row != segments.head[line]
     opens = extra & np.append(True, row[1:] != row[:-1])[: len(row)]
     closes = extra & np.append(row[1:] != row[:-1], True)[-len(row) :] if len(row) else extra
     word = np.concatenate([new, last_word])
     letters = np.where(lower[line], grids.letters[axis] + 32, grids.own[axis]).astype(np.uint8)
-    text, length = _printed(
-        np.concatenate([steps[new], pieces.steps[row, axis]]),
+    text, length = _formatted_words(
+        np.concatenate([steps[new], segments.steps[row, axis]]),
         np.concatenate([words.axis[new], axis]),
-        look.at(word),
+        styles.at(word),
         grids,
         np.concatenate([np.zeros(len(new), dtype=bool), spaced[line] & ~opens]),
         np.concatenate([np.zeros(len(new), dtype=np.uint8), letters]),
@@ -172,20 +174,20 @@ def edited(
     )
     behind = np.where(extra, scan.end[lines][line], words.end[last_word])
     start, end = np.concatenate([words.start[new], behind]), np.concatenate([words.end[new], behind])
-    written = _assembled(scan.text[whole], start - whole.start, end - whole.start, length, text)
+    written = _with_replacements(scan.text[whole], start - whole.start, end - whole.start, length, text)
     for i in range(len(grids.step)):
         if np.any(words.axis == i) or np.any(axis == i):
-            said.value[i] = float(pieces.steps[-1, i] * grids.step[i])
+            said.value[i] = float(segments.steps[-1, i] * grids.step[i])
             said.stale[i] = False
-    return written, Habits(look.last(), bool(spaced[-1]), bool(lower[-1]))
+    return written, Formatting(styles.last(), bool(spaced[-1]), bool(lower[-1]))
 
 
 @final
-class _Pieces:
+class _Segments:
     """The segments of some lines, and which words they need in addition to those in the text."""
 
     def __init__(
-        self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, grids: Grids
+        self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: OutputState, grids: Grids
     ) -> None:
         begin, end = scan.first[lines[0]], scan.first[lines[-1] + 1]
         all_words = scan.words
@@ -221,7 +223,7 @@ class _Pieces:
 
 
 @final
-class _Look:
+class _Styles:
     """The style in force after every word (`twin.nc.text.style_of`)."""
 
     def __init__(self, words: Words, style: Style) -> None:
@@ -229,27 +231,34 @@ class _Look:
         tells = words.fraction > 0
         round_ = ~tells & (words.point | ~zero)
         point = np.where(round_, words.point, -1)
-        keep = np.where(round_, 0, -1)
+        min_decimals = np.where(round_, 0, -1)
         padded = tells & words.padded
-        point[padded], keep[padded] = 0, words.fraction[padded]
-        lead = np.where(words.point & (words.whole == 0), 0, -1)
-        lead[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
+        point[padded], min_decimals[padded] = 0, words.fraction[padded]
+        leading_zero = np.where(words.point & (words.whole == 0), 0, -1)
+        leading_zero[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
         plus = np.where(words.sign == _PLUS, 1, np.where(words.sign == _MINUS, -1, 0))
-        self.point = _last_said(point, style.point)
-        self.keep = _last_said(keep, style.keep)
-        self.lead = _last_said(lead, style.lead)
-        self.plus = _last_said(plus, style.plus).astype(bool)
+        self.point = _forward_filled(point, style.point)
+        self.min_decimals = _forward_filled(min_decimals, style.min_decimals)
+        self.leading_zero = _forward_filled(leading_zero, style.leading_zero)
+        self.plus = _forward_filled(plus, style.plus).astype(bool)
 
     def at(self, word: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return point, keep, lead and plus after some words."""
-        return self.point[word].astype(bool), self.keep[word], self.lead[word].astype(bool), self.plus[word]
+        """Return point, minimum decimals, leading zero and plus after some words."""
+        return (
+            self.point[word].astype(bool),
+            self.min_decimals[word],
+            self.leading_zero[word].astype(bool),
+            self.plus[word],
+        )
 
     def last(self) -> Style:
         """Return the style after the last word."""
-        return Style(bool(self.point[-1]), int(self.keep[-1]), bool(self.lead[-1]), bool(self.plus[-1]), False)
+        return Style(
+            bool(self.point[-1]), int(self.min_decimals[-1]), bool(self.leading_zero[-1]), bool(self.plus[-1]), False
+        )
 
 
-def _last_said(values: np.ndarray, before: int) -> np.ndarray:
+def _forward_filled(values: np.ndarray, before: int) -> np.ndarray:
     """Return (n,) each value, or the last one before it that is not -1."""
     says = values >= 0
     if says.all():
@@ -267,10 +276,10 @@ def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
     return np.stack([np.where(two, 13, 0), scan.text[end - 1]], axis=1).astype(np.uint8)
 
 
-def _printed(
+def _formatted_words(
     steps: np.ndarray,
     axis: np.ndarray,
-    look: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    styles: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     grids: Grids,
     spaced: np.ndarray,
     letter: np.ndarray,
@@ -281,14 +290,14 @@ def _printed(
     Args:
         steps: (n,) values in least increments.
         axis: (n,) axis of each word.
-        look: style of the numbers (`_Look.at`).
+        styles: style of the numbers (`_Look.at`).
         grids: of the axes.
         spaced: (n,) whether a space comes first.
         letter: (n,) the following letter, 0 for none.
         ending: (n, 2) characters after the number, 0 for none.
     """
-    point, keep, lead, plus = look
-    places = int(max(grids.decimals.max(initial=0), keep.max(initial=0)))
+    point, min_decimals, leading_zero, plus = styles
+    places = int(max(grids.decimals.max(initial=0), min_decimals.max(initial=0)))
     size = np.abs(steps) * grids.scale[axis]
     power = (10**grids.decimals)[axis]
     whole = size // power
@@ -300,11 +309,11 @@ def _printed(
     text[1] = letter
     text[2] = np.where(steps < 0, _MINUS, plus * np.uint8(_PLUS))
     _digits(whole, text[3 : 3 + digits])
-    text[2 + digits] *= lead | (whole > 0) | (fraction == 0)
+    text[2 + digits] *= leading_zero | (whole > 0) | (fraction == 0)
     for i in range(1, digits):
         text[2 + digits - i] *= whole >= 10**i
     _digits(fraction, text[4 + digits : -2])
-    wanted = np.array(keep)
+    wanted = np.array(min_decimals)
     for i in range(places):
         wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
         # Digits are visited in order, so the last nonzero one decides.

@@ -1,8 +1,8 @@
 """Simple lines of an ISO program found and read all at once, with the bytes in arrays and no object per line or word.
 
-The simple lines here are a subset of those of `twin.nc.plain`: a block number, ``G0`` or ``G1``, axis words in the usual order and a
-feed. Numbers have at most 15 digits, so that the digits form an exact whole number and the division by an exact power of ten rounds
-once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
+The simple lines here are a subset of those of `twin.nc.simple_blocks`: a block number, ``G0`` or ``G1``, axis words in the usual
+order and a feed. Numbers have at most 15 digits, so that the digits form an exact whole number and the division by an exact power
+of ten rounds once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.plain import plain_letters
+from twin.nc.simple_blocks import simple_axis_letters
 
 MOST_DIGITS: Final = 15
 """Number of decimal digits up to which a double holds every whole number."""
 _WHOLE_DIGITS: Final = 9
-"""As in `twin.nc.plain.VALUE`."""
+"""As in `twin.nc.simple_blocks.VALUE`."""
 _OTHER, _LETTER, _DIGIT, _SIGN, _POINT, _BLANK, _END = range(7)
 _FOLLOWS: Final = {
     _LETTER: (_DIGIT, _SIGN, _POINT),
@@ -73,7 +73,7 @@ class Scan:
         data: its bytes.
         text: (n,) the bytes as numbers.
         start, end: (lines,) range of each line, including its ending.
-        plain: (lines,) whether the line is simple.
+        simple: (lines,) whether the line is simple.
         blank: (lines,) whether it is empty or a comment.
         code: (lines,) the motion code of a simple line, -1 if it has none.
         wide: (lines,) whether the motion code has two digits.
@@ -85,7 +85,7 @@ class Scan:
     text: np.ndarray
     start: np.ndarray
     end: np.ndarray
-    plain: np.ndarray
+    simple: np.ndarray
     blank: np.ndarray
     code: np.ndarray
     wide: np.ndarray
@@ -110,7 +110,7 @@ def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, byte
     ):
         for code in characters:
             kind[code] = which
-    letters = plain_letters(names)
+    letters = simple_axis_letters(names)
     places = {"N": (0, _NUMBER), "G": (1, _CODE), "F": (len(letters) + 2, _FEED)}
     places |= {letter: (2 + i, [name.upper() for name in names].index(letter)) for i, letter in enumerate(letters)}
     for letter, (place, which) in places.items() if letters else ():
@@ -141,14 +141,14 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     pairs = kind[:-1] << 3
     pairs |= kind[1:]
     bad = np.frombuffer(pairs.tobytes().translate(bad_pair), dtype=bool)
-    plain = np.ones(lines, dtype=bool)
+    simple = np.ones(lines, dtype=bool)
     # A pair across a line end belongs to the following line: it checks how that begins.
-    plain[np.searchsorted(end, np.flatnonzero(bad) + 1, side="right")] = False
+    simple[np.searchsorted(end, np.flatnonzero(bad) + 1, side="right")] = False
     if lines:
-        plain[0] &= not bad_pair[_END << 3 | int(kind[0])]
-        plain[-1] &= bool(kind[-1] == _END)
-    if not plain.all():
-        kind = np.where(np.repeat(plain, end - start), kind, _OTHER)
+        simple[0] &= not bad_pair[_END << 3 | int(kind[0])]
+        simple[-1] &= bool(kind[-1] == _END)
+    if not simple.all():
+        kind = np.where(np.repeat(simple, end - start), kind, _OTHER)
     # In simple lines every letter is followed by one number, and there are no other numbers.
     lettered = kind == _LETTER
     letters, points = np.flatnonzero(lettered), np.flatnonzero(kind == _POINT)
@@ -156,8 +156,8 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     numeric = (kind >= _DIGIT) & (kind <= _POINT)
     stops = np.flatnonzero(numeric[:-1] > numeric[1:]) + 1
     per_line = np.diff(np.searchsorted(letters, end), prepend=0)
-    blank = plain & (per_line == 0)
-    blank[[i for i in np.flatnonzero(~plain).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
+    blank = simple & (per_line == 0)
+    blank[[i for i in np.flatnonzero(~simple).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
     line = np.repeat(np.arange(lines), per_line)
     char = text[letters]
     rank, axis = rank_of.take(char), axis_of.take(char)
@@ -180,17 +180,17 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     codes = np.flatnonzero(code)
     said, width = text[stops[codes] - 1] - _ZERO, whole[codes]
     good[codes] &= (said <= 1) & ((width == 1) | ((width == 2) & (text[begin[codes]] == _ZERO)))
-    plain[line[~good]] = False
-    known = plain[line]
+    simple[line[~good]] = False
+    known = simple[line]
     which = np.flatnonzero((axis >= 0) & known)
     # The numbers of simple lines, in order, one per letter.
-    digits = np.where(numeric & np.repeat(plain, end - start), text, np.uint8(_SPACE)).tobytes()
+    digits = np.where(numeric & np.repeat(simple, end - start), text, np.uint8(_SPACE)).tobytes()
     values = np.fromstring(digits, sep=" ")[axis[known] >= 0]
     named = np.bincount(line[which], minlength=lines)
-    plain &= named > 0
+    simple &= named > 0
     motion, wide = np.full(lines, -1, dtype=np.int8), np.zeros(lines, dtype=bool)
     motion[line[codes]], wide[line[codes]] = said.astype(np.int8), width > 1
-    motion[~plain] = -1
+    motion[~simple] = -1
     stops, whole, fraction, sign = stops.take(which), whole.take(which), fraction.take(which), sign.take(which)
     words = Words(
         line=line.take(which).astype(np.int32),
@@ -204,8 +204,8 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
         point=point.take(which),
         padded=text.take(stops - 1) == _ZERO,
     )
-    first = np.concatenate([[0], np.cumsum(np.where(plain, named, 0))])
-    return Scan(data, text, start, end, plain, blank, motion, wide, words, first)
+    first = np.concatenate([[0], np.cumsum(np.where(simple, named, 0))])
+    return Scan(data, text, start, end, simple, blank, motion, wide, words, first)
 
 
 def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:

@@ -13,18 +13,18 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, Left, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
-from twin.nc.iso.bulk import LARGEST_STEPS, Grids, Habits, NewPositions, edited
+from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions, rewritten_lines
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.scan import MOST_DIGITS, Scan, scan
 from twin.nc.iso.writer import IsoWriter
 from twin.nc.text import BLANK, MM_PER_INCH, Style
-from twin.nc.writer import Pieces
+from twin.nc.writer import Segments
 
 SHORTEST_RUN: Final = 12
 """Smallest number of simple lines processed together; fewer are faster one by one."""
-STRETCH_LINES: Final = 4096
+CHUNK_LINES: Final = 4096
 """Lines per chunk of a program in memory, few enough to fit in cache."""
-GONE: Final = ";\0\n"
+DELETED_LINE: Final = ";\0\n"
 """A comment that occurs in no program, in place of a deleted line, so that the other lines keep their numbers."""
 
 
@@ -76,10 +76,10 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
         at = stop + 1
 
 
-def stretches(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
-    """Yield a program in memory in chunks, with `GONE` in place of empty texts."""
-    for first in range(0, len(program.texts), STRETCH_LINES):
-        text = "".join(one or GONE for one in program.texts[first : first + STRETCH_LINES])
+def chunks(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
+    """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
+    for first in range(0, len(program.texts), CHUNK_LINES):
+        text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
         yield Stretch(text.encode("latin-1"), first, names)
 
 
@@ -101,22 +101,22 @@ class IsoReader:
         self._notices = self._left = 0
         self.drills = False
 
-    def read(self, stretch: Stretch) -> MoveColumns:
+    def read(self, chunk: Stretch) -> MoveColumns:
         """Return the moves of the next chunk.
 
         Raises:
             InputError: as `twin.nc.dialect.Dialect.moves`.
         """
         found = MoveBuilder(self._interpreter.names)
-        self.read_into(found, stretch)
+        self.read_into(found, chunk)
         return found.moves()
 
-    def read_into(self, found: MoveBuilder, stretch: Stretch) -> None:
+    def read_into(self, found: MoveBuilder, chunk: Stretch) -> None:
         """As `read`, with the moves added to a builder."""
-        scan, first = stretch.scan, stretch.first
-        for begin, end, together in runs(scan.plain, scan.blank):
+        scan, first = chunk.scan, chunk.first
+        for begin, end, together in runs(scan.simple, scan.blank):
             at = begin
-            while at < end and not (together and self._run(stretch, at, end, found)):
+            while at < end and not (together and self._run(chunk, at, end, found)):
                 self._line(first + at, scan.line(at), found)
                 at += 1
 
@@ -126,9 +126,9 @@ class IsoReader:
         self._notices += len(found)
         return found
 
-    def left(self) -> list[Left]:
+    def lost_positions(self) -> list[Left]:
         """Return the unknown axis positions since the last call."""
-        found = self._interpreter.left[self._left :]
+        found = self._interpreter.lost_positions[self._left :]
         self._left += len(found)
         return found
 
@@ -141,13 +141,13 @@ class IsoReader:
             for one in block.moves:
                 found.add(one)
 
-    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
+    def _run(self, chunk: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
         """Read simple lines together; return False if the modal state does not allow it."""
         state = self._interpreter
         if not state.settled:
             return False
-        scan = stretch.scan
-        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        scan = chunk.scan
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
         if not lines.size:
             return True
         motion = _motions(scan, lines, state.motion)
@@ -162,8 +162,8 @@ class IsoReader:
         position[row, axis] = value
         said = ~np.isnan(position)
         named = said @ (1 << np.arange(len(state.names)))
-        filled(position, said, state.position)
-        found.extend(stretch.first + lines, motion == 0, state.tcp, named, position)
+        fill_forward(position, said, state.position)
+        found.extend(chunk.first + lines, motion == 0, state.tcp, named, position)
         state.position = position[-1].tolist()
         state.motion = int(motion[-1])
         return True
@@ -191,30 +191,30 @@ class IsoRewriter:
 
     def write(
         self,
-        stretch: Stretch,
+        chunk: Stretch,
         moves: MoveColumns,
         new: NewPositions,
-        pieces: Mapping[int, Mapping[int, Pieces]] | None = None,
+        segments: Mapping[int, Mapping[int, Segments]] | None = None,
     ) -> bytes:
         """Return the next chunk with its moves replaced.
 
         Args:
-            stretch: the chunk.
+            chunk: the chunk.
             moves: its moves.
             new: their replacements.
-            pieces: the same by line and by move in the line, if known.
+            segments: the same by line and by move in the line, if known.
         """
-        scan = stretch.scan
-        at_line = moves.line - stretch.first
-        move_of = np.full(len(stretch), -1)
+        scan = chunk.scan
+        at_line = moves.line - chunk.first
+        move_of = np.full(len(chunk), -1)
         move_of[at_line] = np.arange(len(moves))
         general = new.count == 0
         general[list(moves.special)] = True
-        bulk = np.zeros(len(stretch), dtype=bool)
-        bulk[at_line] = ~general & self._countable(
+        bulk = np.zeros(len(chunk), dtype=bool)
+        bulk[at_line] = ~general & self._exact_in_steps(
             moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))]
         )
-        bulk &= scan.plain
+        bulk &= scan.simple
         out: list[bytes] = []
         for begin, end, together in runs(bulk, scan.blank):
             at = begin
@@ -223,14 +223,14 @@ class IsoRewriter:
                 if run is not None:
                     out.append(run)
                     break
-                line, text = stretch.first + at, scan.line(at)
-                mine = _pieces(int(move_of[at]), moves, new) if pieces is None else pieces.get(line)
+                line, text = chunk.first + at, scan.line(at)
+                mine = _segments(int(move_of[at]), moves, new) if segments is None else segments.get(line)
                 block = self._interpreter.step(line, text)
                 out.append((text if block is None else self._writer.block(line, block, mine)).encode("latin-1"))
                 at += 1
         return b"".join(out)
 
-    def _countable(self, named: np.ndarray, positions: np.ndarray) -> bool:
+    def _exact_in_steps(self, named: np.ndarray, positions: np.ndarray) -> bool:
         """Return whether values are exact in steps, and each axis has a value in all rows, or in none and no word either."""
         known = np.isfinite(positions)
         everywhere = known.all(axis=0)
@@ -244,27 +244,27 @@ class IsoRewriter:
     ) -> bytes | None:
         """Return simple lines written together; None (and nothing done) if the modal state does not allow it."""
         state, writer = self._interpreter, self._writer
-        if not state.settled or state.inch or state.feed_mode == "93" or writer.style.keep > MOST_DIGITS:
+        if not state.settled or state.inch or state.feed_mode == "93" or writer.style.min_decimals > MOST_DIGITS:
             return None
-        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
         if not lines.size:
             return None
         motion = _motions(scan, lines, state.motion)
         if motion is None or (scan.code[lines[0]] < 0 and writer.motion != motion[0]):
             return None
         which = move_of[lines]
-        habits = Habits(writer.style, writer.spaced, writer.lower)
-        text, habits = edited(
+        formatting = Formatting(writer.style, writer.spaced, writer.lower)
+        text, formatting = rewritten_lines(
             scan,
             slice(int(scan.start[begin]), int(scan.end[end - 1])),
             lines,
             new.count[which],
             new.positions[new.rows(which)],
             writer.said,
-            habits,
+            formatting,
             self._grids,
         )
-        writer.style, writer.spaced, writer.lower = habits.style, habits.spaced, habits.lower
+        writer.style, writer.spaced, writer.lower = formatting.style, formatting.spaced, formatting.lower
         coded = lines[scan.code[lines] >= 0]
         if coded.size:
             writer.wide = bool(scan.wide[coded[-1]])
@@ -273,7 +273,7 @@ class IsoRewriter:
         return text
 
 
-def _pieces(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, Pieces] | None:
+def _segments(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, Segments] | None:
     """Return the replacement of a move in the form of the writer of blocks; None for -1 and for an unchanged move."""
     if which < 0 or not new.count[which]:
         return None
@@ -294,7 +294,7 @@ def _motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | 
     return np.asarray(code[np.maximum.accumulate(np.where(said, np.arange(len(code)), 0))])
 
 
-def filled(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
     """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
     if said.all():
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from twin.nc.plain import VALUE, Plain, plain_blocks
+from twin.nc.simple_blocks import VALUE, SimpleBlocks, simple_blocks
 from twin.nc.text import number
 
 _STRING = r'"[^"\r\n]*+"'
@@ -67,15 +67,15 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for code in codes}
 
-EXPAND = "a cycle expanded into G0 and G1 blocks by the postprocessor"
+EXPANDED_CYCLE = "a cycle expanded into G0 and G1 blocks by the postprocessor"
 LINEAR = "a path of G0, G1, G2 and G3 blocks from the postprocessor"
-BAKED = "a program without coordinate transformations (at most one work offset, given as work_offset)"
-FLAT = "one program without jumps or calls"
+NO_TRANSFORMATION = "a program without coordinate transformations (at most one work offset, given as work_offset)"
+NO_CALLS = "one program without jumps or calls"
 
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
-        code: (f"canned cycle G{code}", EXPAND)
+        code: (f"canned cycle G{code}", EXPANDED_CYCLE)
         for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88", "89")
     },
     **{
@@ -88,7 +88,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     },
     **{code: (f"curve G{code}", LINEAR) for code in ("12", "13", "147", "148", "247", "248", "347", "348")},
     **{
-        code: (f"coordinate transformation G{code}", BAKED)
+        code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
             *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
             *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
@@ -99,7 +99,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
     },
     "29": ("return from the reference point G29", "a G0 block with the position"),
-    **{code: (f"macro call G{code}", FLAT) for code in ("65", "66", "66.1", "72.1", "72.2")},
+    **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
 LAST_M: frozenset[str] = frozenset(
@@ -141,19 +141,19 @@ CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CO
 TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "TRAORI"})
 TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
-WAYS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
+DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
 
 
 @lru_cache(maxsize=16)
-def plain(names: tuple[str, ...]) -> Plain:
+def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
     """Return the pattern of simple blocks: ``N10 G1 X1.5 Y-2. F500``, arcs, tool vectors and trailing comments included.
 
     Groups: N word, motion code, .., value of F, comment.
     """
     head = r"[ \t]*+(N\d++)?+[ \t]*+(?:G(0?[0-3])[ \t]*+)?+"
     others = ("I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3")
-    return plain_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
+    return simple_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
 
 
 def canonical(word: str) -> str:

@@ -17,7 +17,7 @@ NOTHING = re.compile(r"(?!)")
 """Matches no line."""
 
 
-class Plain(NamedTuple):
+class SimpleBlocks(NamedTuple):
     """The pattern of simple blocks on one machine.
 
     Attributes:
@@ -34,15 +34,15 @@ class Plain(NamedTuple):
     behind: slice = slice(0)
 
 
-def plain_letters(names: tuple[str, ...]) -> str:
+def simple_axis_letters(names: tuple[str, ...]) -> str:
     """Return the axes a simple block can name, in order; none if an axis has a letter with another meaning."""
     letters = [name.upper() for name in names if len(name) == 1]
     return "".join(sorted(letters, key=_ORDER.index)) if all(letter in _ORDER for letter in letters) else ""
 
 
-def plain_blocks(
+def simple_blocks(
     names: tuple[str, ...], head: str, value: str, others: tuple[str, ...], equals: str, tail: str
-) -> Plain:
+) -> SimpleBlocks:
     """Return the pattern of simple blocks.
 
     Args:
@@ -53,13 +53,13 @@ def plain_blocks(
         equals: separator after names of several letters among these.
         tail: pattern of the rest of the line.
     """
-    letters = plain_letters(names)
+    letters = simple_axis_letters(names)
     if not letters:
-        return Plain(NOTHING, (), ())
+        return SimpleBlocks(NOTHING, (), ())
     words = "".join(rf"(?:{letter}({value})(?!=)[ \t]*+)?+" for letter in letters)
     more = "".join(rf"(?:{name}{equals if len(name) > 1 else ''}({value})[ \t]*+)?+" for name in others)
     pattern = re.compile(rf"{head}(?=[{letters}]){words}{more}{tail}[\r\n]*+", re.ASCII | re.IGNORECASE)
     index = {name.upper(): i for i, name in enumerate(names)}
     axes = tuple((group, index[letter]) for group, letter in enumerate(letters, 3))
     behind = len(letters) + 2
-    return Plain(pattern, axes, tuple(enumerate(others, behind + 1)), slice(behind, behind + len(others)))
+    return SimpleBlocks(pattern, axes, tuple(enumerate(others, behind + 1)), slice(behind, behind + len(others)))
