@@ -106,9 +106,9 @@ def note_input(path: Path) -> None:
     Raises:
         InputError: the command is going to write it.
     """
-    run = _COMMAND.get()
-    if run is not None:
-        run.add_input(path)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.add_input(path)
 
 
 def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
@@ -207,7 +207,7 @@ class CommandFiles:
         """
         file = _resolved(path)
         if file in self.outputs - self.written:
-            raise _also_an_input(path)
+            raise _input_conflict(path)
         self.read.add(file)
 
     def add_output(self, path: Path) -> None:
@@ -220,7 +220,7 @@ class CommandFiles:
         if file in self.written:
             return
         if any(_same_file(file, one) for one in self.read):
-            raise _also_an_input(path)
+            raise _input_conflict(path)
         self.outputs.add(file)
 
 
@@ -234,9 +234,9 @@ def command_files() -> Iterator[CommandFiles]:
     Without it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested call returns the outer
     tracker.
     """
-    running = _COMMAND.get()
-    if running is not None:
-        yield running
+    outer = _COMMAND.get()
+    if outer is not None:
+        yield outer
         return
     files = CommandFiles()
     token = _COMMAND.set(files)
@@ -246,7 +246,7 @@ def command_files() -> Iterator[CommandFiles]:
         _COMMAND.reset(token)
 
 
-def _also_an_input(path: Path) -> InputError:
+def _input_conflict(path: Path) -> InputError:
     return InputError("output file is also an input", expected="another file", file=path)
 
 
@@ -276,8 +276,8 @@ def check_writable(paths: Sequence[Path]) -> None:
         InputError: a folder is missing or not writable; an output is an input, not a regular file, or read-only; two outputs are the
             same file.
     """
-    run = _COMMAND.get()
-    seen: set[Path] = set() if run is None else set(run.outputs)
+    tracker = _COMMAND.get()
+    seen: set[Path] = set() if tracker is None else set(tracker.outputs)
     for path in paths:
         file = _resolved(path)
         if file in seen:
@@ -296,9 +296,9 @@ def check_folder(folder: Path, path: Path) -> None:
     Raises:
         InputError: it is not writable.
     """
-    _sweep(folder)
+    _remove_leftovers(folder)
     try:
-        os.unlink(_created(folder))
+        os.unlink(_new_temporary(folder))
     except OSError as error:
         raise InputError("cannot be written", expected="a writable folder", file=path, value=error.strerror) from error
 
@@ -310,9 +310,9 @@ def _target(path: Path) -> Path:
         InputError: as `check_writable`, for one path.
     """
     file = _resolved(path)
-    run = _COMMAND.get()
-    if run is not None:
-        run.add_output(path)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.add_output(path)
     try:
         mode = path.stat().st_mode if path.exists() else None
     except OSError as error:
@@ -365,7 +365,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     """
     target = _target(path)
     try:
-        temporary = _created(target.parent)
+        temporary = _new_temporary(target.parent)
         try:
             with temporary.open("wb") as stream:
                 yield stream
@@ -392,9 +392,9 @@ def move_into_place(made: Path, path: Path) -> None:
             os.chown(made, old.st_uid, old.st_gid)
         os.chmod(made, stat.S_IMODE(old.st_mode))
     os.replace(made, target)
-    run = _COMMAND.get()
-    if run is not None:
-        run.written.add(target)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.written.add(target)
 
 
 @contextmanager
@@ -407,7 +407,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         OSError: it cannot be made.
     """
     place = Path(tempfile.gettempdir()) if parent is None else parent
-    _sweep(place)
+    _remove_leftovers(place)
     folder = place / _temporary_name()
     os.mkdir(folder, 0o700)
     try:
@@ -416,7 +416,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _created(folder: Path) -> Path:
+def _new_temporary(folder: Path) -> Path:
     """Create an empty temporary file with the mode of a new file and return its path."""
     path = folder / _temporary_name()
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -427,7 +427,7 @@ def _temporary_name() -> str:
     return f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}-{platform.node()}"
 
 
-def _sweep(folder: Path) -> None:
+def _remove_leftovers(folder: Path) -> None:
     """Remove this user's temporary files and folders whose process, on this computer, no longer runs."""
     try:
         candidates = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY)]
@@ -437,7 +437,7 @@ def _sweep(folder: Path) -> None:
         pid, _, rest = path.name.removeprefix(TEMPORARY).partition("-")
         with suppress(OSError):
             ours = path.lstat().st_uid == os.geteuid() and rest.partition("-")[2] == platform.node()
-            if not (ours and pid.isdecimal()) or _runs(int(pid)):
+            if not (ours and pid.isdecimal()) or _is_running(int(pid)):
                 continue
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
@@ -445,7 +445,7 @@ def _sweep(folder: Path) -> None:
                 path.unlink()
 
 
-def _runs(pid: int) -> bool:
+def _is_running(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -42,9 +42,9 @@ def _part(value: Any) -> Any:
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _part(one) for key, one in value.items()}
+        return {str(key): _part(item) for key, item in value.items()}
     if isinstance(value, Sequence | Set):
-        return [_part(one) for one in value]
+        return [_part(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):
         return json_form(value)
     raise TypeError(f"cannot convert {type(value).__name__} to JSON")

@@ -60,21 +60,21 @@ PARTLY_UNKNOWN: Final = SourceWarning(
 def merged(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
     """Return the warnings of several sources, each name once (its first occurrence), the most serious first."""
     first: dict[str, SourceWarning] = {}
-    for one in (one for each in lists for one in each):
-        first.setdefault(one.name, one)
-    return tuple(first[one.name] for one in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if one.name in first)
+    for warning in (warning for each in lists for warning in each):
+        first.setdefault(warning.name, warning)
+    return tuple(first[kind.name] for kind in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if kind.name in first)
 
 
 def to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
     """Return the entry ``warnings`` of a JSON file."""
-    return [one.to_dict() for one in warnings]
+    return [warning.to_dict() for warning in warnings]
 
 
 def texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
     """Return one line per warning."""
-    return tuple(one.text for one in warnings)
+    return tuple(warning.text for warning in warnings)
 
 
 def program_comments(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
     """Return one comment per warning for the header of a program."""
-    return tuple(f"twin: {one.text}" for one in warnings)
+    return tuple(f"twin: {warning.text}" for warning in warnings)

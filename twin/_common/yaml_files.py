@@ -38,7 +38,7 @@ _SCALARS: Final[Mapping[str, str]] = {
     f"{_YAML}null": "nothing",
 }
 """Accepted scalar tags, with the expected value in words."""
-_IN_WORDS: Final = {
+_EXPECTED_WORDS: Final = {
     "missing": "this entry",
     "float_parsing": "a number",
     "float_type": "a number",
@@ -82,11 +82,11 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     except ValidationError as error:
         # Report an unknown key before the missing key that it probably stands for.
         found = error.errors()
-        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
+        first = next((entry for entry in found if entry["type"] == "extra_forbidden"), found[0])
         # pydantic puts the tried member of a union into the path; the file has no such entry.
         place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
-        known = _known(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
+        known = _known_keys(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
         raise InputError(
             f"`{entry}` is missing" if first["type"] == "missing" else f"`{entry}` is invalid",
             expected=_expected(first, known),
@@ -94,7 +94,7 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
             line=line_of(place, lines),
             # The value enclosing a missing top-level entry would be the whole file.
             value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
-            nearest=_meant(first, known),
+            nearest=_suggested(first, known),
         ) from error
 
 
@@ -126,8 +126,8 @@ def read_yaml(path: Path) -> tuple[Any, Mapping[Place, int]]:
     finally:
         if loader is not None:
             loader.dispose()
-    reading = _Reading(path)
-    return (None if root is None else reading.plain(root, ())), reading.lines
+    converter = _NodeConverter(path)
+    return (None if root is None else converter.plain(root, ())), converter.lines
 
 
 @final
@@ -164,7 +164,7 @@ class _Loader(yaml.SafeLoader):
 
 
 @final
-class _Reading:
+class _NodeConverter:
     """Conversion of YAML nodes to plain data, with aliases expanded.
 
     Attributes:
@@ -174,7 +174,7 @@ class _Reading:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.lines: dict[Place, int] = {}
-        self._around: list[yaml.Node] = []
+        self._open_nodes: list[yaml.Node] = []
 
     def plain(self, node: yaml.Node, place: Place) -> Any:
         """Return the plain data of a node.
@@ -187,30 +187,30 @@ class _Reading:
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node)
         if node.tag not in (f"{_YAML}map", f"{_YAML}seq"):
-            raise self._fail("unsupported tag", "entries or a list without a tag", line, node.tag)
-        if any(one is node for one in self._around):
-            raise self._fail("alias inside its own anchor", "no recursion", line, None)
+            raise self._error("unsupported tag", "entries or a list without a tag", line, node.tag)
+        if any(one is node for one in self._open_nodes):
+            raise self._error("alias inside its own anchor", "no recursion", line, None)
         if len(self.lines) > MOST_ENTRIES:
-            raise self._fail(f"more than {MOST_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
-        self._around.append(node)
+            raise self._error(f"more than {MOST_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
+        self._open_nodes.append(node)
         try:
             if isinstance(node, yaml.SequenceNode):
                 return [self.plain(item, (*place, index)) for index, item in enumerate(node.value)]
             return self._entries(node, place)
         finally:
-            self._around.pop()
+            self._open_nodes.pop()
 
     def _entries(self, node: yaml.Node, place: Place) -> dict[Any, Any]:
         found: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                raise self._fail("list or mapping used as a key", "`name: value`", line, None)
+                raise self._error("list or mapping used as a key", "`name: value`", line, None)
             key = self._scalar(key_node)
             if not isinstance(key, str):
-                raise self._fail("key that is not text", "quotes around it", line, key_node.value)
+                raise self._error("key that is not text", "quotes around it", line, key_node.value)
             if key in found:
-                raise self._fail("duplicate key", "each key once", line, key)
+                raise self._error("duplicate key", "each key once", line, key)
             found[key] = self.plain(value_node, (*place, key))
             self.lines[(*place, key)] = line
         return found
@@ -219,27 +219,27 @@ class _Reading:
         line, text = node.start_mark.line + 1, node.value
         expected = _SCALARS.get(node.tag)
         if expected is None:
-            raise self._fail("unsupported tag", "text, numbers, true or false", line, f"{node.tag} {text}")
+            raise self._error("unsupported tag", "text, numbers, true or false", line, f"{node.tag} {text}")
         if node.tag == f"{_YAML}str":
             if control_character(text) is not None:
-                raise self._fail("control character in the text", "printable text", line, text)
+                raise self._error("control character in the text", "printable text", line, text)
             # YAML 1.1 reads 1e-3 as text, but the number is meant.
-            return self._in_size(_number(text), text, line) if node.style is None else text
+            return self._checked_size(_number(text), text, line) if node.style is None else text
         if len(text) > LONGEST_NUMBER:
-            raise self._fail(f"number of {len(text)} characters", expected, line, text)
+            raise self._error(f"number of {len(text)} characters", expected, line, text)
         try:
             value = yaml.constructor.SafeConstructor().construct_object(node)
         except (ArithmeticError, LookupError, ValueError):
-            raise self._fail("wrong kind of value", expected, line, text) from None
-        return self._in_size(value, text, line)
+            raise self._error("wrong kind of value", expected, line, text) from None
+        return self._checked_size(value, text, line)
 
-    def _in_size(self, value: Any, text: str, line: int) -> Any:
+    def _checked_size(self, value: Any, text: str, line: int) -> Any:
         # The schema rejects infinity, and its error names the entry.
         if isinstance(value, int | float) and LARGEST < abs(value) < float("inf"):
-            raise self._fail("number too large", f"at most {LARGEST:g}", line, text)
+            raise self._error("number too large", f"at most {LARGEST:g}", line, text)
         return value
 
-    def _fail(self, what: str, expected: str, line: int, value: object) -> InputError:
+    def _error(self, what: str, expected: str, line: int, value: object) -> InputError:
         return InputError(what, expected=expected, file=self.path, line=line, value=value)
 
 
@@ -261,19 +261,19 @@ def _expected(first: Any, known: Sequence[str]) -> str:
     """Return what is expected, in plain words instead of pydantic's."""
     if known:
         return f"one of {', '.join(known)}"
-    if first["type"] in _IN_WORDS:
-        return _IN_WORDS[first["type"]]
+    if first["type"] in _EXPECTED_WORDS:
+        return _EXPECTED_WORDS[first["type"]]
     return str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
 
 
-def _meant(first: Any, known: Sequence[str]) -> str | None:
+def _suggested(first: Any, known: Sequence[str]) -> str | None:
     """Return the known name closest to an unknown key, or the allowed word closest to another."""
     if first["type"] == "literal_error":
         return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
     return nearest(str(first["loc"][-1]), known) if known else None
 
 
-def _known(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
+def _known_keys(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
     """Return the known keys at the path of an unknown one."""
     models: list[type[BaseModel]] = [schema]
     for part in place[:-1]:

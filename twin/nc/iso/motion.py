@@ -37,7 +37,7 @@ class IsoMotion(Interpreter):
         self.cycle: Drilling | None = None
 
     @property
-    def settled(self) -> bool:
+    def runs_allowed(self) -> bool:
         """Whether simple lines can be interpreted together: no cycle, pending work offset, incremental mode or tool vector."""
         return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
 

@@ -144,7 +144,7 @@ class IsoReader:
     def _run(self, chunk: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
         """Read simple lines together; return False if the modal state does not allow it."""
         state = self._interpreter
-        if not state.settled:
+        if not state.runs_allowed:
             return False
         scan = chunk.scan
         lines = begin + np.flatnonzero(scan.simple[begin:end])
@@ -244,7 +244,7 @@ class IsoRewriter:
     ) -> bytes | None:
         """Return simple lines written together; None (and nothing done) if the modal state does not allow it."""
         state, writer = self._interpreter, self._writer
-        if not state.settled or state.inch or state.feed_mode == "93" or writer.style.min_decimals > MOST_DIGITS:
+        if not state.runs_allowed or state.inch or state.feed_mode == "93" or writer.style.min_decimals > MOST_DIGITS:
             return None
         lines = begin + np.flatnonzero(scan.simple[begin:end])
         if not lines.size:
