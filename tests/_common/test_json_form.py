@@ -1,4 +1,4 @@
-"""`json_form`: what every `--json` file is made of."""
+"""Tests of `json_form`, which makes the data of every `--json` file."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def test_fields_are_written_in_order_and_renamed() -> None:
 
 
 def test_what_has_no_form_is_refused() -> None:
-    with pytest.raises(TypeError, match="no form in JSON for object"):
+    with pytest.raises(TypeError, match="cannot convert object to JSON"):
         json_form({"a": object()})

@@ -163,7 +163,7 @@ def test_a_name_that_is_not_known_brings_the_nearest_that_is(
     meant: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert f"(is it {meant}" in refused(capsys, *arguments)
+    assert f"(did you mean {meant}" in refused(capsys, *arguments)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -186,13 +186,13 @@ def test_files_are_told_the_nearest_name_with_their_line(tmp_path: Path, text: s
     with pytest.raises(InputError) as stopped:
         twin.Calibration.load(path, twin.Machine.load("dmu50"))
     assert stopped.value.line == 4 and stopped.value.nearest == meant
-    assert f"(is it {meant}?)" in str(stopped.value)
+    assert f"(did you mean {meant}?)" in str(stopped.value)
 
 
 def test_columns_are_told_the_nearest_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table = tmp_path / "m.csv"
     table.write_text("X_mn,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm\n1,2,3,4,5,K,tool,1,2,3\n")
-    assert "X_mm is missing (is it X_mn?)" in refused(capsys, "identify", table, "-o", tmp_path / "x.yaml")
+    assert "X_mm is missing (did you mean X_mn?)" in refused(capsys, "identify", table, "-o", tmp_path / "x.yaml")
 
 
 def test_nearest_forgives_case_and_invents_nothing() -> None:
@@ -201,7 +201,11 @@ def test_nearest_forgives_case_and_invents_nothing() -> None:
     assert nearest("qqqq", ["E_XX"]) is None and is_it("qqqq", ["E_XX"]) == "" and nearest("", []) is None
     error = InputError("no such thing", expected="one of a, b", value="c", nearest="b")
     # A worker's error arrives as it was raised.
-    assert str(pickle.loads(pickle.dumps(error))) == str(error) == "no such thing: 'c' (is it b?); expected one of a, b"
+    assert (
+        str(pickle.loads(pickle.dumps(error)))
+        == str(error)
+        == "no such thing: 'c' (did you mean b?); expected one of a, b"
+    )
 
 
 @pytest.mark.parametrize(
@@ -274,7 +278,7 @@ def test_doctor_says_what_fails_and_what_to_do(
         return found
 
     monkeypatch.setattr(twin.Machine, "configuration", off)
-    monkeypatch.setattr(doctor_command.compiler, "found", lambda: None)
+    monkeypatch.setattr(doctor_command.compiler, "find_compiler", lambda: None)
     status, out, _ = run(capsys, "doctor", "--json", tmp_path / "d.json")
     told = json.loads((tmp_path / "d.json").read_text())
     assert status == 3 and told["failed"] == ["kinematics"] and told["ok"] is False

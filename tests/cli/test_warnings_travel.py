@@ -286,9 +286,9 @@ NOTE: Final = ("twin: SIMULATED READINGS: made up.",)
     ],
 )  # fmt: skip
 def test_comments_stand_behind_what_has_to_come_first(text: str, expected: str) -> None:
-    assert Iso().commented(text, NOTE) == expected
-    assert Iso().commented(expected, NOTE) == expected
-    assert Iso().commented(text, ()) == text
+    assert Iso().with_comments(text, NOTE) == expected
+    assert Iso().with_comments(expected, NOTE) == expected
+    assert Iso().with_comments(text, ()) == text
 
 
 @pytest.mark.parametrize(
@@ -304,18 +304,18 @@ def test_comments_stand_behind_what_has_to_come_first(text: str, expected: str) 
     ],
 )
 def test_numbered_blocks_stay_in_order(text: str, expected: str) -> None:
-    assert Heidenhain().commented(text, NOTE) == expected
-    assert Heidenhain().commented(expected, NOTE) == expected
+    assert Heidenhain().with_comments(text, NOTE) == expected
+    assert Heidenhain().with_comments(expected, NOTE) == expected
 
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda one: one.name)
 def test_long_comments_go_over_lines_and_are_said_once(dialect: Any) -> None:
     text = PROGRAMS[{"iso": "p.nc", "heidenhain": "p.h", "apt": "p.cls"}[dialect.name]]
-    once = dialect.commented(text, [f"twin: {one.text}" for one in EVERY])
+    once = dialect.with_comments(text, [f"twin: {one.text}" for one in EVERY])
     assert max(map(len, once.splitlines())) < 80
     assert said(once) == {one.name for one in EVERY}
-    assert dialect.commented(once, [f"twin: {one.text}" for one in EVERY[:2]]) == once
-    more = dialect.commented(dialect.commented(text, [f"twin: {SIMULATED.text}"]), [f"twin: {UNKNOWN.text}"])
+    assert dialect.with_comments(once, [f"twin: {one.text}" for one in EVERY[:2]]) == once
+    more = dialect.with_comments(dialect.with_comments(text, [f"twin: {SIMULATED.text}"]), [f"twin: {UNKNOWN.text}"])
     assert said(more) == {SIMULATED.name, UNKNOWN.name}
 
 

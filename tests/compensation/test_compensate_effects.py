@@ -465,8 +465,8 @@ def test_a_channel_that_cannot_be(part: Path, tmp_path: Path, capsys: pytest.Cap
     path = extended(tmp_path, EXPANSION, GROWTH, DRIFT)
     out = tmp_path / "out.nc"
     for given_, word in (
-        (["--temperature", "X=23", "bedd=21"], "'bedd' (is it bed?); expected one of X, Y, Z, B, C, bed"),
-        (["--temperature", "x=23", "bed=21"], "'x' (is it X?)"),
+        (["--temperature", "X=23", "bedd=21"], "'bedd' (did you mean bed?); expected one of X, Y, Z, B, C, bed"),
+        (["--temperature", "x=23", "bed=21"], "'x' (did you mean X?)"),
         (["--temperature", "X=23", "oil=21"], "'oil'; expected one of X, Y, Z, B, C, bed"),
         (["--temperature", "X=296", "bed=21"], "°C from -40 to 120"),
         (["--temperature", "X=warm"], "finite"),

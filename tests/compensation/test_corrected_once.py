@@ -235,7 +235,7 @@ def test_tables_that_were_on_while_it_was_measured(
     again = Calibration.load(path, dmu50)
     assert again.corrections == () and again.control is not None
     assert [entry.file.resolve() for entry in again.control.tables] == [entry.file for entry in section.tables]
-    with pytest.raises(InputError, match=r"linuxnc=X.comp' \(is it linuxcnc\?\)"):
+    with pytest.raises(InputError, match=r"linuxnc=X.comp' \(did you mean linuxcnc\?\)"):
         tables_on(["linuxnc=X.comp"], dmu50)
     with pytest.raises(InputError, match="read with the INI file"):
         tables_on([f"linuxcnc={tmp_path / 'X.comp'}"], dmu50)

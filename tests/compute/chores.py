@@ -18,7 +18,7 @@ def squared(shared: int, task: int) -> int:
 
 
 def product(shared: int, task: int) -> np.ndarray:
-    """The last digits of a matrix product are its number of threads' too."""
+    """Return a matrix product, whose last digits depend on the number of threads."""
     a = np.random.default_rng(np.random.SeedSequence(shared, spawn_key=(task,))).standard_normal((300, 300))
     return a @ a
 
@@ -30,7 +30,7 @@ def refusing(shared: int, task: int) -> int:
 
 
 def drawn_and_once_dead(shared: tuple[Draws, Path], task: tuple[int, int]) -> Tally:
-    """Machines; the first worker that has the third task ends as if somebody had pulled the plug."""
+    """Return drawn machines; the first worker that has the third task kills itself."""
     draws, mark = shared
     if task[0] == 2 and not mark.exists():
         mark.touch()
@@ -45,7 +45,7 @@ def deadly(shared: int, task: int) -> int:
 
 
 def patient(shared: Path, task: int) -> int:
-    """Says that it has begun, and takes its time."""
+    """Mark that the task has begun, and sleep."""
     (shared / str(task)).touch()
     time.sleep(60.0)
     return task

@@ -1,4 +1,4 @@
-"""Solving fast: compiled code against NumPy's, Pinocchio and the C library; what is kept between runs, and what is not trusted."""
+"""Compiled code compared with NumPy, Pinocchio and the C library; the cache of libraries and its checks."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from twin.machine.machine import Machine
 
 TINY = 'extern "C" int answer() { return 42; }\n'
 
-compiled = pytest.mark.skipif(compiler.found() is None, reason="no C++ compiler here")
+compiled = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C++ compiler here")
 
 
 @pytest.fixture(scope="session")
 def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One cache for all tests that only want to solve."""
+    """Return one cache for all tests that only solve."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -55,19 +55,19 @@ def eager(libraries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(loading.SWITCH, raising=False)
     monkeypatch.setattr(loading, "WORTH_COMPILING", 0)
     monkeypatch.setattr(loading, "_failed", {})
-    # Room for results as nobody would leave it: fresh memory is full of zeros, and zero means converged.
+    # Fill the result arrays with invalid values: fresh memory is full of zeros, and zero means converged.
     monkeypatch.setattr(BatchOutcome, "empty", staticmethod(spoilt))
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of one's own, not there yet."""
+    """Return a cache folder of the test's own, which does not exist yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     return tmp_path / "home" / "twin"
 
 
 def hard(machine: Machine, nominal: Kinematics, n: int, rng: np.random.Generator) -> tuple[Poses, np.ndarray]:
-    """Poses all over the range: at its limits and near the singularity; numbers that are none, infinite, or far too large."""
+    """Return poses over the whole range, at its limits and near singularities, some not finite or far too large."""
     q = random_commands(machine, n, rng)
     limits = machine.limits / machine.scale[:, None]
     for k, axis in enumerate(np.flatnonzero(np.isfinite(limits[:, 0]))):
@@ -89,7 +89,7 @@ def hard(machine: Machine, nominal: Kinematics, n: int, rng: np.random.Generator
 
 
 def both(inverse: Inverse, target: Poses, start: np.ndarray, **given: object) -> tuple[Solution, Solution]:
-    """Solved by compiled code, then without it."""
+    """Return the solutions by compiled code and without it."""
     fast = inverse.solve(target, start, **given)  # type: ignore[arg-type]
     assert inverse._solver._native is not None
     with pytest.MonkeyPatch.context() as patch:
@@ -103,8 +103,8 @@ def assert_alike(fast: Solution, plain: Solution) -> None:
     assert np.array_equal(np.isnan(fast.positions), np.isnan(plain.positions))
     assert np.array_equal(np.isinf(fast.point_residual_mm), np.isinf(plain.point_residual_mm))
     there = np.isfinite(plain.point_residual_mm) & (plain.point_residual_mm < 1.0)
-    # The promise, mm and degrees; both stop within a tenth of it. At a singularity that is magnified: both meet the target to 1e-12 mm,
-    # and one in a million is 2.5e-9 mm from the other.
+    # Tolerance in mm and degrees; both stop within a tenth of it. At a singularity differences are magnified: both reach the target to
+    # 1e-12 mm, and one pose in a million differs by 2.5e-9 mm.
     promise = np.where(plain.where(Status.SINGULAR), 1e-8, 1e-9)[:, None]
     assert np.nanmax((np.abs(fast.positions - plain.positions) / promise)[there]) <= 1.0
     assert np.abs(fast.orientation_residual_rad[there] - plain.orientation_residual_rad[there]).max() <= 1e-12
@@ -116,7 +116,7 @@ def assert_alike(fast: Solution, plain: Solution) -> None:
 @pytest.mark.usefixtures("eager")
 @pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
 def test_compiled_and_plain_give_the_same(name: str) -> None:
-    """Every status and every position, on all machines, whatever the numbers."""
+    """Compare every status and every position, on all machines, with all kinds of numbers."""
     machine = Machine.load(name)
     rng = np.random.default_rng(21)
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=80.0)
@@ -132,7 +132,7 @@ def test_compiled_and_plain_give_the_same(name: str) -> None:
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_no_pose_is_lost(dmu50: Machine, calibration: Calibration) -> None:
-    """Blocks of poses are sorted into done at once, done later and not to be done; `spoilt` shows what nobody wrote."""
+    """Poses of a block finish early, late or not at all; `spoilt` reveals outputs that were never written."""
     rng = np.random.default_rng(35)
     q = random_commands(dmu50, 600_000, rng)
     target = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0).forward(q)
@@ -156,7 +156,7 @@ def test_a_million_poses_are_the_same(dmu50: Machine, calibration: Calibration) 
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_pinocchio_confirms(dmu50: Machine, calibration: Calibration) -> None:
-    """Its own kinematics, at the compiled commands, is where the target was."""
+    """Pinocchio's kinematics at the compiled commands gives the targets."""
     rng = np.random.default_rng(23)
     real = Kinematics(dmu50, calibration, tool_length_mm=100.0)
     q = random_commands(dmu50, 500, rng)
@@ -192,7 +192,7 @@ def test_one_pose_many_poses_and_threads_give_the_same_bits(dmu50: Machine, cali
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_arrays_of_any_make(dmu50: Machine, calibration: Calibration) -> None:
-    """Column-major, every other row, single precision: the compiled code reads what is there."""
+    """Column-major, strided and single-precision arrays are read correctly."""
     rng = np.random.default_rng(25)
     target, start = hard(dmu50, Kinematics(dmu50, Calibration.zero(dmu50)), 400, rng)
     inverse = Inverse(Kinematics(dmu50, calibration))
@@ -216,7 +216,7 @@ def test_a_directed_machine(dmu50: Machine, calibration: Calibration) -> None:
     sides = rng.integers(-1, 2, start.shape).astype(float)
     fast, plain = both(inverse, target, start, approach=sides)
     assert_alike(fast, plain)
-    # With the rotary axes held Y alone takes up half of the reversal, to the product of two small numbers.
+    # With the rotary axes fixed, Y alone compensates half of the reversal, to the product of two small numbers.
     known, unknown = (inverse.solve(target, start, rotary=False, approach=side) for side in (sides, None))
     good = known.where(Status.CONVERGED) & unknown.where(Status.CONVERGED)
     assert known.positions[good, 1] - unknown.positions[good, 1] == pytest.approx(-0.003 * sides[good, 1], abs=2e-5)
@@ -236,8 +236,8 @@ def test_other_numbers_need_no_other_code(dmu50: Machine) -> None:
 
 @compiled
 def test_sine_and_cosine(cache: Path) -> None:
-    """Against Python's own, over small, ordinary and the largest angles: within two roundings of one."""
-    tool = compiler.found()
+    """Compare with Python's, over small, ordinary and the largest angles: within two roundings of one."""
+    tool = compiler.find_compiler()
     assert tool is not None
     source = (Path(solver.__file__).parent / "simd.hpp").read_text() + (
         'extern "C" void run(long n, const double *x, double *s, double *c, double *f) { for (long i = 0; i < n; i += W) {'
@@ -261,7 +261,7 @@ def test_sine_and_cosine(cache: Path) -> None:
 
 
 def test_a_tape_is_its_function() -> None:
-    """All operations, conditions with not-a-number in the branch not taken, multiples of an angle; against CasADi."""
+    """Compare with CasADi: all operations, conditions with not-a-number in the unused branch, multiples of an angle."""
     x = ca.SX.sym("x", 4)
     values = [
         ca.if_else(x[0] < 0.0, 1.0, ca.sqrt(x[0])),
@@ -277,9 +277,9 @@ def test_a_tape_is_its_function() -> None:
     tape = Tape(function)
     rng = np.random.default_rng(29)
     columns = rng.normal(size=(4, 3000)) * 2.0
-    truth = np.concatenate([np.asarray(part) for part in function(columns)])
+    is_logical = np.concatenate([np.asarray(part) for part in function(columns)])
     # Eight multiples of an angle, a rounding each.
-    assert np.abs(tape(list(columns)) - truth).max() <= 8 * 4e-16 * np.abs(truth).max()
+    assert np.abs(tape(list(columns)) - is_logical).max() <= 8 * 4e-16 * np.abs(is_logical).max()
     assert sum(kind in ("sin", "cos") for kind, _, _ in tape.nodes) == 2
     with pytest.raises(UnknownOperationError):
         Tape(ca.Function("g", [x], [ca.erf(x)]))
@@ -288,7 +288,7 @@ def test_a_tape_is_its_function() -> None:
 @pytest.mark.parametrize("switch", ["0", pytest.param("1", marks=compiled)])
 @pytest.mark.usefixtures("eager")
 def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, switch: str) -> None:
-    """Kinematics of more rows than CasADi is asked for, either way, against CasADi's own; numbers that are none stay so."""
+    """Compare both evaluations of more rows than CasADi is used for with CasADi's; not-a-number is preserved."""
     monkeypatch.setenv(loading.SWITCH, switch)
     n = 2 * loading.PORTION + 5 if switch == "1" else 3 * batch.MANY + 5
     q = random_commands(dmu50, n, np.random.default_rng(33)) * dmu50.scale
@@ -296,13 +296,13 @@ def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: p
     real = Kinematics(dmu50, calibration, tool_length_mm=60.0)
     found = [np.concatenate(real.reached(q), axis=1)]
     found.append(np.concatenate(real.reached(np.delete(q, [11, 13], axis=0)), axis=1))
-    assert (real._forward._fast._library is not None) == (switch == "1")
+    assert (real._forward._row_function._library is not None) == (switch == "1")
     monkeypatch.setattr(batch, "MANY", n + 1)
-    truth = np.concatenate(real.reached(q), axis=1)
-    assert np.array_equal(np.isnan(found[0]), np.isnan(truth))
-    # Metres and cosines of at most one, some hundred roundings one after the other.
-    assert np.nanmax(np.abs(found[0] - truth)) <= 1e-14
-    assert np.nanmax(np.abs(found[1] - np.delete(truth, [11, 13], axis=0))) <= 1e-14
+    is_logical = np.concatenate(real.reached(q), axis=1)
+    assert np.array_equal(np.isnan(found[0]), np.isnan(is_logical))
+    # Metres and cosines of at most one, some hundred successive roundings.
+    assert np.nanmax(np.abs(found[0] - is_logical)) <= 1e-14
+    assert np.nanmax(np.abs(found[1] - np.delete(is_logical, [11, 13], axis=0))) <= 1e-14
 
 
 @pytest.mark.parametrize(
@@ -310,21 +310,21 @@ def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: p
 )
 @pytest.mark.usefixtures("eager")
 def test_rows_taken_from_a_table(rows: int, switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same bits as with the rows written out, whichever way they go; beside rows of one's own and one value for all."""
+    """Rows of a table give the same bits as expanded rows, beside other rows and one value for all."""
     monkeypatch.setenv(loading.SWITCH, switch)
     x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z")
     function = batch.BatchFunction(ca.Function("f", [x, y, z], [ca.sin(x) * z, x[0] * y + x[1]]))
     rng = np.random.default_rng(35)
     taken = Taken(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
     own, shared = rng.normal(size=(rows, 2)), np.array([1.7])
-    found, truth = function(taken, own, shared), function(taken.written(), own, shared)
-    assert (function._fast._library is not None) == (switch == "1")
-    assert all(np.array_equal(a, b) for a, b in zip(found, truth, strict=True))
+    found, is_logical = function(taken, own, shared), function(taken.written(), own, shared)
+    assert (function._row_function._library is not None) == (switch == "1")
+    assert all(np.array_equal(a, b) for a, b in zip(found, is_logical, strict=True))
     table = taken.table.copy()
     table[5, 1] = 3e5  # an angle too large for the C++
     far = Taken(table, taken.line)
-    found, truth = function(far, own, shared), function(far.written(), own, shared)
-    assert found[0] == pytest.approx(truth[0], abs=1e-15) and found[1] == pytest.approx(truth[1], rel=1e-15)
+    found, is_logical = function(far, own, shared), function(far.written(), own, shared)
+    assert found[0] == pytest.approx(is_logical[0], abs=1e-15) and found[1] == pytest.approx(is_logical[1], rel=1e-15)
 
 
 def test_a_function_with_an_operation_not_known_here() -> None:
@@ -334,11 +334,11 @@ def test_a_function_with_an_operation_not_known_here() -> None:
     assert function(rows)[0][:, 0] == pytest.approx([math.erf(a) + b for a, b in rows], abs=1e-15)
 
 
-# What is kept, and what is trusted.
+# Cache and its checks.
 
 
 def counting(folder: Path, *, does: str = 'exec c++ "$@"') -> Compiler:
-    """A compiler that writes a line each time it is called to compile."""
+    """Return a compiler that writes a line for each compilation."""
     script = folder / "counting"
     script.write_text(f'#!/bin/sh\necho called >> "{folder}/calls"\n{does}\n')
     script.chmod(0o700)
@@ -365,7 +365,7 @@ def test_compiled_once(cache: Path, tmp_path: Path) -> None:
 
 
 def test_a_library_is_of_its_compiler_its_flags_and_its_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A home on several computers: code for a processor that another one lacks the instructions of is never loaded there."""
+    """With one home on several computers, code for another processor is never loaded."""
     tool = Compiler(("c++",), "c++ 1.0")
     own = store.key(TINY, tool)
     assert own == store.key(TINY, Compiler(("c++",), "c++ 1.0"))
@@ -386,7 +386,7 @@ def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) ->
     name = store.key(TINY, tool)
     store.library(TINY, tool)
     target, note = cache / f"{name}.so", cache / f"{name}.sha256"
-    # Another file, not the same one changed: this process has that one mapped.
+    # Replace the file instead of changing it: this process has it mapped.
     content = target.read_bytes()
     target.unlink()
     target.write_bytes(content[: len(content) // 2] if harm == "truncated" else content + b"!" * (harm == "changed"))
@@ -398,10 +398,10 @@ def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) ->
     elif harm == "a link":
         target.rename(tmp_path / "elsewhere.so")
         target.symlink_to(tmp_path / "elsewhere.so")
-    assert store.kept(name) is None
+    assert store.cached_library(name) is None
     assert store.library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 2
-    assert store.kept(name) is not None
+    assert store.cached_library(name) is not None
 
 
 @compiled
@@ -413,7 +413,7 @@ def test_what_belongs_to_somebody_else_is_not_loaded(
     before = {path.name: path.read_bytes() for path in cache.iterdir()}
     me = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: me + 1)
-    assert store.kept(store.key(TINY, tool)) is None
+    assert store.cached_library(store.key(TINY, tool)) is None
     assert store.library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 2
     assert {path.name: path.read_bytes() for path in cache.iterdir()} == before
@@ -422,13 +422,13 @@ def test_what_belongs_to_somebody_else_is_not_loaded(
 @compiled
 @pytest.mark.parametrize("obstacle", ["a file", "read-only"])
 def test_a_home_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, obstacle: str) -> None:
-    """Solved all the same; nothing is left anywhere."""
+    """The problem is solved nevertheless, and no file remains."""
     home = tmp_path / "home"
     if obstacle == "a file":
         home.write_text("")
     else:
         home.mkdir(mode=0o500)
-        # The superuser may write anywhere: what the others are told.
+        # The superuser may write anywhere: simulate the error for other users.
         monkeypatch.setattr(Path, "mkdir", _refused)
     monkeypatch.setenv("XDG_CACHE_HOME", str(home))
     room = tmp_path / "tmp"
@@ -446,7 +446,7 @@ def _refused(path: Path, *args: object, **options: object) -> None:
 
 @compiled
 def test_two_processes_at_once(cache: Path, tmp_path: Path) -> None:
-    """Both get it, one builds it."""
+    """Both get the library, and only one builds it."""
     tool = counting(tmp_path, does='sleep 1\nexec c++ "$@"')
     script = (
         "from twin.compute.native import store\nfrom twin.compute.native.compiler import Compiler\n"
@@ -499,7 +499,7 @@ def test_a_compiler_that_fails_is_said_once(
 def test_no_compiler_and_switched_off(
     dmu50: Machine, calibration: Calibration, eager: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither is worth a word but in `twin info`."""
+    """Neither gives a message except in `twin info`."""
     real = Kinematics(dmu50, calibration)
     q = random_commands(dmu50, 200, np.random.default_rng(31))
     target = real.forward(q)
@@ -521,7 +521,7 @@ def test_no_compiler_and_switched_off(
 def test_a_compiler_that_miscompiles_is_not_believed(
     dmu50: Machine, calibration: Calibration, eager: None, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One wrong sign in what the sine is made of: NumPy's check of the first poses finds it."""
+    """NumPy's check of the first poses finds one wrong sign in the sine."""
     script = tmp_path / "wrong"
     script.write_text(
         '#!/bin/sh\ncase "$1" in --version) echo wrong 1.0; exit;; esac\n'
@@ -551,5 +551,5 @@ def test_info_says_which_way(tmp_path: Path) -> None:
         )
         told[switch] = next(line for line in done.stdout.splitlines() if line.startswith("inverse "))
     assert told["0"] == "inverse       NumPy (TWIN_NATIVE=0)"
-    expected = "NumPy (no C++ compiler found)" if compiler.found() is None else "compiled from "
+    expected = "NumPy (no C++ compiler found)" if compiler.find_compiler() is None else "compiled from "
     assert told["1"].startswith(f"inverse       {expected}")

@@ -1,4 +1,4 @@
-"""Many processes and a real Dask cluster: the same bits as in one process, whoever dies; and what is refused before the work begins."""
+"""Several processes and a real Dask cluster: the same bits as in one process even if workers die; errors found before the work."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PROGRAM = "G21 G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X120 F500\nY150 C20\nM30\n"
 
 
 def until(what: object, seconds: float = 60.0) -> None:
-    """Wait for something to become true."""
+    """Wait for a condition to become true."""
     end = time.monotonic() + seconds
     while not what():  # type: ignore[operator]
         assert time.monotonic() < end, "it did not come"
@@ -47,7 +47,7 @@ def until(what: object, seconds: float = 60.0) -> None:
 
 
 def worker(address: str, room: Path, path: Path, *options: str) -> subprocess.Popen[bytes]:
-    """A Dask worker process, with that folder on its path."""
+    """Start a Dask worker process with a folder on its path."""
     command = [*DASK, "worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory", str(room), *options]
     return subprocess.Popen(
         command,
@@ -60,7 +60,7 @@ def worker(address: str, room: Path, path: Path, *options: str) -> subprocess.Po
 
 @pytest.fixture(scope="module")
 def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler and two workers, each a process as it would be on another computer."""
+    """Start a scheduler and two workers, each a process as on another computer."""
     room = tmp_path_factory.mktemp("cluster")
     told = room / "scheduler.json"
     command = [*DASK, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
@@ -77,14 +77,14 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             client.wait_for_workers(2, timeout=60)
         yield address
     finally:
-        for process in reversed(processes):  # workers first: they take their leave of the scheduler
+        for process in reversed(processes):  # workers first, since they unregister with the scheduler
             process.terminate()
             process.wait(30)
 
 
 @pytest.fixture(params=["loky", "dask"])
 def others(request: pytest.FixtureRequest) -> Workers:
-    """Other processes: of this computer, and a cluster's."""
+    """Return workers in other processes: on this computer, and on a cluster."""
     return LOKY if request.param == "loky" else Workers(scheduler=request.getfixturevalue("scheduler"))
 
 
@@ -107,7 +107,7 @@ def test_threads_of_linear_algebra_do_not_show(others: Workers) -> None:
 
 
 def drawn(machine: Machine, calibration: Calibration, workers: Workers) -> str:
-    """Three tasks of machines."""
+    """Return the result of three tasks of drawn machines."""
     kinematics = Kinematics(machine, calibration, tool_length_mm=120.0)
     return json.dumps(draw_machines(kinematics, trials=40_000, poses=12, seed=3, workers=workers).to_dict())
 
@@ -124,7 +124,7 @@ def test_a_volume_is_the_same_to_the_last_bit(
 
 
 def answered(workers: Workers) -> list[battery.Answer]:
-    """Two data sets."""
+    """Return the answers for two data sets."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(battery, "FRESH", 2)
         found = battery.answers("one60", 3, 33, poses=30, workers=workers)
@@ -143,7 +143,7 @@ def test_a_battery_is_the_same(answered_here: list[battery.Answer], others: Work
 def test_the_volume_of_another_process_with_other_threads(
     uncertain: Calibration, dmu50: Machine, tmp_path: Path
 ) -> None:
-    """From a file, by the command, in a process whose linear algebra begins with two threads; here it has one (conftest.py)."""
+    """Run the command on a file in a process whose linear algebra starts with two threads; here it has one (conftest.py)."""
     uncertain.save(tmp_path / "c.yaml")
     loaded = Kinematics(dmu50, Calibration.load(tmp_path / "c.yaml", dmu50))
     wanted = draw_machines(loaded, trials=1000, poses=5, seed=3, workers=HERE).to_dict()
@@ -170,7 +170,7 @@ def test_its_rivals_are_the_same(monkeypatch: pytest.MonkeyPatch, others: Worker
 
 
 def ended(*arguments: object) -> int:
-    """The exit status of a command."""
+    """Return the exit status of a command."""
     with pytest.raises(SystemExit) as stopped:
         cli.main([str(argument) for argument in arguments])
     return int(stopped.value.code or 0)
@@ -182,7 +182,7 @@ def options(workers: Workers) -> list[str]:
 
 @pytest.fixture
 def parts(tmp_path: Path) -> dict[str, str]:
-    """Programs to go through, one that leaves the range, one that cannot be read, one that is not there."""
+    """Return programs to process: one that leaves the range, one that cannot be read, one that does not exist."""
     folder = tmp_path / "in"
     folder.mkdir()
     (folder / "a.nc").write_text(PROGRAM)
@@ -210,7 +210,7 @@ def test_programs_are_the_same_and_a_bad_one_stops_none(
     assert sorted(path.name for path in out.iterdir()) == wanted
     assert "(line 3): outside the range of X" in (out / "far.nc.report.txt").read_text()
     assert json.loads((out / "a.nc.report.json").read_text())["program"] == parts["a.nc"]
-    # What is wrong is said of the user's own file, wherever it was read.
+    # The error names the user's own file, wherever it was read.
     assert f"twin: {parts['bad.nc']}:2:" in printed.err and parts["none.nc"] in printed.err
     assert printed.err.count("\n") == 2
     assert "5 programs: 2 done, 1 done with something not met, 2 failed" in printed.out
@@ -225,7 +225,7 @@ def test_exit_status_of_several(parts: dict[str, str], tmp_path: Path) -> None:
     out.mkdir()
     assert ended("compensate", parts["a.nc"], parts["b.h"], "-o", out, "--workers", 1) == 0
     assert ended("compensate", parts["a.nc"], parts["far.nc"], "-o", out, "--workers", 1) == 3
-    assert ended("compensate", parts["a.nc"], "-o", out) == 0  # of one, into a folder that is there
+    assert ended("compensate", parts["a.nc"], "-o", out) == 0  # a single program, into an existing folder
     assert ended("compensate", parts["bad.nc"], parts["none.nc"], "-o", tmp_path / "new", "--workers", 1) == 2
     assert not (tmp_path / "new").exists()
 
@@ -254,7 +254,7 @@ def test_several_that_cannot_go_into_that_folder(
 def test_a_worker_that_is_killed_loses_nothing(
     dmu50: Machine, uncertain: Calibration, tmp_path: Path, others: Workers
 ) -> None:
-    """Killed by its own id in the middle of a Monte Carlo run; all machines are there, and the same."""
+    """Kill a worker by its id during a Monte Carlo run; all machines are drawn, with the same result."""
     draws = draws_of(dmu50, uncertain, poses=12).pilot()
     tasks = [(i, 2000) for i in range(6)]
     wanted = [draws.part(task) for task in tasks]
@@ -272,34 +272,40 @@ def test_a_refusal_arrives_as_it_was_raised(others: Workers) -> None:
 
 
 def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch, others: Workers) -> None:
-    """All others are done, and nobody waits for ever. Two deaths are enough to see it: one among others, one alone."""
-    monkeypatch.setattr(run, "TOGETHER", 1)
-    monkeypatch.setattr(run, "DEATHS", 2)
-    found = dict(finished(chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", refusals=True))
+    """All other tasks are completed, without endless waiting. Two deaths suffice: one among others, one alone."""
+    monkeypatch.setattr(run, "SUSPECT_DEATHS", 1)
+    monkeypatch.setattr(run, "MAX_DEATHS", 2)
+    found = dict(
+        finished(chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", return_errors=True)
+    )
     refusal = found.pop(3)
-    assert isinstance(refusal, InputError) and "had this task" in str(refusal) and "task number 3" in str(refusal)
+    assert (
+        isinstance(refusal, InputError)
+        and "while running this task" in str(refusal)
+        and "task number 3" in str(refusal)
+    )
     assert found == {0: 0, 1: 1, 2: 2}
 
 
 def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         for address in ("banana", "tcp://127.0.0.1:1", f"tcp://127.0.0.1:{silent.getsockname()[1]}"):
-            with pytest.raises(InputError, match="no Dask scheduler answers there"):
+            with pytest.raises(InputError, match="no Dask scheduler at this address"):
                 list(in_order(chores.squared, 1, range(3), Workers(scheduler=address)))
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("twin.compute.parallel.cluster", "distributed"):
-        monkeypatch.setitem(sys.modules, name, None)  # as Python has it of what cannot be imported
+        monkeypatch.setitem(sys.modules, name, None)  # marks the module as not importable
     with pytest.raises(InputError, match=r"twin\[cluster\]"):
         list(in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 
 
 def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
-    """A worker started in a folder is refused with these words, and the others are asked again once it is gone."""
+    """Check that a worker started in a folder is rejected with these words, and that work goes on when it is gone."""
 
     def refused() -> bool:
         try:
@@ -312,7 +318,7 @@ def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
     with Client(scheduler) as client:
         here = len(client.nthreads())
         stranger = worker(scheduler, folder, folder)
-        # Not asked for work before it is one of them: a worker that joins while work is handed out closes where it has no twin.
+        # Wait until it has joined: a worker without twin closes if it joins while tasks are distributed.
         client.wait_for_workers(here + 1, timeout=60)
     try:
         assert refused()
@@ -323,7 +329,7 @@ def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
 
 
 def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -> None:
-    """Another text, of the same version: the digits could be others."""
+    """Another source with the same version could give other digits."""
     shutil.copytree(ROOT / "twin", tmp_path / "twin", ignore=shutil.ignore_patterns("__pycache__"))
     with (tmp_path / "twin" / "units.py").open("a") as stream:
         stream.write("# another\n")
@@ -335,7 +341,7 @@ def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_worker_without_twin_is_refused(scheduler: str, tmp_path: Path) -> None:
-    """As on a computer where it is not installed: neither found as a package nor as a distribution."""
+    """As on a computer without twin: neither package nor distribution is found."""
     hidden = """
 import importlib.metadata, sys
 class Hide:
@@ -353,12 +359,12 @@ importlib.metadata.version = without
 """
     (tmp_path / "sitecustomize.py").write_text(hidden)
 
-    _refused_while_there(scheduler, tmp_path, "a worker without twin")
+    _refused_while_there(scheduler, tmp_path, "twin is not installed on a worker")
 
 
 @pytest.mark.slow
 def test_interrupt_ends_the_workers_and_keeps_what_is_written(tmp_path: Path) -> None:
-    """Ctrl-C, which all processes of a terminal get: one program is done, one is not."""
+    """Send Ctrl-C, as a terminal does to all its processes: one program is done, one is not."""
     (tmp_path / "a.nc").write_text(PROGRAM)
     (tmp_path / "long.nc").write_text("G90\nG0 X100 Y100 Z-100 B30 C10\n" + "G1 X110 F500\nX100\n" * 2_000_000)
     out = tmp_path / "out"
@@ -373,7 +379,7 @@ def test_interrupt_ends_the_workers_and_keeps_what_is_written(tmp_path: Path) ->
     os.killpg(process.pid, signal.SIGINT)
     printed, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    # A compiler that was at work is ended, too, and its worker may say so first.
+    # A running compiler is ended, too, and its worker may report that first.
     said = ["twin: 1 of 2 programs written", "twin: interrupted, nothing half written"]
     assert errors.decode().splitlines()[-2:] == said
     assert b"1 done" in printed
@@ -382,7 +388,7 @@ def test_interrupt_ends_the_workers_and_keeps_what_is_written(tmp_path: Path) ->
 
 
 def alive(group: int) -> bool:
-    """Whether any process of that group is there."""
+    """Return whether any process of a group exists."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:

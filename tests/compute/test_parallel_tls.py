@@ -1,4 +1,4 @@
-"""A Dask cluster whose connections are encrypted: with certificates it works, without them it is refused in one line."""
+"""A Dask cluster with encrypted connections: it works with certificates, and without them gives an error of one line."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def openssl(folder: Path, *words: str) -> None:
 
 
 def make_authority(folder: Path, name: str) -> Tls:
-    """An authority and a certificate that it signed."""
+    """Create an authority and a certificate signed by it."""
     authority, subject = ["-subj", f"/CN=authority of {name}"], ["-subj", f"/CN={name}"]
     openssl(folder, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *authority, "-keyout", f"{name}-ca.key", "-out",
             f"{name}-ca.pem", "-addext", "keyUsage=critical,keyCertSign,cRLSign")  # fmt: skip
     openssl(folder, "req", "-newkey", "rsa:2048", "-nodes", *subject, "-keyout", f"{name}.key", "-out", f"{name}.csr")
-    # Python 3.13 refuses a certificate without them (VERIFY_X509_STRICT).
+    # Python 3.13 rejects a certificate without these extensions (VERIFY_X509_STRICT).
     (folder / "extensions").write_text("subjectKeyIdentifier=hash\nauthorityKeyIdentifier=keyid\n")
     openssl(folder, "x509", "-req", "-in", f"{name}.csr", "-CA", f"{name}-ca.pem", "-CAkey", f"{name}-ca.key", "-CAcreateserial",
             "-extfile", "extensions", "-days", "2", "-out", f"{name}.pem")  # fmt: skip
@@ -50,7 +50,7 @@ def strange(tmp_path_factory: pytest.TempPathFactory) -> Tls:
 
 @pytest.fixture(scope="module")
 def scheduler(tmp_path_factory: pytest.TempPathFactory, certificates: Tls) -> Iterator[str]:
-    """A scheduler at tls:// and one worker."""
+    """Start a scheduler at tls:// and one worker."""
     room = tmp_path_factory.mktemp("cluster")
     written = room / "scheduler.json"
     files = [
@@ -95,19 +95,19 @@ def test_dasks_own_configuration(scheduler: str, certificates: Tls) -> None:
 
 
 def test_certificates_of_another_authority(scheduler: str, strange: Tls) -> None:
-    with pytest.raises(InputError, match=r"no Dask scheduler answers there.*one authority on both sides"):
+    with pytest.raises(InputError, match=r"no Dask scheduler at this address.*one authority on both sides"):
         list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler, tls=strange)))
 
 
 def test_no_certificates(scheduler: str) -> None:
-    with pytest.raises(InputError, match="do not belong together") as caught:
+    with pytest.raises(InputError, match="TLS settings do not match") as caught:
         list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
     assert caught.value.value == scheduler
 
 
 def test_encryption_that_is_required_and_not_there() -> None:
     required = {"distributed.comm.require-encryption": True}
-    with dask.config.set(required), pytest.raises(InputError, match="do not belong together"):
+    with dask.config.set(required), pytest.raises(InputError, match="TLS settings do not match"):
         list(in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 
 
@@ -152,7 +152,7 @@ def test_the_options_of_a_command(
 
 
 def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
-    """Runs the command line; exit status and stderr."""
+    """Return a function that runs the command line and returns exit status and stderr."""
 
     def run(*words: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as ended:
@@ -166,4 +166,4 @@ def test_the_documentation_says_whom_a_scheduler_must_trust(capsys: pytest.Captu
     with pytest.raises(SystemExit):
         cli.main(["doc", "many"])
     page = " ".join(capsys.readouterr().out.split())
-    assert "trusted like your own code" in page and "cloudpickle" in page and "--tls-ca" in page
+    assert "only as you trust your own code" in page and "cloudpickle" in page and "--tls-ca" in page

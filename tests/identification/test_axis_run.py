@@ -343,8 +343,8 @@ GOOD = "0,-500,-500,-500,0,0,0,0,0,0,1"
 @pytest.mark.parametrize(
     ("text", "said", "line"),
     [
-        (table([GOOD, GOOD.replace("-500", "x", 1)]), "beam_x1_mm is no number", 4),
-        (table([GOOD, GOOD[:-1] + "2"]), "approach is no direction", 4),
+        (table([GOOD, GOOD.replace("-500", "x", 1)]), "beam_x1_mm is not a number", 4),
+        (table([GOOD, GOOD[:-1] + "2"]), "approach is not a direction", 4),
         (table([GOOD, GOOD + ",1"]), "12 cells", 4),
         (table([GOOD]).replace("beam_z3_mm", "beam_z4_mm"), "column beam_z3_mm is missing", 2),
         (table([]), "no reading", None),
@@ -369,7 +369,7 @@ def test_rows_that_cannot_be_used_are_named(layout: AxisLayout, tmp_path: Path) 
     assert [(note.line, note.text) for note in found.set_aside] == [
         (4, "a commanded position that is no finite number")
     ]
-    assert found.notices == ("column aproach is not understood and not used (is it approach?)",)
+    assert found.notices == ("column aproach is unknown and not used (did you mean approach?)",)
 
 
 def test_too_few_positions(machine: Machine, layout: AxisLayout) -> None:

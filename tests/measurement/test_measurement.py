@@ -137,7 +137,7 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
     ("lines", "header", "line", "words"),
     [
         ([], HEADER, None, "one row a point"),
-        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (is it X_m?)"),
+        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (did you mean X_m?)"),
         (rows(0), HEADER.replace("carrier", "side"), 2, "carrier"),
         (rows(0), HEADER.replace("Y_mm", "X_mm"), 2, "each column once"),
         ([*rows(0), ROW.format(x=50).replace("tool", "table")], HEADER, 4, "tool or work"),
@@ -160,7 +160,7 @@ def test_bad_tables_say_where(
 
 def test_columns_not_understood_are_said(dmu50: Machine, tmp_path: Path) -> None:
     found = load(table(tmp_path, *(row + ",1" for row in rows(0, 50, 100)), header=HEADER + ",aproach_X"), dmu50)
-    assert found.notices == ("column aproach_X is not understood and not used (is it approach_X?)",)
+    assert found.notices == ("column aproach_X is unknown and not used (did you mean approach_X?)",)
 
 
 def test_the_thesis_export(dmu50: Machine, tmp_path: Path) -> None:

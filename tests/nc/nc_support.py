@@ -34,7 +34,7 @@ def rewritten(
     tcp: bool = False,
     vectors: Callable[[Move, int], np.ndarray] | None = None,
 ) -> tuple[str, list[np.ndarray]]:
-    """The output with every move replaced by ``rows(move, start, end)``, and those rows one after the other."""
+    """Return the output with every move replaced by ``rows(move, start, end)``, and all those rows in order."""
     program = dialect.read(text.encode("latin-1"), "test")
     reading = dialect.moves(program, AXES, tcp=tcp)
     rewrites = []
@@ -43,16 +43,16 @@ def rewritten(
     for move in reading.moves:
         end = np.array(move.position)
         if not move.machine:
-            pieces = rows(move, last, end)
-            tool = None if vectors is None or move.vector is None else vectors(move, len(pieces))
-            rewrites.append(Rewrite(move, pieces, tool))
-            intended.extend(pieces)
+            segments = rows(move, last, end)
+            tool = None if vectors is None or move.vector is None else vectors(move, len(segments))
+            rewrites.append(Rewrite(move, segments, tool))
+            intended.extend(segments)
         last = end
     return dialect.rewrite(program, AXES, reading, rewrites), intended
 
 
 def distinct(rows: list[np.ndarray]) -> list[tuple[float, ...]]:
-    """Rows without repetitions, as tuples; unknown as None-like strings so that they compare."""
+    """Return rows without repetitions, as tuples of text, so that unknown values compare equal."""
     result: list[tuple[float, ...]] = []
     for row in rows:
         key = tuple("?" if math.isnan(v) else round(float(v), 6) + 0.0 for v in row)
@@ -67,7 +67,7 @@ _ISO_WORD = re.compile(r"([A-Z]) *=? *([+-]? *[0-9.]+)")
 
 
 def iso_positions(text: str) -> list[tuple[int, list[float]]]:
-    """(motion code, position) of every block with axis words of a plain G-code program, by brute modality."""
+    """Return (motion code, position) of every block with axis words of a simple G-code program, by a minimal interpreter."""
     where = dict.fromkeys(NAMES, math.nan)
     motion, absolute, unit = 0, True, 1.0
     result = []
@@ -96,7 +96,7 @@ _PLAIN_WORD = re.compile(r"(?<![A-Z])(I?)([XYZBC])([+-]?[0-9.,]+)")
 
 
 def plain_positions(text: str) -> list[list[float]]:
-    """Positions of every L, LN, C, CR block of a plain-language program."""
+    """Return the positions of every L, LN, C, CR block of a plain-language program."""
     where = dict.fromkeys(NAMES, math.nan)
     unit = 25.4 if re.search(r"BEGIN PGM .* INCH", text) else 1.0
     result = []
@@ -117,7 +117,7 @@ def plain_positions(text: str) -> list[list[float]]:
 
 
 def decimal_text(draw: st.DrawFn, value: int, *, comma: bool = False, plus: bool | None = None) -> str:
-    """A number of thousandths in one of the styles programs use."""
+    """Return a number of thousandths as text in one of the styles that programs use."""
     style = draw(st.sampled_from(["fixed", "trim", "point", "short"]))
     text = f"{abs(value) / 1000:.3f}"
     if style != "fixed":
@@ -137,7 +137,7 @@ _COMMENT = st.text(st.sampled_from("abc XYZ019.-+G ü"), max_size=12)
 
 @st.composite
 def iso_program(draw: st.DrawFn, *, arcs: bool = False) -> str:
-    """A plain G-code program: every axis is said first, then modal blocks."""
+    """Draw a simple G-code program: first a block with every axis, then modal blocks."""
     eol = draw(_EOL)
     space = draw(st.sampled_from(["", " ", "\t", "  "]))
     numbered = draw(st.booleans())

@@ -1,4 +1,4 @@
-"""Circular blocks against a closed form: where the middle of the arc is, whichever way the program says it."""
+"""Circular blocks compared with a closed form: the middle of the arc, for every way of programming it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ angles = st.integers(-359, 359)
 
 
 def place(move, fraction, start):
-    """A point of an arc from its start, centre and sweep alone."""
+    """Return a point of an arc from its start, centre and sweep alone."""
     a, b = start[0] - move.arc.centre_mm[0], start[1] - move.arc.centre_mm[1]
     turn = fraction * move.arc.angle_rad
     c, s = math.cos(turn), math.sin(turn)
@@ -60,7 +60,7 @@ def test_centre_arcs(plane, first, sweep, clockwise, turns, absolute):
 @given(angles, st.integers(1, 359), st.booleans())
 def test_radius_arcs(first, sweep, clockwise):
     if abs(sweep - 180) < 3:
-        sweep = 90  # near half a circle the radius says nothing about the side
+        sweep = 90  # near half a circle the radius does not determine the side
     radius, centre = 40.0, (7.0, -3.0)
     signed = -sweep if clockwise else sweep
     a, b = (

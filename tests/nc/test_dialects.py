@@ -1,4 +1,4 @@
-"""What every language of the family has to do, whichever it is."""
+"""Requirements on every NC language."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def test_points_come_back_with_their_feed(dialect: Dialect) -> None:
     program = dialect.read(text.encode(), "test")
     moving = {move.line for move in dialect.moves(program, AXES, tcp=True).moves}
     first = min(moving)
-    assert all(dialect.only_moves(lines[line], AXES.names) for line in moving - {first})
-    assert any(dialect.is_remark(line) and "points of a table" in line for line in lines)
-    assert not any(dialect.is_remark(lines[line]) for line in moving)
-    assert "500" in text and dialect.feed_said(lines[first])[0] in ("500", "")
+    assert all(dialect.is_motion_only(lines[line], AXES.names) for line in moving - {first})
+    assert any(dialect.is_comment(line) and "points of a table" in line for line in lines)
+    assert not any(dialect.is_comment(lines[line]) for line in moving)
+    assert "500" in text and dialect.feed_word(lines[first])[0] in ("500", "")
 
 
 @EVERY
@@ -73,22 +73,22 @@ def test_a_move_is_rewritten_and_every_other_byte_kept(dialect: Dialect) -> None
 @EVERY
 def test_comments_stand_once_and_change_no_move(dialect: Dialect) -> None:
     text = points_text(dialect)
-    once = dialect.commented(text, ["made by a test"])
+    once = dialect.with_comments(text, ["made by a test"])
     assert "made by a test" in once.lower()
-    assert dialect.commented(once, ["made by a test"]) == once
+    assert dialect.with_comments(once, ["made by a test"]) == once
     np.testing.assert_array_equal(positions(dialect, once), positions(dialect, text))
-    assert dialect.commented(text, []) == text
+    assert dialect.with_comments(text, []) == text
 
 
 @EVERY
 def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
-    """A language is either written in axis words, or what others take over."""
+    """A language either has axis words, or its cutter locations can be posted to another language."""
     if dialect.cutter_locations:
-        assert all(dialect.becomes(other) for other in DIALECTS)
+        assert all(dialect.can_post_to(other) for other in DIALECTS)
         with pytest.raises(ValueError, match="no axis words"):
             dialect.new_program(AXES)
         return
-    assert [other for other in DIALECTS if dialect.becomes(other)] == [dialect]
+    assert [other for other in DIALECTS if dialect.can_post_to(other)] == [dialect]
     writer = dialect.new_program(AXES)
     writer.start("part.cls")
     writer.comment("a remark ~()")
@@ -108,7 +108,7 @@ def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
 
 @EVERY
 def test_lines_taken_out_leave_the_others_their_numbers(dialect: Dialect) -> None:
-    """A program may hold empty texts where lines were (`twin path`): they stay empty, and count."""
+    """A program may contain empty texts in place of deleted lines (`twin path`); they stay empty, and count as lines."""
     program = dialect.read(points_text(dialect).encode(), "test")
     gone = dialect.moves(program, AXES, tcp=True).moves[1].line
     texts = tuple("" if index == gone else text for index, text in enumerate(program.texts))

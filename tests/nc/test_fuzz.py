@@ -1,4 +1,4 @@
-"""Arbitrary input: success or one clear error, in time that grows with its length only."""
+"""Arbitrary input gives a result or one clear error, in time proportional to its length."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ SNIPPETS = [
 
 
 def run(dialect, data):
-    """Read, interpret and rewrite; the output if all of it went well."""
+    """Read, interpret and rewrite; return the output if all of it succeeds."""
     try:
         program = dialect.read(data, "fuzz")
         assert program.text.encode("latin-1") == data
@@ -154,11 +154,11 @@ def test_hostile_input_in_linear_time(dialect, name):
 BOUND_SIZE = 300_000
 SECONDS_PER_MB = 1.0
 ALLOWANCE = 3.0
-"""For a machine that is slower than ours, or busy."""
+"""Factor for a slower or busy computer."""
 
 
 def repeated(head, *blocks):
-    """A program of numbered variations of some blocks, of about `BOUND_SIZE` bytes."""
+    """Return a program of numbered variations of some blocks, of about `BOUND_SIZE` bytes."""
     parts = [head]
     size = len(head)
     index = 0
@@ -192,7 +192,7 @@ HOSTILE_BOUND = {
 
 
 def reading_time(dialect, data):
-    """Process time of reading and interpreting, and the moves (None: refused)."""
+    """Return the process time of reading and interpreting, and the moves (None: error)."""
     begin = time.process_time()
     moves = None
     try:
@@ -207,7 +207,7 @@ def test_a_megabyte_is_read_in_a_second(name):
     dialect, text = (ORDINARY | HOSTILE_BOUND)[name]
     data = text.encode("latin-1")
     bound = ALLOWANCE * SECONDS_PER_MB * len(data) / 1e6
-    for _ in range(3):  # the best of three: others use this machine
+    for _ in range(3):  # the best of three, since the computer may be busy
         spent, moves = reading_time(DIALECTS[dialect], data)
         if spent <= bound:
             break
@@ -229,4 +229,4 @@ def test_mutated_real_programs(suffix):
             column = random_.randrange(len(part[at]))
             part[at] = part[at][:column] + random_.choice(SNIPPETS) + part[at][column + random_.randrange(3) :]
         outcomes.add(run(DIALECTS["a.nc"], "".join(part).encode("latin-1")) is None)
-    assert outcomes == {True, False}  # some are refused, some are not
+    assert outcomes == {True, False}  # both errors and results occur

@@ -1,4 +1,4 @@
-"""Programs in stretches, runs of plain lines all at once: the same moves and the same bytes as in one piece and line by line."""
+"""Programs processed in chunks, with runs of simple lines processed together: same moves and bytes as in one piece and line by line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.nc.nc_support import AXES, iso_program
-from tests.nc.test_plain import (
+from tests.nc.test_simple_blocks import (
     EOL,
     HANDED_ON,
     ISO,
@@ -42,13 +42,13 @@ MANY = settings(max_examples=200)
 
 @pytest.fixture(autouse=True, scope="module")
 def every_run_at_once() -> Iterator[None]:
-    """However short; `pytest.MonkeyPatch` by hand, hypothesis wanting no fixture of a single test."""
+    """Process runs of any length together; `pytest.MonkeyPatch` by hand, since hypothesis rejects function-scoped fixtures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(iso_stream, "SHORTEST_RUN", 1)
         yield
 
 
-def stretches(program: Program, names: tuple[str, ...], size: int) -> Iterator[Stretch]:
+def chunks(program: Program, names: tuple[str, ...], size: int) -> Iterator[Stretch]:
     for first in range(0, len(program.texts), size):
         yield Stretch("".join(program.texts[first : first + size]).encode("latin-1"), first, names)
 
@@ -57,9 +57,9 @@ def read(
     program: Program, axes: AxisWords, size: int, tcp: bool
 ) -> tuple[list[tuple[Stretch, MoveColumns]], Reading, bool]:
     reader = IsoReader(program.source, axes, tcp=tcp)
-    parts = [(stretch, reader.read(stretch)) for stretch in stretches(program, axes.names, size)]
+    parts = [(chunk, reader.read(chunk)) for chunk in chunks(program, axes.names, size)]
     moves = tuple(move for _, columns in parts for move in columns)
-    return parts, Reading(moves, tuple(reader.notices()), tuple(reader.left())), reader.drills
+    return parts, Reading(moves, tuple(reader.notices()), tuple(reader.lost_positions())), reader.drills
 
 
 def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, size: int = 5) -> None:
@@ -72,9 +72,9 @@ def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, si
         return
     parts, reading, drills = found
     assert shown(whole) == shown(reading)
-    assert whole.left == reading.left
+    assert whole.lost_positions == reading.lost_positions
     rewrites = {id(one.move): one for one in new_positions(whole, seed, len(axes.names))}
-    # Cycles are not for streams; a vector that stays while its block moves is not for compensation.
+    # Streams do not support cycles, nor compensation a vector that is kept while its block is rewritten.
     vectors_stay = any(one.move.vector is not None and one.vectors is None for one in rewrites.values())
     if drills or vectors_stay or not rewrites:
         return
@@ -83,7 +83,7 @@ def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, si
         style = style_in(program.texts, Style(point=True))
         rewriter = IsoRewriter(program.source, axes, newline_of(program), style, tcp=whole.moves[0].tcp)
         out, at = [], 0
-        for stretch, moves in parts:
+        for chunk, moves in parts:
             mine = [rewrites.get(id(move)) for move in whole.moves[at : at + len(moves)]]
             at += len(moves)
             count = np.array([0 if one is None else len(one.positions) for one in mine], dtype=int)
@@ -98,7 +98,7 @@ def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, si
                 positions=np.concatenate([np.zeros((0, len(axes.names))), *(one.positions for one in there)]),
                 vectors=np.concatenate([np.zeros((0, 3)), *vectors]),
             )
-            out.append(rewriter.write(stretch, moves, new))
+            out.append(rewriter.write(chunk, moves, new))
         return b"".join(out).decode("latin-1")
 
     found = outcome(written)
@@ -123,7 +123,7 @@ def test_on_other_machines(data: st.DataObject, seed: int, axes: AxisWords, size
 
 @st.composite
 def plain_only(draw: st.DrawFn) -> str:
-    """Lines that are nearly all plain, in one hand: long runs."""
+    """Draw lines that are nearly all simple, in one style: long runs."""
     glue = draw(st.sampled_from([(" ",), ("",), ("", "", " ", "\t")]))
     small, eol = draw(st.booleans()), draw(EOL)
 
@@ -150,9 +150,9 @@ def test_what_one_way_leaves_to_the_other(name: str) -> None:
 
 
 def test_what_is_plain_is_what_the_pattern_says() -> None:
-    """Lines, words, and numbers to the last bit, beside the regular expression and Python's own `float`."""
+    """Compare lines, words and numbers, to the last bit, with the regular expression and with Python's `float`."""
     rng = random.Random(5)
-    plain = vocabulary.plain(AXES.names)
+    simple = vocabulary.simple_pattern(AXES.names)
     numbers = ["12.5", "0", "-0", "+5", "5.", "00.5", "0.120", "-0.0004", "12.34567", "007", "-.5", "+0.", "0.1", "8.7"]
     odd = ["1234567890", "1.2.3", ".", "", "- 5", "5,5", "1e3", "123456789.1234567", "+", "-", "12345678.1234567"]
     heads, codes = (
@@ -176,8 +176,8 @@ def test_what_is_plain_is_what_the_pattern_says() -> None:
         lines = re.findall(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++", text)
         assert [seen.line(i) for i in range(len(seen.start))] == lines
         for i, line in enumerate(lines):
-            match = plain.pattern.fullmatch(line)
-            if not seen.plain[i]:
+            match = simple.pattern.fullmatch(line)
+            if not seen.simple[i]:
                 digits = max((len(re.sub(r"\D", "", n)) for n in re.findall(r"[\d.]+", line)), default=0)
                 whole = (
                     match is not None
@@ -195,7 +195,7 @@ def test_what_is_plain_is_what_the_pattern_says() -> None:
             assert (seen.code[i], seen.wide[i]) == ((-1, False) if code is None else (int(code), len(code) > 1))
             own = slice(seen.first[i], seen.first[i + 1])
             values = dict(zip(seen.words.axis[own].tolist(), seen.words.value[own].tolist(), strict=True))
-            wanted = {axis: match.group(group) for group, axis in plain.axes if match.group(group)}
+            wanted = {axis: match.group(group) for group, axis in simple.axes if match.group(group)}
             assert {axis: repr(value) for axis, value in values.items()} == {
                 axis: repr(float(text)) for axis, text in wanted.items()
             }

@@ -1,4 +1,4 @@
-"""Programs of others: read, written back, moved."""
+"""Real programs from elsewhere: read, written back, moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is refused, with the line and the value; what passes; what is noted."""
+"""Errors with line and value, blocks that pass, and notices."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def refused(dialect, start, block, what, tcp=False):
         ("G1 X1.2.3", "X1.2.3"),
         ("G1 X.", "X has no number"),
         ("G1 X--5", "X has no number"),
-        ("G1 X1e999", "not understood"),
+        ("G1 X1e999", "unknown word"),
         ("G1 X" + "9" * 400, "X has no number"),
         ("G1 X5 F", "F has no number"),
         ("G1 A5", "unknown axis: 'A5'"),
@@ -53,7 +53,7 @@ def refused(dialect, start, block, what, tcp=False):
         ("G1 X5 X6", "twice"),
         ("G0 G1 X5", "modal group"),
         ("G90 G91 X5", "modal group"),
-        ("G2 X5 Y0", "centre or a radius"),
+        ("G2 X5 Y0", "centre or radius"),
         ("G2 X10 Y0 I4 J0", "off its circle"),
         ("G2 X10 Y0 R2", "too small"),
         ("G2 X0 Y0 R5", "ends where it starts"),
@@ -103,21 +103,21 @@ def refused(dialect, start, block, what, tcp=False):
         ("X#101", "the value of X"),
         ("X[1+2]", "the value of X"),
         ("X=5+R1", "the value of X"),
-        ("G1 X5 ,R2", "not understood"),
+        ("G1 X5 ,R2", "unexpected character"),
         ("G1 X5 RND=2", "rounding"),
-        ("G1 X5 FOO", "not understood"),
+        ("G1 X5 FOO", "unknown word"),
         ("G1 X5 (open", "parenthesis"),
-        ("G1 X5 G777", "not understood"),
+        ("G1 X5 G777", "unknown G word"),
         ("TRAORI\nG1 X1 Y1 Z1 A3=0 B3=0 C3=0", "zero length"),
         ("G43.5 H1\nX0 Y0 Z0 I0 J0 K0", "zero length"),
-        ("G1 X1 A3=1 B3=0 C3=0", "kinematics are off"),
+        ("G1 X1 A3=1 B3=0 C3=0", "point control is off"),
         ("TRAORI\nG1 X1 A2=30 B2=0 C2=0", "orientation by A2"),
         ("TRAORI\nG1 X1 B10 A3=1", "one of them"),
         ("G28 X0\nG91 X5", "absolute position first"),
         ("$P_UIFR[1]=CTRANS(X,5)", "transformation"),
         ("POS[X]=5", "curve"),
         ("G59 X5 Y5", "transformation"),
-        ("\xe9", "not understood"),
+        ("\xe9", "unexpected character"),
     ],
 )
 def test_iso(block, what):
@@ -283,12 +283,12 @@ def test_drilling_written_out():
         ("FN 12: IF +Q1 LT +Q2 GOTO LBL 5", "control flow"),
         ("M128\nLN X+1 Y+1 Z+1 TX+0 TY+0 TZ+0", "tool vector of zero length"),
         ("M128\nLN X+1 Y+1 Z+1 NX+0 NY+0 NZ+0 TX+0 TY+0 TZ+1", "surface normal of zero length"),
-        ("LN X+1 Y+1 Z+1 TX+0 TY+0 TZ+1", "kinematics are off"),
+        ("LN X+1 Y+1 Z+1 TX+0 TY+0 TZ+1", "point control is off"),
         ("M140 MB MAX\nL IX+5", "absolute position first"),
         ("L X+5 WOBBLE", "unknown axis"),
-        ("L X+5 Potato", "not understood"),
+        ("L X+5 Potato", "unknown word"),
         ("BEGIN PGM B CM", "unit"),
-        ("=", "not understood"),
+        ("=", "unknown block"),
     ],
 )
 def test_plain(block, what):

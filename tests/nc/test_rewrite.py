@@ -1,4 +1,4 @@
-"""Rewritten programs say what was intended, to their own reader and to an independent one."""
+"""Rewritten programs contain the intended positions, for their own reader and an independent one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ISO = dialect_for(Path("a.nc"))
 PLAIN = dialect_for(Path("a.h"))
 APT = dialect_for(Path("a.cls"))
 HALF_INCH_STEP = 0.5e-5 * 25.4 * 1.001
-"""An inch program prints 5 decimals: what is asked for comes back to half of that."""
+"""An inch program has 5 decimals: positions come back to half of the last one."""
 
 
 def same(move, start, end):
@@ -37,7 +37,7 @@ def same(move, start, end):
 
 
 def shifted(row):
-    """A position-dependent shift, as a machine's errors are, at the increment."""
+    """Return a position with a position-dependent shift, as errors of a machine give, at the increment."""
     x, y, z, b, c = row
     moved = np.array(
         [
@@ -61,7 +61,7 @@ def in_three(move, start, end):
 
 
 def close(found, wanted, tolerance):
-    """Same sequence of positions, blocks that move nothing aside."""
+    """Compare sequences of positions, ignoring blocks without motion."""
     found, wanted = moving(found, tolerance), moving(wanted, tolerance)
     assert len(found) == len(wanted)
     np.testing.assert_allclose(np.array(found), np.array(wanted), rtol=0, atol=tolerance, equal_nan=True)
@@ -103,10 +103,10 @@ def test_every_axis_is_where_it_should_be_iso(rows, text):
 def test_every_axis_is_where_it_should_be_plain(rows, text):
     def with_vectors(move, start, end):
         end = end.copy()
-        keep = np.isnan(end)
-        pieces = rows(move, start, np.nan_to_num(end))
-        pieces[:, keep] = np.nan
-        return pieces
+        min_decimals = np.isnan(end)
+        segments = rows(move, start, np.nan_to_num(end))
+        segments[:, min_decimals] = np.nan
+        return segments
 
     def tools(move, count):
         return np.tile(np.array(move.vector), (count, 1))
@@ -124,8 +124,8 @@ def test_every_axis_is_where_it_should_be_plain(rows, text):
 @given(apt_program())
 def test_every_location_is_where_it_should_be_apt(text):
     def rows(move, start, end):
-        pieces = np.array([end, end + 0.123456])
-        return pieces
+        segments = np.array([end, end + 0.123456])
+        return segments
 
     def tools(move, count):
         tilted = np.add(move.vector, (0.01, 0.0, 0.0))
@@ -142,7 +142,7 @@ def test_every_location_is_where_it_should_be_apt(text):
 
 
 def test_the_classic_defect():
-    """Y is left out by modality: the output has to say it all the same."""
+    """The original omits Y by modality; the output must have it."""
     text = "G21 G90\nG0 X0 Y0 Z0 B0 C0\nG1 X100. F500\nY50.\nX0\n"
     out, _ = rewritten(ISO, text, shift)
     lines = out.splitlines()
@@ -179,7 +179,7 @@ def test_untouched_incremental_block_counts_from_the_rewritten_one():
 
 
 def piece(text, *rows, dialect=ISO, tcp=False, vectors=None):
-    """The lines that replace the last move of a program."""
+    """Return the lines that replace the last move of a program."""
     program = dialect.read(text.encode(), "t")
     reading = dialect.moves(program, AXES, tcp=tcp)
     tool = None if vectors is None else np.array(vectors)

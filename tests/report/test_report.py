@@ -393,7 +393,7 @@ def test_refusals(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     broken.write_text("{")
     mine = folder / "mine.yaml"
     for arguments, said in (
-        (("-o", mine, "-c", mine), "an output is one of the inputs"),
+        (("-o", mine, "-c", mine), "output file is also an input"),
         (("-o", out, "-c", mine, "--identified", other), "an identification of another machine"),
         (("-o", out, "-c", mine, "--identified", broken), "not JSON"),
         (("-o", out, "-c", mine, "--identified", folder / "none.json"), "cannot be read"),

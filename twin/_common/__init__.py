@@ -1,1 +1,1 @@
-"""What every package needs: errors with their place, files written whole, units, read-only arrays, distributions, threads."""
+"""Helpers used by every package: errors with file and line, atomic files, units, read-only arrays, distributions, threads."""

@@ -1,4 +1,4 @@
-"""Tables: CSV with a header and comments, whose errors know file, line and value."""
+"""CSV tables with a header row and comments; errors name file, line and value."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from twin._common.files import read_lines
 
 MOST_COLUMNS: Final = 1000
 LARGEST: Final = 1e12
-"""Of any number in a table: seconds since 1970 are less; the square of it, and sums of squares, are finite."""
+"""Largest absolute value of a number in a table. Times in seconds since 1970 are smaller; squares and their sums stay finite."""
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
-    """Return a CSV file with a header row and ``#`` comments.
+    """Read a CSV file with a header row and ``#`` comments.
 
-    A row is a line: a line break in a cell is refused.
+    Each row is one line; a line break inside a cell is an error.
 
     Returns:
-        Header, rows with their lines, and the text of every comment.
+        The header, the rows with their line numbers, and the text of every comment.
 
     Raises:
-        InputError: no header, too many columns, a column given twice, a row of another length, a cell that does not end in its line
+        InputError: no header, too many columns, a duplicate column, a row of another length, a cell that does not end on its line
             or is too long, a control character.
     """
     whole = [(number, text) for number, text in enumerate(read_lines(path), start=1) if text.strip()]
     for number, text in whole:
         if control_character(text) is not None:
-            raise InputError("a control character", expected="printable text", file=path, line=number, value=text)
+            raise InputError("control character", expected="printable text", file=path, line=number, value=text)
     lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
     comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
     if not lines:
@@ -46,13 +46,13 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
         raise InputError(f"{len(header)} columns", expected=f"at most {MOST_COLUMNS}", file=path, line=lines[0][0])
     twice = next((name for name, count in Counter(header).items() if count > 1), None)
     if twice is not None:
-        raise InputError("a column given twice", expected="each column once", file=path, line=lines[0][0], value=twice)
+        raise InputError("duplicate column", expected="each column once", file=path, line=lines[0][0], value=twice)
     rows = []
     for (number, text), row in zip(lines[1:], cells[1:], strict=True):
         if len(row) != len(header):
             raise InputError(
                 f"{len(row)} cells",
-                expected=f"{len(header)}, as in the header",
+                expected=f"{len(header)} cells, as in the header",
                 file=path,
                 line=number,
                 value=",".join(row),
@@ -65,39 +65,39 @@ def cells_of(text: str, path: Path, line: int) -> list[str]:
     """Return the cells of one line of CSV.
 
     Raises:
-        InputError: a cell that does not end in this line, or is too long.
+        InputError: a cell does not end on this line, or is too long.
     """
     return _cells([(line, text)], path)[0]
 
 
 def _cells(lines: Sequence[tuple[int, str]], path: Path) -> list[list[str]]:
-    """The cells of every line: as many rows as lines."""
+    """Return the cells of every line, one row per line."""
     reader = csv.reader((text for _, text in lines), strict=True)
     found: list[list[str]] = []
-    expected = "cells with a comma between, each ending in its line"
+    expected = "cells separated by commas, each ending on its line"
     try:
         for row in reader:
             found.append(row)
             if reader.line_num != len(found):
                 line, text = lines[len(found) - 1]
-                raise InputError("a line break in a cell", expected=expected, file=path, line=line, value=text)
+                raise InputError("line break in a cell", expected=expected, file=path, line=line, value=text)
     except csv.Error as error:
         line, text = lines[len(found)]
-        raise InputError(f"no row of a table ({error})", expected=expected, file=path, line=line, value=text) from None
+        raise InputError(f"not a table row ({error})", expected=expected, file=path, line=line, value=text) from None
     return found
 
 
 @final
 @dataclass(frozen=True)
 class Cells:
-    """The cells below a header; reading a column checks it, and what does not fit is an `InputError` with file, line and value."""
+    """The cells below a header. Reading a column checks it and raises `InputError` with file, line and value."""
 
     path: Path
     columns: Mapping[str, int]
     rows: Sequence[tuple[int, list[str]]]
 
     def numbers(self, name: str) -> np.ndarray:
-        """A column of numbers; NaN where the cell is empty or the column absent."""
+        """Return a column of numbers, NaN where the cell is empty or the column is absent."""
         column = self.columns.get(name)
         if column is None:
             return locked(np.full(len(self.rows), np.nan))
@@ -109,8 +109,8 @@ class Cells:
                 (line, row[column]) for line, row in self.rows if row[column] and not _is_number(row[column])
             )
             raise InputError(
-                f"{name} is no number",
-                expected="a number with a decimal point, or nothing",
+                f"{name} is not a number",
+                expected="a number with a decimal point, or an empty cell",
                 file=self.path,
                 line=line,
                 value=cell,
@@ -125,23 +125,27 @@ class Cells:
             )
         for i in np.flatnonzero(np.isnan(values)):
             if cells[i]:
-                values[i] = np.inf  # written as NaN, not left empty: not a coordinate that was not measured
+                values[i] = np.inf  # "NaN" was written: unlike an empty cell, that does not mean "not measured"
         return locked(values)
 
     def words(self, name: str, default: str) -> np.ndarray:
-        """A column of words; the default where the cell is empty or the column absent."""
+        """Return a column of words, the default where the cell is empty or the column is absent."""
         column = self.columns.get(name)
         cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
         return locked(np.array(cells, dtype=object))
 
     def signs(self, name: str) -> np.ndarray:
-        """A column of directions, +1 or −1; 0 where the cell is empty or the column absent."""
+        """Return a column of directions, +1 or −1, and 0 where the cell is empty or the column is absent."""
         values = np.nan_to_num(self.numbers(name), nan=0.0)
         wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
         if np.any(wrong):
             i = int(np.flatnonzero(wrong)[0])
             raise InputError(
-                f"{name} is no direction", expected="+1, -1 or 0", file=self.path, line=self.rows[i][0], value=values[i]
+                f"{name} is not a direction",
+                expected="+1, -1 or 0",
+                file=self.path,
+                line=self.rows[i][0],
+                value=values[i],
             )
         return locked(values)
 
@@ -155,5 +159,5 @@ def _is_number(cell: str) -> bool:
 
 
 def not_understood(name: str, known: Sequence[str]) -> str:
-    """What a reader is told of a column that is not used."""
-    return f"column {name} is not understood and not used{is_it(name, known)}"
+    """Return the notice that a column is unknown and not used."""
+    return f"column {name} is unknown and not used{is_it(name, known)}"

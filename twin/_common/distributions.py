@@ -1,4 +1,7 @@
-"""Tails of χ², F and the normal distribution, from `scipy.special`: `scipy.stats` takes longer to import than most commands to run."""
+"""Tail probabilities and quantiles of χ², F, t and normal distributions, from `scipy.special`.
+
+Importing `scipy.stats` would take longer than most commands take to run.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +12,36 @@ from scipy import special
 
 
 def chi2_sf(value: Any, dof: Any) -> Any:
-    """Chance that a χ² of ``dof`` degrees of freedom is larger."""
+    """Return the probability that χ² with ``dof`` degrees of freedom exceeds a value."""
     return special.chdtrc(dof, value)
 
 
 def chi2_log_sf(value: Any, dof: Any) -> Any:
-    """Its logarithm; −∞ where the chance is too small for a number."""
+    """Return the logarithm of `chi2_sf`; −∞ where the probability underflows."""
     with np.errstate(divide="ignore"):
         return np.log(special.chdtrc(dof, value))
 
 
 def chi2_isf(chance: Any, dof: Any) -> Any:
-    """The value that is exceeded with a chance."""
+    """Return the value that χ² with ``dof`` degrees of freedom exceeds with a given probability."""
     return special.chdtri(dof, chance)
 
 
 def f_sf(value: Any, dof: Any, other: Any) -> Any:
-    """Chance that an F of ``dof`` and ``other`` degrees of freedom is larger."""
+    """Return the probability that F with ``dof`` and ``other`` degrees of freedom exceeds a value."""
     return special.fdtrc(dof, other, value)
 
 
 def f_log_sf(value: Any, dof: Any, other: Any) -> Any:
-    """Its logarithm; −∞ where the chance is too small for a number."""
+    """Return the logarithm of `f_sf`; −∞ where the probability underflows."""
     with np.errstate(divide="ignore"):
         return np.log(special.fdtrc(dof, other, value))
 
 
 def f_isf(chance: Any, dof: Any, other: Any) -> Any:
-    """The value that is exceeded with a chance.
+    """Return the value that F with ``dof`` and ``other`` degrees of freedom exceeds with a given probability.
 
-    By the beta distribution of other/(other + dof·F), whose lower tail it is: a small chance keeps its digits.
+    Computed from the lower tail of the beta distribution of other/(other + dof·F), so that small probabilities keep their digits.
     """
     share = special.betaincinv(np.multiply(0.5, other), np.multiply(0.5, dof), chance)
     with np.errstate(divide="ignore"):
@@ -46,15 +49,15 @@ def f_isf(chance: Any, dof: Any, other: Any) -> Any:
 
 
 def normal_sf(value: Any) -> Any:
-    """Chance that a standard normal number is larger."""
+    """Return the probability that a standard normal variable exceeds a value."""
     return special.ndtr(-np.asarray(value))
 
 
 def normal_isf(chance: Any) -> Any:
-    """The value that is exceeded with a chance."""
+    """Return the value that a standard normal variable exceeds with a given probability."""
     return -special.ndtri(chance)
 
 
 def student_isf(chance: Any, dof: Any) -> Any:
-    """The value that a Student t of ``dof`` degrees of freedom exceeds with a chance."""
+    """Return the value that Student's t with ``dof`` degrees of freedom exceeds with a given probability."""
     return -special.stdtrit(dof, chance)

@@ -1,4 +1,4 @@
-"""The errors `twin` raises. Each carries its data, and says what was expected instead."""
+"""The errors that `twin` raises, with their data and what was expected instead."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Any, Final, final
 
 _CONTROL: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Characters that steer a terminal, turn the direction of writing, end a line, or are half of a pair; not tab, CR and LF."""
+"""Characters that control a terminal, change the writing direction, end a line, or are half of a surrogate pair; not tab, CR and LF."""
 
 
 @final
 class InputError(ValueError):
-    """Something the user gave cannot be used; the command line turns it into one line and exit status 2.
+    """Input that cannot be used. The command line prints it as one line and exits with status 2.
 
     Attributes:
         what: what is wrong, as a sentence without the place.
         expected: what would have been right.
-        file: the file it stands in, if it stands in one.
+        file: the file concerned, or None.
         line: 1-based line in that file.
         value: the offending text or value.
-        nearest: the right name that was probably meant (`nearest`), or None.
-        setting: the setting that may be missing, in words (``work offset``), or None; the command line adds its option.
+        nearest: the known name that was probably meant (function `nearest`), or None.
+        setting: the name of a setting that may be missing (``work offset``), or None; the command line adds its option.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class InputError(ValueError):
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For a pickle, in which the value is its text: what a worker process raises is raised here (`twin.compute.parallel`)."""
+        """Pickle the error with its value as text, so that errors of worker processes can be raised here (`twin.compute.parallel`)."""
         value = None if self.value is None else str(self.value)
         keywords: dict[str, Any] = {"expected": self.expected, "file": self.file, "line": self.line, "value": value}
         return partial(InputError, **keywords, nearest=self.nearest, setting=self.setting), (self.what,)
@@ -70,46 +70,46 @@ def control_character(text: str) -> str | None:
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    """Return a text with control and format characters escaped, so that what a file or its name holds cannot steer a terminal.
+    """Return a text with control and format characters escaped, so that a file or its name cannot control the terminal.
 
     Args:
         text: any text.
-        one_line: whether tabs and line ends are escaped too.
+        one_line: whether to escape tabs and line ends too.
     """
     if text.isprintable():
         return text
     kept = "" if one_line else "\t\r\n"
-    return "".join(one if one in kept or not _steers(one) else _escaped(one) for one in text)
+    return "".join(char if char in kept or not _is_control(char) else _escaped(char) for char in text)
 
 
-def _steers(one: str) -> bool:
-    category = unicodedata.category(one)
+def _is_control(char: str) -> bool:
+    category = unicodedata.category(char)
     return category[0] == "C" or category in ("Zl", "Zp")
 
 
-def _escaped(one: str) -> str:
-    return one.encode("unicode_escape").decode("ascii")
+def _escaped(char: str) -> str:
+    return char.encode("unicode_escape").decode("ascii")
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that was probably meant by another; None if none is near.
+    """Return the known name closest to another name, ignoring case; None if none is close.
 
-    Case counts for nothing, so that ``e_xx`` finds ``E_XX``.
+    ``e_xx`` finds ``E_XX``.
     """
     names = list(known)
-    close = get_close_matches(name.casefold(), [one.casefold() for one in names], n=1)
-    # X_mm and x_mm are two columns: of names that are alike but for case, the one written most like it.
-    alike = [one for one in names if close and one.casefold() == close[0]]
-    return max(alike, key=lambda one: SequenceMatcher(None, name, one).ratio(), default=None)
+    close = get_close_matches(name.casefold(), [candidate.casefold() for candidate in names], n=1)
+    # X_mm and x_mm are different columns: among names that differ only in case, take the most similar spelling.
+    alike = [candidate for candidate in names if close and candidate.casefold() == close[0]]
+    return max(alike, key=lambda candidate: SequenceMatcher(None, name, candidate).ratio(), default=None)
 
 
 def is_it(name: str, known: Iterable[str]) -> str:
-    """What follows a name that is not known: `` (is it X?)``; empty if none is near."""
+    """Return the hint that follows an unknown name, `` (did you mean X?)``; empty if no known name is close."""
     return _is_it(nearest(name, known))
 
 
 def _is_it(name: str | None) -> str:
-    return "" if name is None else f" (is it {name}?)"
+    return "" if name is None else f" (did you mean {name}?)"
 
 
 def _one_line(value: object, limit: int = 80) -> str:
@@ -119,4 +119,4 @@ def _one_line(value: object, limit: int = 80) -> str:
 
 @final
 class OutputError(RuntimeError):
-    """What was about to be written does not say what was meant: a defect of `twin`, caught before it reached steel."""
+    """The output about to be written does not contain what was intended: a defect of `twin`, found before the file was written."""

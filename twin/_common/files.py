@@ -1,10 +1,11 @@
-"""Files in and out: text that is read, and outputs that appear whole or not at all.
+"""Files: reading text, writing outputs atomically, and checking that no output overwrites an input.
 
 **Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
-`unlimited`), least increment and, where the joint's own frame will not do, `error_frame_rpy_deg`; `frames` names the tool and
-work links and the axis coordinates at which the URDF's linear joints are zero; `programs` the words that switch the control's
-kinematics (`tcp_on`, `tcp_off`) and a default tool length. `plausible` (optional) says how large errors can be before anything is
-measured, one standard deviation: `{motion: {um: 200, urad: 200}, location: {um: 5000, urad: 5000}}`; 1000 µm and µrad if it does not.
+`unlimited`), least increment and, where the error frame is turned against the joint's own frame, `error_frame_rpy_deg`. `frames`
+names the tool and work links and the axis coordinates at which the URDF's linear joints are zero. `programs` gives the words that
+switch tool centre point control on and off (`tcp_on`, `tcp_off`) and a default tool length. `plausible` (optional) gives the prior
+standard deviation of errors before anything is measured: `{motion: {um: 200, urad: 200}, location: {um: 5000, urad: 5000}}`; the
+default is 1000 µm and 1000 µrad.
 
 **Calibration** (`schema: twin.calibration/1`): see `urdf/dmu50.calibration.yaml`.
 
@@ -18,22 +19,22 @@ measured, one standard deviation: `{motion: {um: 200, urad: 200}, location: {um:
     squareness: {E_C0Y: 22.0}        # µrad
     location: {E_X0C: 4.0, E_A0C: -12.0}   # µm, µrad
 
-`identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above)
-and `lower`, the lower triangle, one row a line. It takes the place of the curves' own. `settled: false` says that the estimate did
-not settle: no program and no table is made of such a file. `simulated: true` says that readings it comes from were simulated;
-`identify`, `axis-run` and `diagnose --extended` write it, even where only one of several tables was simulated. `illustrative`,
-`simulated`, `settled: false` and errors without a covariance are warnings: programs, tables of a control, reports and JSON
+`identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above) and
+`lower`, the lower triangle, one row per line. It replaces the covariances of the curves. `settled: false` means that the estimate did
+not converge: no program and no compensation table can be made from such a file. `simulated: true` means that some of the readings
+were simulated; `identify`, `axis-run` and `diagnose --extended` write it, even if only one of several tables was simulated.
+`illustrative`, `simulated`, `settled: false` and errors without a covariance are warnings. Programs, control tables, reports and JSON
 (`warnings`: a list of `name` and `text`) made from the file repeat them.
 
-A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k
-(1 − x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, the curve between its smallest and largest
-coefficient. `fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself. `cubic_spline` has
-`knots: [0, 120, 500]` beside its coefficients, both ends of the domain among them (`twin doc curves`). Outside its domain a
-curve is an error; an unlimited axis is wrapped into it. A linear axis moves, then errs: T(q)·E(q); a rotary axis is located,
-errs in the frame that does not turn, then moves: L·E(θ)·R(θ); E = Trans(e_X, e_Y, e_Z)·Exp([e_A, e_B, e_C]).
+A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k (1 −
+x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, bounded by the smallest and the largest coefficient.
+`fourier` (rotary axes): f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself. `cubic_spline` has `knots: [0, 120, 500]`
+beside its coefficients, both ends of the domain among them (`twin doc curves`). Evaluating a curve outside its domain is an error; an
+unlimited axis is wrapped into it. For a linear axis the error follows the motion: T(q)·E(q). For a rotary axis the location comes
+first, then the error in the non-rotating frame, then the motion: L·E(θ)·R(θ). E = Trans(e_X, e_Y, e_Z)·Exp([e_A, e_B, e_C]).
 
-`effects:` has what a diagnosis added beside these: `{effect: reversal, where: Y, parameters: {size: 5.1}}`. One of them has no known
-cause: it shifts a side of the machine by what was measured, and is refused outside `range`.
+`effects:` holds the effects that a diagnosis added: `{effect: reversal, where: Y, parameters: {size: 5.1}}`. An `empirical` effect
+has no known cause: it is a fitted displacement of the tool or work side, and cannot be evaluated outside `range`.
 
     effects:
     - effect: empirical
@@ -46,34 +47,33 @@ cause: it shifts a side of the machine by what was measured, and is refused outs
       parameters: {'x[1,0]': 0.42, 'z[3,c2]': -1.7}   # µm along x: function 1 of X; along z: function 3 of X times cos 2C
 
 `half_waves` k: cos(k π (value − low)/(high − low)). `whole_turns` ck, sk: cos kθ, sin kθ. `direction` (`approach_<axis>`): +1 or −1.
-0 means the constant 1. Columns are axes, directions of approach and temperatures; one or two.
+Function 0 is the constant 1. One or two columns: axes, directions of approach, temperatures.
 
-**Measurements** (`*.csv`): one row a measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
-y_mm, z_mm` in the station's frame (an empty field was not measured; the interferometer's length stands in `x_mm`), and
-optionally `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`.
-`twin.measurement.table.load` lists every row it sets aside, with the reason. A plan is the same table without the coordinates.
-A comment that begins with `simulated` says that the readings are: `twin simulate` writes it.
-Optional and ours: `place_x_mm, place_y_mm, place_z_mm`, the target's known place on its carrier (tool: frame of the spindle
-nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg … station_c_deg`, the station's known origin and
-rotation vector in the base frame; one row of a target or station is enough, contradictions are refused. In a plan
-`planned_place_x_mm …`, `planned_station_x_mm …` say where they are meant to go: for `simulate`, never taken for known. A plan
-that gives them is simulated with them; the measured file names them only in its comments.
+**Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm, y_mm,
+z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally `station`,
+`round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`. `twin.measurement.table.load` lists
+every row that it excludes, with the reason. A plan is the same table without the coordinates. A comment that begins with `simulated`
+marks simulated readings; `twin simulate` writes it. Further optional columns: `place_x_mm, place_y_mm, place_z_mm`, the target's
+known place on its carrier (tool: frame of the spindle nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg …
+station_c_deg`, the station's known origin and rotation vector in the base frame; one row of a target or station is enough,
+contradictions are errors. In a plan, `planned_place_x_mm …` and `planned_station_x_mm …` give the intended set-up. `simulate` uses
+them, but nothing treats them as known; the simulated table gives them only in its comments.
 
-**Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of
-the tool axis in µrad and its tilt about x and y of the tool (fused-like angles: independent of order), the worst line),
-`classes`, `rounding_um`, `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and
-with `--strict`), `not_corrected` (one entry a reason: `kind`, `blocks`, all `lines` of the input, those the exit status counts
-as `missed`, the `worst`) and `notes` (what passed through as written, what was assumed). `identify --json` (`schema:
-twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles),
-`verdict` (a sentence), `not_identifiable` (with the `prior` of what is in the calibration all the same), `stations`, `targets`,
-`misfit`, `orders`, `set_aside`, `notices`.
+**Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
+axis in µrad and its tilt about x and y of the tool (fused-like angles: independent of order), the worst line), `classes`,
+`rounding_um`, `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with
+`--strict`), `not_corrected` (one entry per reason: `kind`, `blocks`, all `lines` of the input, those that count for the exit status
+as `missed`, the `worst`) and `notes` (blocks passed through unchanged, assumptions). `identify --json` (`schema:
+twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles), `verdict` (a sentence),
+`not_identifiable` (with the `prior` of those that the calibration contains nevertheless), `stations`, `targets`, `misfit`, `orders`,
+`set_aside`, `notices`.
 
-**Another machine.** A URDF and a machine file, nothing else: `twin compensate part.nc -o out.nc --machine mine.yaml`.
-`urdf/trunnion_ac.*` (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) are there to
-copy. The z axis of the tool link points from the tip into the spindle. The rotary joint's frame has its axis along z, or the
-file says how the error frame is turned. The error frames of linear axes are turned alike (that of the first is the machine
-frame, in which squareness is named), or lean by less than 45° against the base link. Programs need three linear axes along x, y, z of
-the work frame and at most two rotary ones, on either side; kinematics needs only a chain.
+**Another machine** needs a URDF and a machine file: `twin compensate part.nc -o out.nc --machine mine.yaml`. `urdf/trunnion_ac.*`
+(A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) serve as templates. The z axis of the tool
+link points from the tip into the spindle. The rotary joint's frame has its axis along z, or the file gives the rotation of the error
+frame. The error frames of linear axes are parallel (that of the first is the machine frame, in which squareness is named), or
+inclined by less than 45° to the base link. Programs need three linear axes along x, y, z of the work frame and at most two rotary
+axes, on either side; the kinematics alone needs only a chain.
 """
 
 from __future__ import annotations
@@ -95,20 +95,20 @@ from typing import Any, BinaryIO, Final, final
 from twin._common.errors import InputError
 
 MOST_BYTES: Final = 2**29
-"""Of a text file; a table of a million rows has a third of it."""
+"""Largest text file in bytes; a table of a million rows needs a third of it."""
 TEMPORARY: Final = ".twin-"
-"""How the names of all temporary files and folders begin; process, random part and computer follow."""
+"""Prefix of the names of all temporary files and folders; process id, random part and computer name follow."""
 
 
 def note_input(path: Path) -> None:
-    """Tell the running command, if there is one, that this file is read.
+    """Register a file as an input of the running command, if there is one.
 
     Raises:
         InputError: the command is going to write it.
     """
-    run = _COMMAND.get()
-    if run is not None:
-        run.add_input(path)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.add_input(path)
 
 
 def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
@@ -141,7 +141,7 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
         most_bytes: size beyond which it is refused.
 
     Raises:
-        InputError: as `read_bytes`; it is not UTF-8 text.
+        InputError: as `read_bytes`, or it is not UTF-8 text.
     """
     data = read_bytes(path, most_bytes=most_bytes)
     try:
@@ -156,10 +156,10 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a UTF-8 text file, ended by LF, CR LF or CR and by no other character.
+    """Return the lines of a UTF-8 text file, split at LF, CR LF and CR only.
 
     Raises:
-        InputError: as of `read_text`.
+        InputError: as `read_text`.
     """
     lines = read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if lines[-1] == "" else lines
@@ -170,10 +170,10 @@ def read_json(path: Path, expected: str) -> Any:
 
     Args:
         path: the file.
-        expected: what it should be, for messages.
+        expected: what the file should contain, for messages.
 
     Raises:
-        InputError: as of `read_text`; it is not JSON, too deep, or has a number that is too long.
+        InputError: as `read_text`, or it is not JSON, nested too deeply, or has a number with too many digits.
     """
     text = read_text(path)
     try:
@@ -181,7 +181,7 @@ def read_json(path: Path, expected: str) -> Any:
     except json.JSONDecodeError as error:
         raise InputError("not JSON", expected=expected, file=path, line=error.lineno, value=error.msg) from None
     except (RecursionError, ValueError):
-        raise InputError("lists too deep or numbers too long", expected=expected, file=path) from None
+        raise InputError("lists nested too deeply or numbers too long", expected=expected, file=path) from None
 
 
 @final
@@ -191,7 +191,7 @@ class CommandFiles:
     Attributes:
         read: input files by their resolved paths.
         outputs: output files by their resolved paths.
-        written: those of them that are complete: reading them back is allowed.
+        written: complete output files, which may be read back.
     """
 
     def __init__(self) -> None:
@@ -200,18 +200,18 @@ class CommandFiles:
         self.written: set[Path] = set()
 
     def add_input(self, path: Path) -> None:
-        """Note that a file is read.
+        """Register an input file.
 
         Raises:
             InputError: the command is going to write it.
         """
         file = _resolved(path)
         if file in self.outputs - self.written:
-            raise _also_an_input(path)
+            raise _input_conflict(path)
         self.read.add(file)
 
     def add_output(self, path: Path) -> None:
-        """Note that a file is going to be written.
+        """Register an output file.
 
         Raises:
             InputError: the command has read it, under this name or another one.
@@ -220,7 +220,7 @@ class CommandFiles:
         if file in self.written:
             return
         if any(_same_file(file, one) for one in self.read):
-            raise _also_an_input(path)
+            raise _input_conflict(path)
         self.outputs.add(file)
 
 
@@ -229,13 +229,14 @@ _COMMAND: Final[ContextVar[CommandFiles | None]] = ContextVar("files of the runn
 
 @contextmanager
 def command_files() -> Iterator[CommandFiles]:
-    """Keep account of all files that are read and written meanwhile, so that no input is overwritten.
+    """Track all files read and written inside the context, so that no input is overwritten.
 
-    Outside of it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested one is the outer one.
+    Without it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested call returns the outer
+    tracker.
     """
-    running = _COMMAND.get()
-    if running is not None:
-        yield running
+    outer = _COMMAND.get()
+    if outer is not None:
+        yield outer
         return
     files = CommandFiles()
     token = _COMMAND.set(files)
@@ -245,8 +246,8 @@ def command_files() -> Iterator[CommandFiles]:
         _COMMAND.reset(token)
 
 
-def _also_an_input(path: Path) -> InputError:
-    return InputError("an output is one of the inputs", expected="another file", file=path)
+def _input_conflict(path: Path) -> InputError:
+    return InputError("output file is also an input", expected="another file", file=path)
 
 
 def _same_file(one: Path, other: Path) -> bool:
@@ -260,7 +261,7 @@ def _resolved(path: Path) -> Path:
     """Return the path without symbolic links.
 
     Raises:
-        InputError: the operating system does not take it for a path.
+        InputError: the operating system rejects the path.
     """
     try:
         return path.resolve()
@@ -269,48 +270,49 @@ def _resolved(path: Path) -> Path:
 
 
 def check_writable(paths: Sequence[Path]) -> None:
-    """Find out before the work whether every output can be written, and clear away what killed runs left beside them.
+    """Check that every output can be written, before the work starts, and remove what killed runs left in their folders.
 
     Raises:
-        InputError: a folder is missing or not writable; an output is an input, no regular file or read-only; two outputs are one file.
+        InputError: a folder is missing or not writable; an output is an input, not a regular file, or read-only; two outputs are the
+            same file.
     """
-    run = _COMMAND.get()
-    seen: set[Path] = set() if run is None else set(run.outputs)
+    tracker = _COMMAND.get()
+    seen: set[Path] = set() if tracker is None else set(tracker.outputs)
     for path in paths:
         file = _resolved(path)
         if file in seen:
-            raise InputError("two outputs are the same file", expected="a file each", file=path)
+            raise InputError("two outputs are the same file", expected="different files", file=path)
         seen.add(file)
         check_folder(_target(path).parent, path)
 
 
 def check_folder(folder: Path, path: Path) -> None:
-    """Find out whether files can be made in a folder, and clear away what killed runs left there.
+    """Check that files can be created in a folder, and remove what killed runs left there.
 
     Args:
         folder: the folder.
-        path: the output that is to go there, for the message.
+        path: the output to be written there, for the message.
 
     Raises:
         InputError: it is not writable.
     """
-    _sweep(folder)
+    _remove_leftovers(folder)
     try:
-        os.unlink(_created(folder))
+        os.unlink(_new_temporary(folder))
     except OSError as error:
         raise InputError("cannot be written", expected="a writable folder", file=path, value=error.strerror) from error
 
 
 def _target(path: Path) -> Path:
-    """Return the file that a write to the path replaces: a symbolic link is followed.
+    """Return the file that writing to a path replaces, following symbolic links.
 
     Raises:
-        InputError: as `check_writable`, of one path.
+        InputError: as `check_writable`, for one path.
     """
     file = _resolved(path)
-    run = _COMMAND.get()
-    if run is not None:
-        run.add_output(path)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.add_output(path)
     try:
         mode = path.stat().st_mode if path.exists() else None
     except OSError as error:
@@ -336,7 +338,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON atomically; a number that is not finite is written as null, which means unknown.
+    """Write JSON atomically; a number that is not finite is written as null, meaning unknown.
 
     Raises:
         InputError: it cannot be written.
@@ -354,16 +356,16 @@ def _finite(data: Any) -> Any:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a temporary file that takes the path's place when all of it is written; on an error nothing is left.
+    """Open a temporary file that replaces the path when it is complete; after an error nothing remains.
 
-    An existing file keeps its mode and, where permitted, its owner; a symbolic link stays, and its target is replaced.
+    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced.
 
     Raises:
         InputError: it cannot be written.
     """
     target = _target(path)
     try:
-        temporary = _created(target.parent)
+        temporary = _new_temporary(target.parent)
         try:
             with temporary.open("wb") as stream:
                 yield stream
@@ -377,7 +379,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def move_into_place(made: Path, path: Path) -> None:
-    """Replace an output by a complete file from the same file system.
+    """Replace an output with a complete file on the same file system.
 
     Raises:
         InputError: the output cannot be written.
@@ -390,22 +392,22 @@ def move_into_place(made: Path, path: Path) -> None:
             os.chown(made, old.st_uid, old.st_gid)
         os.chmod(made, stat.S_IMODE(old.st_mode))
     os.replace(made, target)
-    run = _COMMAND.get()
-    if run is not None:
-        run.written.add(target)
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.written.add(target)
 
 
 @contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Make a folder for temporary files, in TMPDIR unless a parent is given; it is removed afterwards.
+    """Make a folder for temporary files, in TMPDIR unless a parent is given, and remove it afterwards.
 
-    What a killed run left is removed by the next one that makes a folder or writes a file there.
+    Folders left by a killed run are removed by the next run that makes a folder or writes a file in the same place.
 
     Raises:
         OSError: it cannot be made.
     """
     place = Path(tempfile.gettempdir()) if parent is None else parent
-    _sweep(place)
+    _remove_leftovers(place)
     folder = place / _temporary_name()
     os.mkdir(folder, 0o700)
     try:
@@ -414,8 +416,8 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _created(folder: Path) -> Path:
-    """Create an empty temporary file, with the mode that a new file gets."""
+def _new_temporary(folder: Path) -> Path:
+    """Create an empty temporary file with the mode of a new file and return its path."""
     path = folder / _temporary_name()
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     return path
@@ -425,17 +427,17 @@ def _temporary_name() -> str:
     return f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}-{platform.node()}"
 
 
-def _sweep(folder: Path) -> None:
-    """Remove temporary files and folders of this user whose process, on this computer, is gone."""
+def _remove_leftovers(folder: Path) -> None:
+    """Remove this user's temporary files and folders whose process, on this computer, no longer runs."""
     try:
-        left = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY)]
+        candidates = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY)]
     except OSError:
         return
-    for path in left:
+    for path in candidates:
         pid, _, rest = path.name.removeprefix(TEMPORARY).partition("-")
         with suppress(OSError):
             ours = path.lstat().st_uid == os.geteuid() and rest.partition("-")[2] == platform.node()
-            if not (ours and pid.isdecimal()) or _runs(int(pid)):
+            if not (ours and pid.isdecimal()) or _is_running(int(pid)):
                 continue
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
@@ -443,7 +445,7 @@ def _sweep(folder: Path) -> None:
                 path.unlink()
 
 
-def _runs(pid: int) -> bool:
+def _is_running(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

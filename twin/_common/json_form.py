@@ -1,4 +1,4 @@
-"""The form in JSON of what a command found: one rule instead of a dictionary written out for every class."""
+"""Conversion of results to JSON data by one rule for all dataclasses."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def json_form(value: Any, *, rename: Mapping[str, str] = _NONE, leave_out: Collection[str] = ()) -> Any:
-    """Numbers, text, lists and dictionaries of a value; null for a number that is not finite.
+    """Return a value as numbers, text, lists and dictionaries; null for a number that is not finite.
 
-    A dataclass gives its fields in their order; a part that has a `to_dict` of its own is asked for it.
+    A dataclass becomes a dictionary of its fields in their order; a part with a method `to_dict` becomes what that returns.
 
     Args:
         value: a dataclass, mapping, sequence, array, number, text, or None.
-        rename: JSON keys of fields of ``value`` that are not called so.
-        leave_out: fields of ``value`` that are not written.
+        rename: JSON keys of those fields of ``value`` whose key is not the field name.
+        leave_out: fields of ``value`` to omit.
 
     Raises:
-        TypeError: a part that has no form in JSON.
+        TypeError: a part cannot be converted to JSON.
     """
     if is_dataclass(value) and not isinstance(value, type):
         kept = [field.name for field in fields(value) if field.name not in leave_out]
@@ -42,9 +42,9 @@ def _part(value: Any) -> Any:
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _part(one) for key, one in value.items()}
+        return {str(key): _part(item) for key, item in value.items()}
     if isinstance(value, Sequence | Set):
-        return [_part(one) for one in value]
+        return [_part(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):
         return json_form(value)
-    raise TypeError(f"no form in JSON for {type(value).__name__}")
+    raise TypeError(f"cannot convert {type(value).__name__} to JSON")

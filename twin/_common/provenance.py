@@ -1,4 +1,4 @@
-"""Warnings of where numbers come from. They travel with the numbers: measured table, calibration, programs, tables, reports, JSON.
+"""Warnings about the origin of numbers, passed on with them: measured table, calibration, programs, tables, reports, JSON.
 
 Each name stands for one cause. The sentences are plain ASCII without brackets, so that every program language and every table format
 can hold them in a comment.
@@ -16,12 +16,12 @@ Name = Literal["illustrative", "simulated_readings", "unsettled_estimate", "unkn
 @final
 @dataclass(frozen=True)
 class SourceWarning:
-    """A warning of where numbers come from.
+    """A warning about the origin of numbers.
 
     Attributes:
-        name: which warning, for programs.
-        title: the same for people; stands in front of the sentence.
-        sentence: what it means.
+        name: identifier of the warning.
+        title: the title shown before the sentence.
+        sentence: the explanation.
     """
 
     name: Name
@@ -30,11 +30,11 @@ class SourceWarning:
 
     @property
     def text(self) -> str:
-        """Title and sentence in one line."""
+        """Title and sentence on one line."""
         return f"{self.title}: {self.sentence}"
 
     def to_dict(self) -> dict[str, str]:
-        """For JSON."""
+        """Return the warning as JSON data."""
         return {"name": self.name, "text": self.text}
 
 
@@ -58,23 +58,23 @@ PARTLY_UNKNOWN: Final = SourceWarning(
 
 
 def merged(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
-    """All warnings of several sources, each name once, in the order of their weight; the first of a name counts."""
+    """Return the warnings of several sources, each name once (its first occurrence), the most serious first."""
     first: dict[str, SourceWarning] = {}
-    for one in (one for each in lists for one in each):
-        first.setdefault(one.name, one)
-    return tuple(first[one.name] for one in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if one.name in first)
+    for warning in (warning for each in lists for warning in each):
+        first.setdefault(warning.name, warning)
+    return tuple(first[kind.name] for kind in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if kind.name in first)
 
 
 def to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
-    """The entry ``warnings`` of a JSON file."""
-    return [one.to_dict() for one in warnings]
+    """Return the entry ``warnings`` of a JSON file."""
+    return [warning.to_dict() for warning in warnings]
 
 
 def texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
-    """One line a warning."""
-    return tuple(one.text for one in warnings)
+    """Return one line per warning."""
+    return tuple(warning.text for warning in warnings)
 
 
 def program_comments(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
-    """Comments for the head of a program, one a warning."""
-    return tuple(f"twin: {one.text}" for one in warnings)
+    """Return one comment per warning for the header of a program."""
+    return tuple(f"twin: {warning.text}" for warning in warnings)

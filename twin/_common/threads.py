@@ -1,4 +1,4 @@
-"""Work that falls into pieces, two shares of it side by side in threads."""
+"""Work on a list of items divided over two threads."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Final, TypeVar
 
 WORKERS: Final = 2
-"""Shares side by side; a fixed number, so that no result depends on the machine."""
+"""Number of threads; fixed, so that no result depends on the computer."""
 
 Piece = TypeVar("Piece")
 Part = TypeVar("Part")
 
 
 def side_by_side(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part]) -> list[Part]:
-    """What each share gave.
+    """Apply a function to the chunks of a list in parallel threads and return the result of each chunk.
 
     Args:
-        pieces: every other one is a share.
-        work: a share → what it gives; called from several threads. It should be mostly such work as lets other threads run.
+        pieces: the items; chunk k holds every `WORKERS`-th item from k on.
+        work: function of a chunk, called from several threads. It should release the GIL for most of its time.
     """
     shares = [pieces[i::WORKERS] for i in range(max(min(WORKERS, len(pieces)), 1))]
     if len(shares) == 1:

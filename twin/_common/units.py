@@ -1,7 +1,7 @@
-"""The one unit system inside: metre and radian, as URDF and Pinocchio have them.
+"""The internal units: metre and radian, as in URDF and Pinocchio.
 
-Users see mm, degrees, µm and µrad; a name that carries a unit (``_mm``, ``_deg``, ``_um``, ``_urad``) is on their side of
-the line, a name without one on ours. Multiply by these on the way in, divide on the way out.
+Users see mm, degrees, µm and µrad. A name with a unit (``_mm``, ``_deg``, ``_um``, ``_urad``) holds a value in that unit; a name
+without one holds metres or radians. Multiply by these constants on input, divide on output.
 """
 
 from math import pi
@@ -12,4 +12,4 @@ UM: Final = 1e-6
 DEG: Final = pi / 180.0
 URAD: Final = 1e-6
 TURN: Final = 360.0
-"""Degrees."""
+"""Degrees in one turn."""

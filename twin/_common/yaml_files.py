@@ -1,7 +1,7 @@
-"""YAML files checked against a pydantic model, whose errors know file and line.
+"""YAML files validated against a pydantic model; errors name file and line.
 
-Only what a file of `twin` needs is read: text, numbers, true and false, lists and entries. A date is text. Depth, number of
-entries and the size of the file are bounded, aliases included, so that reading always ends.
+Only what a file of `twin` needs is accepted: text, numbers, true and false, lists and mappings. A date is text. Nesting depth, number
+of entries and file size are bounded, with aliases expanded, so that reading always ends.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Place = tuple[str | int, ...]
 
 MOST_BYTES: Final = 2**23
 MOST_ENTRIES: Final = 50_000
-"""Of one file, with every alias written out; a calibration of five axes has some thousand."""
+"""Most entries of a file with all aliases expanded; a calibration of five axes has a few thousand."""
 DEEPEST: Final = 32
-"""Levels of lists and entries in one another; a calibration has five."""
+"""Most levels of nesting; a calibration has five."""
 LONGEST_NUMBER: Final = 400
-"""Characters of a number, and of what is written like one."""
+"""Most characters of a number, or of text that looks like one."""
 LARGEST: Final = 1e15
-"""Of any number in a file, whatever its unit: its square and what that is multiplied by are finite."""
+"""Largest absolute value of a number in any unit; products such as its square stay finite."""
 _YAML: Final = "tag:yaml.org,2002:"
 _SCALARS: Final[Mapping[str, str]] = {
     f"{_YAML}str": "text",
@@ -37,8 +37,8 @@ _SCALARS: Final[Mapping[str, str]] = {
     f"{_YAML}bool": "true or false",
     f"{_YAML}null": "nothing",
 }
-"""Tags of the scalars that are read, and what each must be."""
-_IN_WORDS: Final = {
+"""Accepted scalar tags, with the expected value in words."""
+_EXPECTED_WORDS: Final = {
     "missing": "this entry",
     "float_parsing": "a number",
     "float_type": "a number",
@@ -52,19 +52,19 @@ _IN_WORDS: Final = {
     "model_type": "entries, each `name: value`",
     "mapping_type": "entries, each `name: value`",
 }
-"""What is expected, by pydantic's type of error."""
+"""Expected value in words, by pydantic's error type."""
 
 
 def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[Place, int]]:
-    """Return a YAML file checked against a pydantic model, and the line of every entry by its place in the file.
+    """Read a YAML file, validate it against a pydantic model, and return it with the line of every entry by its path in the file.
 
     Args:
         path: the file.
-        schema: the model it must fit.
+        schema: the model it must match.
         name: the value its ``schema:`` entry must have.
 
     Raises:
-        InputError: with the line, on anything that does not fit; a key given twice included.
+        InputError: with the line, on anything that does not match, and on a duplicate key.
     """
     data, lines = read_yaml(path)
     if not isinstance(data, dict):
@@ -80,29 +80,29 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     try:
         return schema.model_validate(data), lines
     except ValidationError as error:
-        # An unknown key says more than the key that is missing because of it.
+        # Report an unknown key before the missing key that it probably stands for.
         found = error.errors()
-        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
-        # pydantic names the member of a union it tried; the file has no such entry.
+        first = next((entry for entry in found if entry["type"] == "extra_forbidden"), found[0])
+        # pydantic puts the tried member of a union into the path; the file has no such entry.
         place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
-        known = _known(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
+        known = _known_keys(schema, first["loc"]) if first["type"] == "extra_forbidden" else []
         raise InputError(
-            f"`{entry}` is missing" if first["type"] == "missing" else f"`{entry}` does not fit",
+            f"`{entry}` is missing" if first["type"] == "missing" else f"`{entry}` is invalid",
             expected=_expected(first, known),
             file=path,
             line=line_of(place, lines),
-            # The value around a missing top-level entry is the whole file.
+            # The value enclosing a missing top-level entry would be the whole file.
             value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
-            nearest=_meant(first, known),
+            nearest=_suggested(first, known),
         ) from error
 
 
 def read_yaml(path: Path) -> tuple[Any, Mapping[Place, int]]:
-    """Return the plain data of a YAML file, and the line of every entry by its place.
+    """Read a YAML file and return its plain data, with the line of every entry by its path.
 
     Raises:
-        InputError: with the line: no YAML, a tag or a value that is not read, a key given twice, too deep or too large.
+        InputError: with the line: not YAML, a tag or value that is not accepted, a duplicate key, nested too deeply or too large.
     """
     text = read_text(path, most_bytes=MOST_BYTES)
     loader = None
@@ -116,7 +116,7 @@ def read_yaml(path: Path) -> tuple[Any, Mapping[Place, int]]:
         ) from error
     except yaml.reader.ReaderError as error:
         raise InputError(
-            "a control character in the text",
+            "control character in the text",
             expected="a YAML file",
             file=path,
             line=text.count("\n", 0, error.position) + 1,
@@ -126,17 +126,17 @@ def read_yaml(path: Path) -> tuple[Any, Mapping[Place, int]]:
     finally:
         if loader is not None:
             loader.dispose()
-    reading = _Reading(path)
-    return (None if root is None else reading.plain(root, ())), reading.lines
+    converter = _NodeConverter(path)
+    return (None if root is None else converter.plain(root, ())), converter.lines
 
 
 @final
 class _Loader(yaml.SafeLoader):
-    """YAML nodes, bounded in depth and number while they are made."""
+    """A loader of YAML nodes that bounds their depth and number while composing them."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        # No dates, no merge keys: a date is text, and `<<` is an unknown entry.
+        # Resolve neither dates nor merge keys: a date is text, and `<<` an unknown entry.
         self.yaml_implicit_resolvers = {
             first: [(tag, pattern) for tag, pattern in resolvers if tag in _SCALARS]
             for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -145,10 +145,10 @@ class _Loader(yaml.SafeLoader):
         self.count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """As of PyYAML.
+        """Compose a node as PyYAML does.
 
         Raises:
-            MarkedYAMLError: too deep or too many.
+            MarkedYAMLError: too many levels or too many entries.
         """
         mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         self.depth += 1
@@ -164,53 +164,53 @@ class _Loader(yaml.SafeLoader):
 
 
 @final
-class _Reading:
-    """Plain data of YAML nodes, with aliases written out.
+class _NodeConverter:
+    """Conversion of YAML nodes to plain data, with aliases expanded.
 
     Attributes:
-        lines: the line of every entry by its place.
+        lines: the line of every entry by its path.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.lines: dict[Place, int] = {}
-        self._around: list[yaml.Node] = []
+        self._open_nodes: list[yaml.Node] = []
 
     def plain(self, node: yaml.Node, place: Place) -> Any:
         """Return the plain data of a node.
 
         Raises:
-            InputError: it is not read, too large, or contains itself.
+            InputError: its kind is not accepted, it is too large, or it contains itself.
         """
         line = node.start_mark.line + 1
         self.lines[place] = line
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node)
         if node.tag not in (f"{_YAML}map", f"{_YAML}seq"):
-            raise self._fail("a tag that is not read", "entries or a list without a tag", line, node.tag)
-        if any(one is node for one in self._around):
-            raise self._fail("an alias inside its own anchor", "no recursion", line, None)
+            raise self._error("unsupported tag", "entries or a list without a tag", line, node.tag)
+        if any(one is node for one in self._open_nodes):
+            raise self._error("alias inside its own anchor", "no recursion", line, None)
         if len(self.lines) > MOST_ENTRIES:
-            raise self._fail(f"more than {MOST_ENTRIES} entries with its aliases", "a smaller file", line, None)
-        self._around.append(node)
+            raise self._error(f"more than {MOST_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
+        self._open_nodes.append(node)
         try:
             if isinstance(node, yaml.SequenceNode):
                 return [self.plain(item, (*place, index)) for index, item in enumerate(node.value)]
             return self._entries(node, place)
         finally:
-            self._around.pop()
+            self._open_nodes.pop()
 
     def _entries(self, node: yaml.Node, place: Place) -> dict[Any, Any]:
         found: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                raise self._fail("a name that is a list or has entries", "`name: value`", line, None)
+                raise self._error("list or mapping used as a key", "`name: value`", line, None)
             key = self._scalar(key_node)
             if not isinstance(key, str):
-                raise self._fail("a name that is no text", "quotes around it", line, key_node.value)
+                raise self._error("key that is not text", "quotes around it", line, key_node.value)
             if key in found:
-                raise self._fail("given twice", "each key once", line, key)
+                raise self._error("duplicate key", "each key once", line, key)
             found[key] = self.plain(value_node, (*place, key))
             self.lines[(*place, key)] = line
         return found
@@ -219,27 +219,27 @@ class _Reading:
         line, text = node.start_mark.line + 1, node.value
         expected = _SCALARS.get(node.tag)
         if expected is None:
-            raise self._fail("a tag that is not read", "text, numbers, true or false", line, f"{node.tag} {text}")
+            raise self._error("unsupported tag", "text, numbers, true or false", line, f"{node.tag} {text}")
         if node.tag == f"{_YAML}str":
             if control_character(text) is not None:
-                raise self._fail("a control character in the text", "printable text", line, text)
-            # YAML 1.1 reads 1e-3 as text; a metrologist means the number.
-            return self._in_size(_number(text), text, line) if node.style is None else text
+                raise self._error("control character in the text", "printable text", line, text)
+            # YAML 1.1 reads 1e-3 as text, but the number is meant.
+            return self._checked_size(_number(text), text, line) if node.style is None else text
         if len(text) > LONGEST_NUMBER:
-            raise self._fail(f"a number of {len(text)} characters", expected, line, text)
+            raise self._error(f"number of {len(text)} characters", expected, line, text)
         try:
             value = yaml.constructor.SafeConstructor().construct_object(node)
         except (ArithmeticError, LookupError, ValueError):
-            raise self._fail("another kind of value", expected, line, text) from None
-        return self._in_size(value, text, line)
+            raise self._error("wrong kind of value", expected, line, text) from None
+        return self._checked_size(value, text, line)
 
-    def _in_size(self, value: Any, text: str, line: int) -> Any:
-        # Infinity is left to the schema, which names the entry.
+    def _checked_size(self, value: Any, text: str, line: int) -> Any:
+        # The schema rejects infinity, and its error names the entry.
         if isinstance(value, int | float) and LARGEST < abs(value) < float("inf"):
-            raise self._fail("too large a number", f"at most {LARGEST:g}", line, text)
+            raise self._error("number too large", f"at most {LARGEST:g}", line, text)
         return value
 
-    def _fail(self, what: str, expected: str, line: int, value: object) -> InputError:
+    def _error(self, what: str, expected: str, line: int, value: object) -> InputError:
         return InputError(what, expected=expected, file=self.path, line=line, value=value)
 
 
@@ -251,30 +251,30 @@ def _number(text: str) -> Any:
 
 
 def line_of(place: Place, lines: Mapping[Place, int]) -> int | None:
-    """Return the line of an entry, or of the nearest entry around it."""
+    """Return the line of an entry, or of the closest enclosing entry."""
     while place and place not in lines:
         place = place[:-1]
     return lines.get(place)
 
 
 def _expected(first: Any, known: Sequence[str]) -> str:
-    """What is expected, in words of ours where pydantic's are about programs."""
+    """Return what is expected, in plain words instead of pydantic's."""
     if known:
         return f"one of {', '.join(known)}"
-    if first["type"] in _IN_WORDS:
-        return _IN_WORDS[first["type"]]
+    if first["type"] in _EXPECTED_WORDS:
+        return _EXPECTED_WORDS[first["type"]]
     return str(first.get("ctx", {}).get("expected") or first["msg"].removeprefix("Input should be "))
 
 
-def _meant(first: Any, known: Sequence[str]) -> str | None:
-    """The known name nearest to an unknown key, or to a word that is not in a list."""
+def _suggested(first: Any, known: Sequence[str]) -> str | None:
+    """Return the known name closest to an unknown key, or the allowed word closest to another."""
     if first["type"] == "literal_error":
         return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
     return nearest(str(first["loc"][-1]), known) if known else None
 
 
-def _known(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
-    """The known keys at the place of an unknown one."""
+def _known_keys(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
+    """Return the known keys at the path of an unknown one."""
     models: list[type[BaseModel]] = [schema]
     for part in place[:-1]:
         below = [
@@ -288,7 +288,7 @@ def _known(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models an annotation names, in whatever containers."""
+    """Return the models an annotation contains, in whatever containers."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]

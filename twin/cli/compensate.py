@@ -123,7 +123,7 @@ def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool)
     source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
-    if not dialect.becomes(target):
+    if not dialect.can_post_to(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",

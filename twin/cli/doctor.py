@@ -82,7 +82,7 @@ def _start(seconds: float) -> Finding:
 
 
 def _compiler() -> Finding:
-    tool = compiler.found()
+    tool = compiler.find_compiler()
     if tool is None:
         remedy = "solving takes some twenty times as long from 50,000 poses on; apt install g++, or set CXX"
         return Finding("C++ compiler", "missing", "none of c++, g++, clang++, $CXX", remedy)

@@ -126,7 +126,7 @@ class Compensator:
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         if rewrites:
-            text = written.commented(text, program_comments(bench.calibration.warnings))
+            text = written.with_comments(text, program_comments(bench.calibration.warnings))
         self._check(program, reading, found, text, written, posted=posted)
         say("checking", 0.9)
         account = CompensationAccount(bench, aim, program.source)
@@ -174,9 +174,7 @@ class Compensator:
         say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
         target = dialect if into is None else into
-        streams = (
-            dialect.in_stretches and target.name == dialect.name and program.is_file() and not self.bench.lost.axes
-        )
+        streams = dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.bench.lost.axes
         with command_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)

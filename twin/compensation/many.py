@@ -222,7 +222,7 @@ def compensate_files(
                     yield ProgramOutcome(program, None, {}, error)
             orders = _Orders(there, travel=own.scheduler is not None)
             say("programs", 0.0)
-            answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), refusals=True)
+            answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), return_errors=True)
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):
                     program, goal = goal_of[index]

@@ -1,1 +1,1 @@
-"""How the numbers are reckoned fast: CasADi functions as NumPy or compiled code, points in batches, tasks side by side."""
+"""Fast evaluation: CasADi functions run by NumPy or compiled code, many rows per call, and independent tasks in parallel."""

@@ -1,6 +1,6 @@
-"""A CasADi function over many rows at once: mapped and fed through its buffers, never called in a Python loop per row.
+"""A CasADi function evaluated over many rows at once, mapped and called through its buffers instead of a Python loop over rows.
 
-Very many rows in one call go a faster way, whose results may differ in the last digits.
+Calls with very many rows use a faster evaluation whose results may differ in the last digits.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ import numpy as np
 from twin.compute.native import RowFunction, Taken
 
 MANY: Final = 4096
-"""Rows in a call from which CasADi's own evaluation is not the fastest (`twin.compute.native.rows`)."""
+"""Number of rows in a call from which `twin.compute.native.rows` is faster than CasADi's own evaluation."""
 CHUNK = 1024
-"""Rows a call of CasADi's: long enough that a call costs nothing, short enough that its work fits in cache."""
-REST = 128
-"""Rows a call for what is left over, so that little of it is padding."""
+"""Rows per call of CasADi: enough to make the cost of a call negligible, few enough to fit in cache."""
+SMALL_CHUNK = 128
+"""Rows per call for the remaining rows, so that little of the call is padding."""
 
 
 @final
 class BatchFunction:
-    """``rows in, rows out``: every input and output is an array with one row a pose.
+    """A function of arrays with one row per pose.
 
     Args:
-        function: dense inputs and outputs; each becomes an array of shape (rows, entries), entries column-major.
+        function: a CasADi function with dense inputs; each input and output becomes an array of shape (rows, entries), entries
+            column-major.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -38,39 +39,39 @@ class BatchFunction:
         )
         threads = ("thread", os.cpu_count() or 1) if (os.cpu_count() or 1) > 1 else ()
         self._function = dense
-        self._mapped, self._rest = (dense.map(size, *threads) for size in (CHUNK, REST))
+        self._mapped, self._mapped_small = (dense.map(size, *threads) for size in (CHUNK, SMALL_CHUNK))
         self._single = dense.map(1)
 
     @cached_property
-    def _fast(self) -> RowFunction:
+    def _row_function(self) -> RowFunction:
         return RowFunction(self._function)
 
     def __call__(self, *inputs: np.ndarray | Taken) -> tuple[np.ndarray, ...]:
         """Evaluate all rows.
 
         Args:
-            inputs: (rows, entries) each, or (entries,) for one value shared by all rows; or rows taken from a table.
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows, or rows of a table (`Taken`).
 
         Returns:
-            One (rows, entries) array an output.
+            One (rows, entries) array per output.
         """
         rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
-        given = [
+        arrays = [
             array if isinstance(array, Taken) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
-        if rows >= MANY and self._fast(given, outputs):
+        if rows >= MANY and self._row_function(arrays, outputs):
             return outputs
-        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in given]
+        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in arrays]
         start = 0
         while start < rows:
             left = rows - start
             if rows <= 4:
                 function, size = self._single, 1
             else:
-                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._rest, REST)
-            # As many calls of one size as fit share one buffer.
+                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._mapped_small, SMALL_CHUNK)
+            # Calls of one size share one buffer.
             end = start + max(left // size, 1) * size
             self._run(function, size, range(start, min(end, rows), size), columns, outputs)
             start = end
@@ -88,18 +89,18 @@ class BatchFunction:
         buffer, trigger = function.buffer()
         for start in starts:
             part = slice(start, start + size)
-            have = min(size, len(columns[0]) - start)
-            whole = have == size
-            given = [column[part] if whole else _padded(column[part], size) for column in columns]
-            results = [output[part] if whole else np.empty((size, output.shape[1])) for output in outputs]
-            for i, array in enumerate(given):
+            count = min(size, len(columns[0]) - start)
+            complete = count == size
+            arrays = [column[part] if complete else _padded(column[part], size) for column in columns]
+            results = [output[part] if complete else np.empty((size, output.shape[1])) for output in outputs]
+            for i, array in enumerate(arrays):
                 buffer.set_arg(i, _view(array))
             for i, array in enumerate(results):
                 buffer.set_res(i, _view(array))
             trigger()
-            if not whole:
+            if not complete:
                 for output, result in zip(outputs, results, strict=True):
-                    output[part] = result[:have]
+                    output[part] = result[:count]
 
 
 def _view(array: np.ndarray) -> Any:
@@ -108,7 +109,7 @@ def _view(array: np.ndarray) -> Any:
 
 
 def _padded(rows: np.ndarray, size: int) -> np.ndarray:
-    """The last row repeated up to ``size``: padding must be a pose like any other."""
+    """Return the rows with the last one repeated up to ``size`` rows; padding must be a valid pose."""
     return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)])
 
 

@@ -177,6 +177,6 @@ class Inverse:
             locked(found.positions),
             locked(found.code),
             locked(found.distance),
-            locked(found.apart),
+            locked(found.axis_angle_rad),
             found.iterations,
         )

@@ -1,4 +1,4 @@
-"""NC programs: three languages, read and written without losing a byte."""
+"""NC programs in three languages (ISO, Heidenhain plain language, APT), read and written without losing a byte."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 
 
 def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
-    """The dialect of a program, by the suffix of its name.
+    """Return the language of a program by the suffix of its name.
 
     Args:
         path: the program's path.
-        data: its bytes, where they are at hand: some suffixes are those of several languages.
+        data: the program's bytes, if known: some suffixes are shared by several languages.
 
     Raises:
         InputError: an unknown suffix.
@@ -34,14 +34,16 @@ def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
         if suffix in dialect.suffixes:
             return dialect
     known = " ".join(suffix for dialect in DIALECTS for suffix in dialect.suffixes)
-    raise InputError("unknown kind of program", expected=f"a name ending in one of {known}", file=path, value=suffix)
+    raise InputError(
+        "unknown NC program type", expected=f"a file name ending in one of {known}", file=path, value=suffix
+    )
 
 
 def find_program(path: str | Path) -> Path:
-    """The program of that name: a file, else one that comes with twin.
+    """Return the path of a program: a file, else a sample program that comes with twin.
 
     Raises:
-        InputError: neither is there.
+        InputError: there is neither.
     """
     path = Path(path)
     if path.exists():
@@ -53,14 +55,14 @@ def find_program(path: str | Path) -> Path:
     names = sorted(file.name for file in _SAMPLES.glob("*") if file.suffix in known)
     raise InputError(
         "no such program",
-        expected=f"a file, or one that comes with twin: {' '.join(names)}",
+        expected=f"a file, or a program that comes with twin: {' '.join(names)}",
         file=path,
         nearest=nearest(path.name, [*names, *_beside(path)]),
     )
 
 
 def _beside(path: Path) -> list[str]:
-    """Names of the files in a folder, where there is one."""
+    """Return the names of the files in the same folder; empty if there is no such folder."""
     try:
         return [file.name for file in path.parent.iterdir() if file.is_file()]
     except OSError:
@@ -68,10 +70,10 @@ def _beside(path: Path) -> list[str]:
 
 
 def dialect_of(path: Path) -> Dialect:
-    """The dialect of a program that is there, by its name and how it begins.
+    """Return the language of an existing program, by the suffix of its name and its first bytes.
 
     Raises:
-        InputError: it cannot be read, or an unknown suffix.
+        InputError: it cannot be read, or its suffix is unknown.
     """
     note_input(path)
     try:
@@ -82,10 +84,10 @@ def dialect_of(path: Path) -> Dialect:
 
 
 def read_program(path: str | Path) -> tuple[Program, Dialect]:
-    """A program from a file (or one that comes with twin), and its dialect.
+    """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
     Raises:
-        InputError: no such file, an unknown suffix, empty, or not text.
+        InputError: there is no such file, its suffix is unknown, or it is empty or not text.
     """
     found = find_program(path)
     data = read_bytes(found)

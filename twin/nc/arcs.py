@@ -1,4 +1,4 @@
-"""The geometry of circular blocks: from what a program says (centre or radius, sense, turns) to an `Arc`."""
+"""Geometry of circular blocks: from centre or radius, sense and full turns to an `Arc`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from twin.nc.blocks import Arc
 SLACK_MM = 0.02
 SLACK_RATIO = 1e-3
 SLACK_MOST_MM = 0.5
-"""An end point may miss its circle by 0.02 mm or 0.1 % of the radius (whichever is more), never by 0.5 mm."""
+"""Tolerance of an arc's end point: 0.02 mm or 0.1 % of the radius, whichever is larger, but less than 0.5 mm."""
 
 PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 
 class ArcMisfit(NamedTuple):
-    """Why a circular block is not one: what is wrong, and what was expected."""
+    """Why a circular block has no valid arc: what is wrong, and what was expected."""
 
     what: str
     expected: str
@@ -34,27 +34,27 @@ def arc_by_centre(
     clockwise: bool,
     turns: int = 0,
 ) -> Arc | ArcMisfit:
-    """The arc about a centre; end = start is a full circle.
+    """Return the arc about a centre; equal start and end make a full circle.
 
     Args:
         plane: as `Arc.plane`.
         start: in-plane start, mm.
         end: in-plane end, mm.
         centre: in-plane centre, mm.
-        clockwise: sense.
-        turns: full turns beyond the plain arc.
+        clockwise: whether the sense is clockwise.
+        turns: additional full turns.
     """
     ax, ay = start[0] - centre[0], start[1] - centre[1]
     bx, by = end[0] - centre[0], end[1] - centre[1]
     first, last = math.hypot(ax, ay), math.hypot(bx, by)
     if not (math.isfinite(first) and math.isfinite(last)):
-        return ArcMisfit("circular block from a position the program has not said", "an absolute position first")
+        return ArcMisfit("circular block with an unknown start position", "an absolute position before it")
     if first < 1e-9:
-        return ArcMisfit("arc of radius zero", "a centre away from the start")
+        return ArcMisfit("arc of radius zero", "a centre different from the start point")
     if _misses(abs(first - last), max(first, last)):
         return ArcMisfit(
-            f"the end of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
-            f"the same distance from the centre within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
+            f"the end point of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
+            f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
         )
     if math.hypot(bx - ax, by - ay) < 1e-9:
         sweep = 2 * math.pi
@@ -74,22 +74,22 @@ def arc_by_radius(
     clockwise: bool,
     turns: int = 0,
 ) -> Arc | ArcMisfit:
-    """The arc of a radius: positive the short way (up to half a circle), negative the long way.
+    """Return the arc with a radius: positive for up to half a circle, negative for more.
 
     Args:
         plane: as `Arc.plane`.
         start: in-plane start, mm.
         end: in-plane end, mm.
         radius: mm, signed.
-        clockwise: sense.
-        turns: full turns beyond the plain arc.
+        clockwise: whether the sense is clockwise.
+        turns: additional full turns.
     """
     dx, dy = end[0] - start[0], end[1] - start[1]
     chord = math.hypot(dx, dy)
     if not math.isfinite(chord):
-        return ArcMisfit("circular block from a position the program has not said", "an absolute position first")
+        return ArcMisfit("circular block with an unknown start position", "an absolute position before it")
     if chord < 1e-9:
-        return ArcMisfit("arc by radius that ends where it starts", "a centre (a full circle has many)")
+        return ArcMisfit("arc by radius that ends where it starts", "a full circle given by its centre")
     size = abs(radius)
     if chord / 2 > size and _misses(chord / 2 - size, size):
         return ArcMisfit(f"radius {size:g} mm is too small for a chord of {chord:.4f} mm", "at least half the chord")

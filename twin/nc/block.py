@@ -1,4 +1,4 @@
-"""One block of a language of words, understood: its words with their places in the text, and what it does."""
+"""One interpreted block of an ISO or Heidenhain program: its words with their positions in the text, and its effect."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ class AxisWord(NamedTuple):
 
     Attributes:
         axis: index of the axis.
-        start: where the word begins in the line's text, and
-        end: where it ends.
-        value_start: where its value begins, and
-        value_end: where that ends (inside ``AC( )`` and its like).
+        start, end: range of the word in the line's text.
+        value_start, value_end: range of its value, inside ``AC( )`` and similar forms.
         form: ``""`` or ``AC``, ``IC``, ``DC``, ``ACP``, ``ACN``.
-        incremental: whether the value counts from the last position.
-        value: as written, in mm or degrees (NaN: not a number we know).
+        incremental: whether the value is relative to the last position.
+        value: as written, in mm or degrees; NaN if it is not a known number.
     """
 
     axis: int
@@ -33,7 +31,7 @@ class AxisWord(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A stretch of the line's text, and the name of the word in it."""
+    """A range of the line's text, and the name of the word in it."""
 
     start: int
     end: int
@@ -42,32 +40,32 @@ class Span(NamedTuple):
 
 @dataclass(slots=True)
 class Block:
-    """One block: its words, the modal state in force, and the moves it makes.
+    """One block: its words, the modal state in force, and its moves.
 
     Attributes:
         text: the line's text.
-        head: end of what stands before the block: skip mark and number.
+        head_end: end of the skip mark and block number.
         inch: whether the program is in inches here.
-        incremental: whether words without a form count from the last position here.
+        incremental: whether words without a form are incremental here.
         words: axis words, in their order.
-        seen: the axes of those, as bits.
-        vector_words: places of the tool vector's components by index 0, 1, 2 (value stretches).
+        axis_bits: the axes of these words, as bits.
+        vector_words: ranges of the tool vector's values, by component 0, 1, 2.
         arc_words: centre, radius, sense and turns of an arc.
-        last_m: M words that act at the end of the block.
-        moves: what it makes: none, one, or one and the strokes of a drilling cycle.
-        forgets: indices of the axes nobody knows the position of afterwards.
-        switched: whether the control's kinematics were switched.
+        end_m_words: M words that take effect at the end of the block.
+        moves: none, one, or one move followed by the strokes of a drilling cycle.
+        unknown_axes: indices of the axes whose position is unknown after the block.
+        tcp_switched: whether the block switches tool centre point control.
     """
 
     text: str
-    head: int = 0
+    head_end: int = 0
     inch: bool = False
     incremental: bool = False
     words: list[AxisWord] = field(default_factory=list)
-    seen: int = 0
+    axis_bits: int = 0
     vector_words: dict[int, Span] = field(default_factory=dict)
     arc_words: list[Span] = field(default_factory=list)
-    last_m: list[Span] = field(default_factory=list)
+    end_m_words: list[Span] = field(default_factory=list)
     moves: tuple[Move, ...] = ()
-    forgets: tuple[int, ...] = ()
-    switched: bool = False
+    unknown_axes: tuple[int, ...] = ()
+    tcp_switched: bool = False

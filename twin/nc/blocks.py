@@ -1,12 +1,12 @@
-"""What a program says, once its dialect is out of the way: lines, moves, and the pieces that replace a move.
+"""Data of NC programs independent of their language: lines, moves, and the segments that replace a move.
 
-Data flows one way: text -> `Program` (a dialect's `read`) -> `Move`s (`moves`) -> somebody decides new
-positions -> `Rewrite`s -> text (`rewrite`). The dialect knows words and modality; it knows no kinematics.
+Data flow: text -> `Program` (`Dialect.read`) -> `Move`s (`Dialect.moves`) -> new positions, computed elsewhere -> `Rewrite`s -> text
+(`Dialect.rewrite`). A dialect knows words and modality, but no kinematics.
 
-Units: mm and degrees, whatever the program's own (`G20` programs are converted on the way in and out).
+Units: mm and degrees, whatever the units of the program (`G20` programs are converted on reading and writing).
 
-`Move` and `Notice` are tuples because a program has hundreds of thousands of them: a frozen dataclass takes
-three times as long to make.
+`Move` and `Notice` are tuples because a program has hundreds of thousands of them and a frozen dataclass takes three times as long to
+create.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import numpy as np
 @final
 @dataclass(frozen=True)
 class AxisWords:
-    """The axis words a machine's programs use: names of its linear and rotary axes, and their least increments.
+    """The axis words of a machine's programs: names of its linear and rotary axes, and their least increments.
 
     Attributes:
         linear: names of the three linear axes, in the order x, y, z of the program's coordinates.
         rotary: names of the rotary axes in command order (none, one or two).
         increment: least increment of each axis, mm or degrees.
-        tcp_on, tcp_off: further words that switch the control's own kinematics on and off on this machine
-            (a remapped ``M428``, say), in capitals, beside those of the dialect.
+        tcp_on, tcp_off: words in capitals that switch tool centre point control on and off on this machine (a remapped
+            ``M428``, for example), in addition to those of the dialect.
     """
 
     linear: tuple[str, ...]
@@ -40,19 +40,19 @@ class AxisWords:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Linear, then rotary axis names."""
+        """Names of the linear axes, then of the rotary axes."""
         return self.linear + self.rotary
 
 
 @final
 @dataclass(frozen=True)
 class Program:
-    """A program as read: its lines hold every byte (decoded as latin-1, so that any byte survives).
+    """A program as read: its lines hold every byte, decoded as latin-1 so that any byte is preserved.
 
     Attributes:
-        source: its name.
+        source: file name for messages.
         dialect: the name of its language.
-        texts: its lines' texts, each with its own line ending.
+        texts: the lines, each with its own line ending.
     """
 
     source: str
@@ -67,7 +67,7 @@ class Program:
 
 @final
 class Kind(Enum):
-    """How a move gets to its end."""
+    """The type of motion of a move."""
 
     RAPID = "rapid"
     LINEAR = "linear"
@@ -80,7 +80,7 @@ class Arc:
     """A circular (helical) move in a principal plane of the program's linear coordinates.
 
     Attributes:
-        plane: indices (a, b, c) of the two in-plane coordinates, right-handed about the third: G17 (0, 1, 2),
+        plane: indices (a, b, c): in-plane coordinates a and b, right-handed about c: G17 (0, 1, 2),
             G18 (2, 0, 1), G19 (1, 2, 0).
         centre_mm: centre in the plane (coordinates a and b), absolute.
         angle_rad: signed sweep from start to end, counter-clockwise positive, full turns included.
@@ -93,18 +93,17 @@ class Arc:
 
 @final
 class Move(NamedTuple):
-    """One block that moves axes, with everything modal made explicit.
+    """One block that moves axes, with all modal state made explicit.
 
     Attributes:
         line: index into ``Program.texts``.
         kind: rapid, linear feed or arc.
-        tcp: whether the control does the kinematics here (the words are tool-tip coordinates).
-        machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``): such a block passes through
-            unchanged, ``position`` holds what it names and NaN elsewhere.
-        position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the
-            program's own coordinates (no work offset); NaN where the program has not said it yet.
-            Rotary entries are NaN in a block that gives a tool vector.
-        named: axis names this block wrote.
+        tcp: whether tool centre point control is on (the words are tool-tip coordinates).
+        machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``). Such a block passes through unchanged;
+            ``position`` holds its words, NaN for the other axes.
+        position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the program's
+            coordinates (without work offset); NaN where still unknown. Rotary entries are NaN in a block with a tool vector.
+        named: names of the axes written in this block.
         vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
         normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
         arc: for ``Kind.ARC``.
@@ -123,7 +122,7 @@ class Move(NamedTuple):
 
 @final
 class Notice(NamedTuple):
-    """Something in the program a reader of the report must know: a line passed through, a word not understood."""
+    """A remark on a line for the report: passed through unchanged, or a word that is not understood."""
 
     line: int
     text: str
@@ -131,12 +130,12 @@ class Notice(NamedTuple):
 
 @final
 class Left(NamedTuple):
-    """Axes that a line, behind its own moves, leaves in a place the program does not say.
+    """Axes whose position is unknown after a line, beyond its own moves.
 
     Attributes:
         line: index into ``Program.texts``.
         axes: indices into ``AxisWords.names``.
-        moved: whether it moves them for certain (a reference return, a retraction), or perhaps (a word not understood).
+        moved: whether the line certainly moves them (reference return, retraction) or possibly does (an unknown word).
     """
 
     line: int
@@ -147,25 +146,24 @@ class Left(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Reading:
-    """What interpreting a program gave: its moves, in order, notices, and what it leaves in a place unknown."""
+    """The result of interpreting a program: its moves in order, notices, and the lines after which axis positions are unknown."""
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
-    left: tuple[Left, ...] = ()
+    lost_positions: tuple[Left, ...] = ()
 
 
 @final
 @dataclass(frozen=True)
 class Rewrite:
-    """New end positions for one move: one row a piece, the last row being the move's own end.
+    """New end positions for one move: one row per segment; the last row is the end of the move.
 
     Attributes:
         move: the move it replaces.
-        positions: (pieces, axes) absolute, mm and degrees, order ``AxisWords.names``, already at the least
-            increment; NaN for a word that is not to be written (rotary axes of a move that gives a tool vector, or of
-            a program that never names them).
-        vectors: (pieces, 3) unit tool vectors, or None.
-        shares: (pieces,) of the move's time that each piece takes, where the feed is an inverse time; None: equal ones.
+        positions: (segments, axes) absolute, mm and degrees, in the order ``AxisWords.names``, rounded to the least increment;
+            NaN for a word that is not to be written (rotary axes of a move with a tool vector, or of a program without them).
+        vectors: (segments, 3) unit tool vectors, or None.
+        shares: (segments,) fraction of the move's time for each segment, for inverse time feed; None: equal fractions.
     """
 
     move: Move

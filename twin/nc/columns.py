@@ -1,4 +1,4 @@
-"""Moves in columns: a program of a million blocks is arrays, and an object of each move only where somebody asks for it."""
+"""Moves stored as arrays, with a `Move` object made only on access; memory-efficient for programs of a million blocks."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from twin.nc.blocks import Kind, Move
 @final
 @dataclass(frozen=True)
 class MoveColumns(Sequence[Move]):
-    """Moves, as `Move` has them.
+    """Moves as columns; see `Move`.
 
     Attributes:
         names: axis names, in the order of the positions.
-        line: (n,) index of each one's line.
-        rapid: (n,) whether it is a rapid.
+        line: (n,) index of the line.
+        rapid: (n,) whether the move is a rapid.
         tcp: (n,) whether the words are tool-tip coordinates.
-        named: (n,) the set of axes it wrote, as bits.
-        position: (n, axes) mm and degrees, NaN where the program has not said it.
-        special: by index, those with more to them than columns hold: arcs, tool vectors, machine coordinates.
+        named: (n,) the axes written in the block, as bits.
+        position: (n, axes) mm and degrees, NaN where unknown.
+        special: moves that do not fit the columns, by index: arcs, tool vectors, machine coordinates.
     """
 
     names: tuple[str, ...]
@@ -37,7 +37,7 @@ class MoveColumns(Sequence[Move]):
 
     @classmethod
     def of(cls, names: tuple[str, ...], moves: Sequence[Move]) -> MoveColumns:
-        """Moves that are objects, in columns."""
+        """Convert `Move` objects to columns."""
         bit = {name: 1 << i for i, name in enumerate(names)}
         bits = {named: sum(bit[name] for name in named) for named in {move.named for move in moves}}
         return cls(
@@ -92,7 +92,7 @@ class MoveColumns(Sequence[Move]):
         return frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
 
     def part(self, first: int, last: int) -> MoveColumns:
-        """Some of them, one behind the other."""
+        """Return the moves from one index up to, but excluding, another."""
         cut = slice(first, last)
         special = {index - first: move for index, move in self.special.items() if first <= index < last}
         return MoveColumns(
@@ -100,14 +100,14 @@ class MoveColumns(Sequence[Move]):
         )
 
     def turns(self, rotary: Sequence[str]) -> bool:
-        """Whether any move turns the tool: names one of these axes or gives a vector."""
+        """Return whether any move changes the tool orientation: writes one of these rotary axes or has a tool vector."""
         bits = sum(1 << self.names.index(name) for name in rotary)
         return bool(np.any(self.named & bits)) or any(move.vector is not None for move in self.special.values())
 
 
 @final
 class MoveBuilder:
-    """Collects moves, one by one and in bulk.
+    """Collector of moves, added one by one or in columns.
 
     Args:
         names: axis names.
@@ -119,21 +119,21 @@ class MoveBuilder:
         self._loose: list[Move] = []
 
     def add(self, move: Move) -> None:
-        """One move."""
+        """Add one move."""
         self._loose.append(move)
 
     def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
-        """Many, in columns."""
+        """Add many moves, in columns."""
         columns = MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})
         self._parts += [self._loose, columns] if self._loose else [columns]
         self._loose = []
 
     def objects(self) -> tuple[Move, ...]:
-        """All of them, each as an object."""
+        """Return all moves as objects."""
         return tuple(chain(*self._parts, self._loose))
 
     def moves(self) -> MoveColumns:
-        """All of them, in columns."""
+        """Return all moves in columns."""
         parts = [part if isinstance(part, MoveColumns) else MoveColumns.of(self._names, part) for part in self._parts]
         if self._loose or not parts:
             parts.append(MoveColumns.of(self._names, self._loose))

@@ -1,4 +1,4 @@
-"""What a language of NC programs is: everything that the rest of the package asks of one."""
+"""Interface of a language of NC programs, as used by the rest of the package."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
-from twin.nc.emit import Said
+from twin.nc.emit import OutputState
 from twin.nc.text import Style, format_number, read_lines
 
 
 class Dialect(ABC):
-    """One language of NC programs, text on both sides of `twin.nc.blocks`.
+    """One language of NC programs: conversion between text and the data of `twin.nc.blocks`.
 
-    A language is one file (or folder) with a class like this, and a line in `twin.nc.DIALECTS`.
+    A new language is a module or package with such a class, and an entry in `twin.nc.DIALECTS`.
 
     Attributes:
         name: its name in messages and reports.
-        suffixes: endings of the names of its files, in small letters with the dot.
-        shared_suffixes: endings that another language has too; a program with one is of this language if it begins as
-        begins: says.
+        suffixes: file name suffixes in small letters, with the dot.
+        shared_suffixes: suffixes that another language uses too; a file with one is of this language if its text matches
+            `begins`.
+        begins: pattern of the first bytes of such a file.
         vector_decimals: decimals of a tool vector (7: 0.1 µrad).
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
-        cutter_locations: whether its programs say where the tool is, for any language with axis words to take over.
-        in_stretches: whether `twin.nc.iso.stream` can work through its programs part by part.
+        cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
+        in_chunks: whether `twin.nc.iso.stream` can process its programs in chunks.
     """
 
     name: str
@@ -36,27 +37,32 @@ class Dialect(ABC):
     vector_decimals: int = 7
     linear_increment_mm: float | None = None
     cutter_locations: bool = False
-    in_stretches: bool = False
+    in_chunks: bool = False
 
     @abstractmethod
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
-        """Interpret a program; ``tcp``: whether the control's kinematics are on from the start.
+        """Interpret a program.
+
+        Args:
+            program: the program.
+            axes: axis words.
+            tcp: whether tool centre point control is on from the start.
 
         Raises:
-            InputError: with file, line and value, on whatever cannot be understood or must not pass uncompensated.
+            InputError: with file, line and value, for anything that cannot be understood or must not pass uncompensated.
         """
 
     @abstractmethod
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
-        """The text with the given moves replaced and every other byte kept.
+        """Return the text with some moves replaced and every other byte kept.
 
-        Moves without a rewrite keep their text. A rewritten block carries every axis word whose value differs from
-        what the output program last said of that axis, whether or not the original wrote it.
+        Moves without a rewrite keep their text. A rewritten block gets every axis word whose value differs from the last value in
+        the output for that axis, whether or not the original block has that word.
         """
 
     @abstractmethod
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """The text with comments at its head, in this language's syntax; those that stand there already are not repeated.
+    def with_comments(self, text: str, comments: Sequence[str]) -> str:
+        """Return the text with comments in its header, in this language's syntax; comments already there are not repeated.
 
         Args:
             text: the program; where lines are not numbered, its first part is enough.
@@ -65,48 +71,48 @@ class Dialect(ABC):
 
     @abstractmethod
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
-        """A new program through points, in a straight block each.
+        """Return a new program with one straight block per point.
 
         Args:
-            names: axis names of the columns; fewer than the columns where the last three are a tool vector.
+            names: axis names of the columns; three fewer than the columns if the last three are a tool vector.
             points: (n, columns) mm, degrees and tool vectors.
-            feed: mm/min, or None: no feed is said.
-            remark: a comment at its head, ASCII without brackets.
+            feed: mm/min, or None for no feed word.
+            remark: a comment in its header, ASCII without brackets.
             title: the name of the program, for languages in which it has one.
         """
 
     @abstractmethod
-    def is_remark(self, text: str) -> bool:
-        """Whether a line means nothing to the control."""
+    def is_comment(self, text: str) -> bool:
+        """Return whether the control ignores a line (blank or comment)."""
 
     @abstractmethod
-    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
-        """Whether a line says nothing but where to go, and how fast; ``names``: the axes."""
+    def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
+        """Return whether a line has nothing but a position and a feed; ``names``: the axes."""
 
-    def feed_said(self, text: str) -> tuple[str, bool | None]:
-        """The feed a line says (empty: none), and whether feeds are times from there on (None: not said)."""
+    def feed_word(self, text: str) -> tuple[str, bool | None]:
+        """Return the feed word of a line (empty: none), and whether it switches inverse time feed on or off (None: neither)."""
         return "", None
 
     def read(self, data: bytes, source: str) -> Program:
         """Split bytes into lines.
 
         Raises:
-            InputError: empty, or not text.
+            InputError: it is empty or not text.
         """
         return read_lines(data, source, self.name)
 
     def renumbered(self, program: Program, text: str) -> str:
-        """The text with its blocks numbered one by one, where the program's are."""
+        """Return the text with consecutive block numbers if the program's blocks are numbered consecutively."""
         return text
 
-    def becomes(self, other: Dialect) -> bool:
-        """Whether programs can be written in another language."""
+    def can_post_to(self, other: Dialect) -> bool:
+        """Return whether programs can be written in another language."""
         return other.name == self.name or self.cutter_locations
 
     def posted(
         self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
     ) -> str:
-        """The program in axis words of another language.
+        """Return a program of cutter locations as axis words of another language.
 
         Args:
             program: the program, of cutter locations.
@@ -116,45 +122,45 @@ class Dialect(ABC):
             into: the other language.
 
         Raises:
-            ValueError: a move without a rewrite, or with an axis position that is not known, or a program that has axis words
-                already (the caller's error).
+            ValueError: a move has no rewrite or an unknown axis position, or the program already has axis words (errors of
+                the caller).
         """
         raise ValueError(f"{self.name} programs cannot be written in {into.name}")
 
     def new_program(self, axes: AxisWords) -> NewProgram:
-        """A new program in axis words, empty so far.
+        """Return a new, empty program in axis words.
 
         Raises:
-            ValueError: the language has no axis words (the caller's error).
+            ValueError: the language has no axis words (an error of the caller).
         """
         raise ValueError(f"{self.name} has no axis words")
 
 
 class NewProgram(ABC):
-    """A program in axis words that is written from its beginning.
+    """A program in axis words, written from its beginning.
 
     Args:
         axes: axis words.
-        style: of its numbers.
+        style: number format.
 
     Attributes:
-        feed: mm/min of the moves to come; 0: none.
-        out: what is written.
+        feed: feed of the following moves in mm/min; 0: none.
+        out: the text written so far.
     """
 
     def __init__(self, axes: AxisWords, style: Style) -> None:
         self.feed = 0.0
         self.out: list[str] = []
         self._names = axes.names
-        self._said = Said(axes)
+        self._said = OutputState(axes)
         self._style = style
         self._feed_said = -1.0
 
     def move(self, row: Sequence[float], *, rapid: bool) -> None:
-        """A move to a position of all axes, mm and degrees; nothing where they are there."""
+        """Write a move to a position of all axes, mm and degrees; nothing if they are there already."""
         words = [
-            word_text(self._names[axis], self._said.say(axis, row[axis], False, False, self._style))
-            for axis in self._said.missing(row, 0, False)
+            word_text(self._names[axis], self._said.number_for(axis, row[axis], False, False, self._style))
+            for axis in self._said.axes_to_write(row, 0, False)
         ]
         if words:
             new = not rapid and self.feed > 0 and self.feed != self._feed_said
@@ -163,28 +169,28 @@ class NewProgram(ABC):
 
     @abstractmethod
     def start(self, source: str) -> None:
-        """The head of the program, made from another one."""
+        """Write the header; ``source`` is the name of the original program."""
 
     @abstractmethod
     def comment(self, text: str) -> None:
-        """A comment."""
+        """Write a comment."""
 
     @abstractmethod
     def finish(self) -> None:
-        """The end of the program."""
+        """Write the end of the program."""
 
     @abstractmethod
     def _block(self, words: list[str], rapid: bool, feed: str) -> None:
-        """A block that moves; ``feed``: a number, or nothing."""
+        """Write a block with axis words; ``feed``: a number, or empty."""
 
 
 def word_text(name: str, number: str) -> str:
-    """An axis word: its name and its number, with ``=`` between where the name has several letters."""
+    """Return an axis word: name and number, with ``=`` between if the name has several letters."""
     return f"{name}{'=' if len(name) > 1 else ''}{number}"
 
 
 def points_words(names: Sequence[str], points: np.ndarray, style: Style) -> list[str]:
-    """The axis words of each point, mm and degrees with nine decimals."""
+    """Return the axis words of each point, mm and degrees with up to nine decimals."""
     return [
         " ".join(word_text(name, format_number(value, 9, style)) for name, value in zip(names, row, strict=True))
         for row in points.tolist()
@@ -192,5 +198,5 @@ def points_words(names: Sequence[str], points: np.ndarray, style: Style) -> list
 
 
 def as_comment(text: str, without: str) -> str:
-    """A text as a comment can hold it: one line, no control characters, none of the characters that end it."""
+    """Return a text made safe for a comment: one line, without control characters and the characters ``without``."""
     return "".join(" " if c in without or not c.isprintable() else c for c in text).strip()

@@ -1,4 +1,4 @@
-"""What the writers share: what the output program last said of every axis, and how the next value is printed."""
+"""Output state shared by the writers: the last value written for every axis, and the format of the next one."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from twin.nc.blocks import AxisWords, Reading, Rewrite
 from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
-SAME = 1e-10
-"""Numbers closer than this are the same number as printed: words have at most 9 decimals."""
+SAME_NUMBER = 1e-10
+"""Numbers closer than this print alike: words have at most 9 decimals."""
 _BARE = Style()
 _SIGNED = Style(plus=True)
 
 
-class Said:
-    """What the output program last said of every axis, mm and degrees, in its own coordinates.
+class OutputState:
+    """The last value of every axis in the output program, mm and degrees, in program coordinates.
 
-    A value is NaN when unknown (after a reference return, say) and stale when it may not have been said (a block
-    the operator can skip): both make the next rewritten block say it again.
+    A value is NaN when unknown (after a reference return, for example) and stale when it may not have been executed (after a block that
+    the operator can skip). In both cases the next rewritten block writes the axis again.
     """
 
     def __init__(self, axes: AxisWords) -> None:
@@ -33,7 +33,7 @@ class Said:
         self._grids: tuple[list[Grid], list[Grid]] = (plain, inches)
 
     def _step(self, axis: int, target: float, inch: bool, incremental: bool) -> tuple[float, int]:
-        """Take an axis to a target: the number that says so, and its decimals."""
+        """Set an axis to a target and return the number to write, with its decimals."""
         step, decimals, unit = self._grids[inch][axis]
         if incremental:
             start = self.value[axis]
@@ -45,33 +45,33 @@ class Said:
         self.stale[axis] = False
         return value, decimals
 
-    def say(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
-        """The number that takes the axis to a target, as printed; what it leaves said is remembered."""
+    def number_for(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
+        """Set an axis to a target and return the number to write, formatted."""
         value, decimals = self._step(axis, target, inch, incremental)
         return format_number(value, decimals, style)
 
     def replace(
         self, axis: int, old: str, number: float, target: float, inch: bool, incremental: bool, style: Style
     ) -> str:
-        """As `say`, in place of a number as written: that stays as it is where it says the same."""
+        """As `number_for`, but return the number as written if it already has the target value."""
         value, decimals = self._step(axis, target, inch, incremental)
-        if -SAME < number - value < SAME:
+        if -SAME_NUMBER < number - value < SAME_NUMBER:
             first = old[0]
             if (first != "-" or number != 0.0) and (first in "+-" or not style.plus):
                 return old
         return format_number(value, decimals, style)
 
-    def heard(self, axis: int, value: float, incremental: bool) -> None:
-        """A word of a block that passes through said this (mm, degrees; NaN: something unknown)."""
+    def record(self, axis: int, value: float, incremental: bool) -> None:
+        """Record a word of a block that passes through (mm, degrees; NaN: unknown)."""
         self.value[axis] = self.value[axis] + value if incremental else value
         self.stale[axis] = False
 
-    def missing(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
-        """The axes that need a word to be where they should be.
+    def axes_to_write(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
+        """Return the axes that need a word to reach their targets.
 
         Args:
-            row: targets, NaN: anywhere.
-            written: axes that have a word, as bits.
+            row: targets; NaN: no target.
+            written: axes that have a word already, as bits.
             inch: whether the program is in inches.
         """
         grids = self._grids[inch]
@@ -87,25 +87,25 @@ class Said:
             found.append(axis)
         return found
 
-    def forget(self, which: Iterable[int]) -> None:
-        """Make axes unknown."""
+    def mark_unknown(self, which: Iterable[int]) -> None:
+        """Mark axes as unknown."""
         for axis in which:
             self.value[axis] = math.nan
 
-    def doubt(self, which: Iterable[int]) -> None:
-        """Make axes stale."""
+    def mark_stale(self, which: Iterable[int]) -> None:
+        """Mark axes as stale."""
         for axis in which:
             self.stale[axis] = True
 
 
-def pieces_of(
+def rewrites_by_line(
     reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords
 ) -> dict[int, dict[int, tuple[Rewrite, list[list[float]]]]]:
-    """Rewrites by line, and within a line by the place of their move in it, with positions as lists.
+    """Return rewrites by line, and within a line by the index of their move, with positions as lists.
 
     Raises:
-        ValueError: a rewrite of a move that is not in the reading, two of one move, or a wrong shape: errors of the
-            caller, not of the user.
+        ValueError: a rewrite of a move that is not in the reading, two rewrites of one move, or a wrong shape (errors of the
+            caller, not of the user).
     """
     moves = reading.moves
     count = Counter([move.line for move in moves])
@@ -138,7 +138,7 @@ def pieces_of(
 
 
 def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[str, str, str]:
-    """The components of a tool vector as printed."""
+    """Return the formatted components of a tool vector."""
     style = _SIGNED if plus else _BARE
     x, y, z = vector
     return format_number(x, decimals, style), format_number(y, decimals, style), format_number(z, decimals, style)

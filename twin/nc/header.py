@@ -1,7 +1,7 @@
-"""Comments at the head of a program, in the comment syntax of its language; every other byte stays as it is.
+"""Comments in the header of a program, in the syntax of its language; every other byte is kept.
 
-They stand behind what has to come first: the tape mark and the program number, ``BEGIN PGM``, ``PARTNO``. A comment that stands there
-already is not written again, so that a program that is compensated twice says it once.
+They follow what must come first: tape mark and program number, ``BEGIN PGM``, ``PARTNO``. A comment already there is not repeated, so
+that a program compensated twice has it once.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from typing import Final
 from twin.nc.text import BOM, ending, lines_in
 
 HEAD_LINES: Final = 50
-"""Lines in which the head of a program ends, and its comments show which syntax it uses."""
+"""Number of lines within which the header ends and the comment syntax of the program shows."""
 WIDTH: Final = 72
-"""Characters of a comment: older HEIDENHAIN controls take blocks of 100."""
+"""Characters per comment line; older HEIDENHAIN controls accept blocks of up to 100 characters."""
 REMARK: Final = re.compile(r"\([^()]*\)|;.*")
 FEED: Final = re.compile(r"(?<![A-Z])F[ \t]*(\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
-"""Comments and feeds of languages of words."""
+"""Comments and feed words of ISO and Heidenhain programs."""
 
 
 def first_lines(text: str) -> list[str]:
-    """The first lines of a program, in which its head ends."""
+    """Return the first lines of a program, which contain its header."""
     return [
         line for line, _ in zip(lines_in(text[: HEAD_LINES * 400].encode("latin-1")), range(HEAD_LINES), strict=False)
     ]
 
 
-def missing(lines: Sequence[str], comments: Iterable[str], content: Callable[[str], str | None]) -> list[str]:
-    """Lines of those comments that do not stand at the beginning of some lines already."""
+def missing_comments(lines: Sequence[str], comments: Iterable[str], content: Callable[[str], str | None]) -> list[str]:
+    """Return the lines of those comments that are not among the comments at the beginning of some lines."""
     there: set[str] = set()
     for line in lines:
         said = content(line)
@@ -45,7 +45,7 @@ def missing(lines: Sequence[str], comments: Iterable[str], content: Callable[[st
     return new
 
 
-def inserted(
+def insert_comments(
     text: str,
     lines: Sequence[str],
     at: int,
@@ -54,18 +54,18 @@ def inserted(
     content: Callable[[str], str | None],
     rest: Callable[[str], str] = lambda text: text,
 ) -> str:
-    """The text with comments before one of its first lines.
+    """Return the text with comments inserted before one of its first lines.
 
     Args:
         text: the text.
         lines: its first lines.
         at: index of the line.
-        comments: what to say.
-        style: a comment's line of its text.
-        content: the text of a line that is a comment.
-        rest: what becomes of the text behind.
+        comments: texts of the comments.
+        style: function that makes a comment line of a text.
+        content: function that returns the text of a comment line, None for any other line.
+        rest: function applied to the text after the comments.
     """
-    new = missing(lines[at:], comments, content)
+    new = missing_comments(lines[at:], comments, content)
     if not new:
         return text
     begin = sum(len(line) for line in lines[:at])

@@ -1,4 +1,4 @@
-"""What the interpreters of blocks share: positions, variables, notices, and errors that carry their place."""
+"""Modal state shared by the interpreters of ISO and Heidenhain blocks: positions, variables, notices, errors with their line."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>
 
 
 class Interpreter:
-    """The state any language of words keeps.
+    """Modal state of an ISO or Heidenhain program.
 
     Args:
-        source: the program's name.
+        source: file name for messages.
         axes: axis words.
-        tcp: whether the control's kinematics are on from the start.
-        tcp_on, tcp_off: words that switch them, those of the machine included.
+        tcp: whether tool centre point control is on from the start.
+        tcp_on, tcp_off: words that switch it, including those of the machine.
 
     Attributes:
-        position: last position said, mm and degrees, NaN where unknown.
+        position: last commanded position, mm and degrees, NaN where unknown.
         vector: the tool vector in force, if orientation is given as one.
-        notices: what a reader of the report must know.
-        left: axes left in places unknown.
-        tcp: whether the control's kinematics are on.
-        tcp_by: what switched them last; empty: nothing yet.
+        notices: remarks for the report.
+        lost_positions: lines after which axis positions are unknown.
+        tcp: whether tool centre point control is on.
+        tcp_word: the word that switched it last; empty: none yet.
     """
 
     def __init__(
@@ -44,42 +44,42 @@ class Interpreter:
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
-        self.left: list[Left] = []
+        self.lost_positions: list[Left] = []
         self.tcp = tcp
-        self.tcp_by = ""
+        self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
         self.tcp_off = frozenset(tcp_off) - self.tcp_on
         self._line = 0
-        self._shown = ""
+        self._block_text = ""
         self._variables: dict[str, float] = {}
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
 
     # ------------------------------------------------------------------ messages
 
-    def refuse(self, what: str, expected: str, value: object = None, line: int | None = None) -> InputError:
-        """Return an error at the present line; ``value``: what is wrong, the whole block if None."""
-        shown = self._shown.strip() if value is None else value
+    def error(self, what: str, expected: str, value: object = None, line: int | None = None) -> InputError:
+        """Return an error at the current line; ``value``: the offending text, the whole block if None."""
+        shown = self._block_text.strip() if value is None else value
         return InputError(what, expected=expected, file=self.source, line=line or self._line + 1, value=shown)
 
     def note(self, text: str, *, once: bool = False) -> None:
-        """Add a notice at the present line; ``once``: only the first time."""
+        """Add a notice at the current line; ``once``: only if the program has no such notice yet."""
         if not (once and text in self._noted):
             self._noted.add(text)
             self.notices.append(Notice(self._line, text))
 
-    def no_number(self, name: str, written: str) -> InputError:
-        """Return the error of a word without a number."""
-        return self.refuse(f"{name} has no number", "a number like 12.5", f"{name}{written}")
+    def missing_number(self, name: str, written: str) -> InputError:
+        """Return the error for a word without a number."""
+        return self.error(f"{name} has no number", "a number such as 12.5", f"{name}{written}")
 
-    def no_axis(self, shown: str) -> InputError:
-        """Return the error of a word of an axis this machine does not have."""
-        return self.refuse("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
+    def unknown_axis(self, shown: str) -> InputError:
+        """Return the error for an axis that this machine does not have."""
+        return self.error("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
 
     # ------------------------------------------------------------------ values
 
     def value_of(self, text: str) -> float:
-        """Return a number, or that of a variable whose number is known; NaN for anything else."""
+        """Return the value of a number or of a variable with a known value; NaN for anything else."""
         value = number(text)
         if value == value:
             return value
@@ -90,11 +90,11 @@ class Interpreter:
         return -value if match.group(1) == "-" else value
 
     def assign(self, name: str, value: float) -> None:
-        """Take an assignment; NaN makes the variable unknown."""
+        """Set a variable; NaN makes it unknown."""
         self._variables[name.upper()] = value
 
     def named(self, bits: int) -> frozenset[str]:
-        """Return the names of a set of axes given as bits."""
+        """Return the names of the axes given as bits."""
         names = self._named.get(bits)
         if names is None:
             names = self._named[bits] = frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
@@ -104,45 +104,45 @@ class Interpreter:
         """Add an axis word to a block.
 
         Raises:
-            InputError: the block has one of that axis.
+            InputError: the block already has a word for that axis.
         """
-        if block.seen >> word.axis & 1:
-            raise self.refuse(f"axis {self.names[word.axis]} twice in one block", "each axis once")
-        block.seen |= 1 << word.axis
+        if block.axis_bits >> word.axis & 1:
+            raise self.error(f"axis {self.names[word.axis]} twice in one block", "each axis once")
+        block.axis_bits |= 1 << word.axis
         block.words.append(word)
 
     # ------------------------------------------------------------------ state
 
-    def forget(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
-        """Make axes unknown after a block.
+    def mark_unknown(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
+        """Mark axis positions as unknown after a block.
 
         Args:
             block: the block.
             which: the axes.
-            moved: whether it moves them; False: perhaps; None: not at all, or to a place that is said.
+            moved: True: the block moves them; False: it may; None: it does not, or moves them to a known place.
         """
         axes = tuple(which)
         if moved is not None:
-            self.left.append(Left(self._line, axes, moved))
-        block.forgets = tuple(sorted({*block.forgets, *axes})) if block.forgets else axes
+            self.lost_positions.append(Left(self._line, axes, moved))
+        block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
 
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """Switch the control's kinematics by a word, if it changes them."""
+        """Switch tool centre point control, unless it has that state already."""
         if on == self.tcp:
             return
         if not on:
-            if not self.tcp_by:
-                self.note(f"{word} switches the control's kinematics off")
+            if not self.tcp_word:
+                self.note(f"{word} switches tool centre point control off")
             self.vector = None
         self.tcp = on
-        self.tcp_by = word if on else "off"
-        block.switched = True
-        self.forget(block, range(self.linear), moved=None)
+        self.tcp_word = word if on else "off"
+        block.tcp_switched = True
+        self.mark_unknown(block, range(self.linear), moved=None)
 
     def switch_by(self, block: Block, word: str) -> None:
-        """Switch the control's kinematics if a word is one of those that do."""
+        """Switch tool centre point control if a word does so."""
         if word in self.tcp_on:
             self.switch(block, True, word)
         elif word in self.tcp_off:
@@ -150,58 +150,58 @@ class Interpreter:
 
     # ------------------------------------------------------------------ moves
 
-    def take(self, block: Block) -> None:
-        """Go where the words of a block say.
+    def apply_words(self, block: Block) -> None:
+        """Set the position from the axis words of a block.
 
         Raises:
-            InputError: a word counts from a position that is not known.
+            InputError: a word is incremental and the position unknown.
         """
         position = self.position
         for word in block.words:
             last = position[word.axis]
             if word.incremental and last != last:
                 name = self.names[word.axis]
-                what = f"{name} is incremental where its position is unknown"
-                raise self.refuse(what, "absolute position first", name)
+                what = f"incremental {name} while its position is unknown"
+                raise self.error(what, "absolute position first", name)
             position[word.axis] = last + word.value if word.incremental else word.value
 
-    def direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
+    def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.
 
         Raises:
-            InputError: it has no length.
+            InputError: its length is zero.
         """
         vector, length = unit_vector((components[0], components[1], components[2]))
         if length == 0.0:
-            raise self.refuse(f"{what} of zero length", "a direction")
+            raise self.error(f"{what} of zero length", "a direction")
         if abs(length - 1.0) > 1e-3:
-            self.note(f"{what} of length {length:.6g} is taken as a direction")
+            self.note(f"{what} of length {length:.6g} normalised")
         return vector
 
-    def turn_to(self, seen: int, vector: tuple[float, float, float]) -> None:
-        """Take the tool vector of a block that names some axes (bits); the rotary axes are then the control's business.
+    def set_tool_vector(self, axis_bits: int, vector: tuple[float, float, float]) -> None:
+        """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
         Raises:
             InputError: the block names rotary axes too.
         """
-        if seen >> self.linear:
-            raise self.refuse("a tool vector and rotary axes in one block", "one of them")
+        if axis_bits >> self.linear:
+            raise self.error("tool vector and rotary axes in one block", "only one of them")
         self.vector = vector
         for i in range(self.linear, len(self.position)):
             self.position[i] = math.nan
 
-    def checked(self, found: Arc | ArcMisfit) -> Arc:
+    def valid_arc(self, found: Arc | ArcMisfit) -> Arc:
         """Return an arc.
 
         Raises:
-            InputError: it is none.
+            InputError: the arc is invalid.
         """
         if isinstance(found, ArcMisfit):
-            raise self.refuse(found.what, found.expected)
+            raise self.error(found.what, found.expected)
         return found
 
     def machine_position(self, block: Block) -> tuple[float, ...]:
-        """Return what a machine-coordinate block names; where that is in program coordinates is unknown."""
+        """Return the machine coordinates a block names; their place in program coordinates is unknown."""
         position = [math.nan] * len(self.names)
         for word in block.words:
             position[word.axis] = word.value
@@ -210,5 +210,5 @@ class Interpreter:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):
             self.vector = None
-        self.forget(block, which, moved=None)
+        self.mark_unknown(block, which, moved=None)
         return tuple(position)

@@ -1,4 +1,4 @@
-"""What the dialects share about text: bytes to lines, and numbers printed in the style of the word they replace."""
+"""Text handling shared by the dialects: splitting bytes into lines, and formatting numbers like the words they replace."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from twin.nc.blocks import Program
 
 MM_PER_INCH = 25.4
 LARGEST = 1e9
-"""No coordinate, feed or parameter of a real program comes near this (mm, degrees, mm/min)."""
+"""Upper limit of coordinates, feeds and parameters (mm, degrees, mm/min); no real program comes near it."""
 
 _LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14") + b"\x7f"
 _SPACES = re.compile(r"[ \t]+")
 BOM = "\xef\xbb\xbf"
 BLANK = frozenset({"\n", "\r\n", "\r"})
-"""Lines with nothing on them: skipped before anything is made of them."""
+"""Blank lines, which are skipped early."""
 
 
 def read_lines(data: bytes, source: str, dialect: str) -> Program:
-    """Split bytes into lines, every byte kept.
+    """Split bytes into lines, keeping every byte.
 
     Raises:
-        InputError: no bytes, no line with anything on it, or a binary file.
+        InputError: it is empty, blank or a binary file.
     """
     check = TextCheck(source)
     check.add(data)
@@ -36,15 +36,15 @@ def read_lines(data: bytes, source: str, dialect: str) -> Program:
 
 
 def lines_in(data: bytes) -> Iterator[str]:
-    """The lines of some bytes, each with its own ending."""
+    """Return the lines of some bytes, each with its own ending."""
     return (match.group() for match in _LINE.finditer(data.decode("latin-1")))
 
 
 class TextCheck:
-    """Whether bytes that come one stretch after the other are a program at all.
+    """Check that bytes given in chunks are a text program.
 
     Args:
-        source: its name.
+        source: file name for messages.
     """
 
     def __init__(self, source: str) -> None:
@@ -53,10 +53,10 @@ class TextCheck:
         self._empty = True
 
     def add(self, data: bytes) -> None:
-        """The next stretch.
+        """Check the next chunk.
 
         Raises:
-            InputError: a binary file.
+            InputError: it is a binary file.
         """
         if b"\0" in data:
             line = self._newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
@@ -70,10 +70,10 @@ class TextCheck:
         self._empty = self._empty and not data[begin:].strip(b" \t\r\n\f\x1a")
 
     def finish(self) -> None:
-        """Nothing more comes.
+        """Check the whole after the last chunk.
 
         Raises:
-            InputError: no bytes, no line with anything on it, or a binary file.
+            InputError: it is empty, blank or a binary file.
         """
         if 10 * self._control > self._size:
             raise InputError(
@@ -84,22 +84,22 @@ class TextCheck:
 
 
 def ending(text: str) -> str:
-    """The line ending of one line's text, or nothing."""
+    """Return a line's ending, or an empty text."""
     if text.endswith("\r\n"):
         return "\r\n"
     return text[-1:] if text[-1:] in ("\n", "\r") else ""
 
 
 def newline_of(program: Program) -> str:
-    """The line ending a program uses (that of its first line; a newline if it has only one)."""
+    """Return the line ending of a program: that of its first line, LF if that has none."""
     return ending(program.texts[0]) or "\n"
 
 
 def number(text: str) -> float:
-    """The value of a number as programs write it (``-.5``, ``+5``, ``5.``, ``5,5``, a space after the sign).
+    """Return the value of a number as programs write it (``-.5``, ``+5``, ``5.``, ``5,5``, a space after the sign).
 
     Returns:
-        The value, or NaN for what is not a number of a sensible size.
+        The value, or NaN if it is not a number of plausible size.
     """
     try:
         value = float(text)
@@ -112,57 +112,57 @@ def number(text: str) -> float:
 
 
 class Style(NamedTuple):
-    """How a program writes its numbers.
+    """Number format of a program.
 
     Attributes:
         point: whether a whole number ends in a decimal point (``5.``).
-        keep: least number of decimals (``5.0`` has 1, ``5.120`` has 3).
-        lead: whether a zero stands before the decimal point (``0.5``).
+        min_decimals: minimum number of decimals (``5.0`` has 1, ``5.120`` has 3).
+        leading_zero: whether there is a zero before the decimal point (``0.5``).
         plus: whether positive numbers carry a sign.
         comma: whether the decimal separator is a comma.
     """
 
     point: bool = False
-    keep: int = 0
-    lead: bool = True
+    min_decimals: int = 0
+    leading_zero: bool = True
     plus: bool = False
     comma: bool = False
 
 
-_TELLS_NOTHING = frozenset("123456789")
-"""First and last digits of numbers like 12.5, which leave the style open."""
+_NEUTRAL_DIGITS = frozenset("123456789")
+"""First and last digits of numbers such as 12.5, which do not determine the style."""
 
 
 def style_of(text: str, base: Style) -> Style:
-    """The style of one written number; what it leaves open (``12.5`` does not tell of ``5.``) comes from a base."""
+    """Return the style of one written number; what the number does not determine comes from ``base``."""
     first = text[:1]
-    if text[-1:] in _TELLS_NOTHING and "." in text and not base.comma:
-        if first in _TELLS_NOTHING:
+    if text[-1:] in _NEUTRAL_DIGITS and "." in text and not base.comma:
+        if first in _NEUTRAL_DIGITS:
             if not base.plus:
                 return base
-        elif text[1:2] in _TELLS_NOTHING and "," not in text and (first == "-" or (first == "+" and base.plus)):
+        elif text[1:2] in _NEUTRAL_DIGITS and "," not in text and (first == "-" or (first == "+" and base.plus)):
             return base
     plus = True if first == "+" else base.plus if first == "-" else False
     comma = "," in text
     whole, separator, fraction = text.partition("," if comma else ".")
     if not separator:
         if not whole.strip("+- \t0"):  # a bare zero is written like that in any style
-            return Style(base.point, base.keep, base.lead, plus, base.comma)
-        return Style(False, 0, base.lead, plus, base.comma)
+            return Style(base.point, base.min_decimals, base.leading_zero, plus, base.comma)
+        return Style(False, 0, base.leading_zero, plus, base.comma)
     digits = whole.lstrip("+- \t")
     if not fraction:
-        return Style(True, 0, base.lead if digits else False, plus, comma)
-    lead = False if not digits else True if digits == "0" and fraction.strip("0") else base.lead
+        return Style(True, 0, base.leading_zero if digits else False, plus, comma)
+    leading_zero = False if not digits else True if digits == "0" and fraction.strip("0") else base.leading_zero
     if fraction[-1] == "0":
-        return Style(False, len(fraction), lead, plus, comma)
-    return Style(base.point, base.keep, lead, plus, comma)
+        return Style(False, len(fraction), leading_zero, plus, comma)
+    return Style(base.point, base.min_decimals, leading_zero, plus, comma)
 
 
 _AXIS_NUMBER = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*([+-]?\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
 
 
 def style_in(lines: Iterable[str], base: Style) -> Style:
-    """The style of a program's axis words, as far as the first ones of its lines tell."""
+    """Return the style of a program's axis words, from the first ones in its lines."""
     style = base
     seen = 0
     for line in lines:
@@ -177,7 +177,7 @@ def style_in(lines: Iterable[str], base: Style) -> Style:
 
 @lru_cache(maxsize=256)
 def decimals_of(increment: float) -> int:
-    """How many decimals print a least increment exactly (0.001 -> 3, 0.005 -> 3, 0.00025 -> 5), at most 9."""
+    """Return the decimals that a least increment needs (0.001 -> 3, 0.005 -> 3, 0.00025 -> 5), at most 9."""
     for decimals in range(9):
         scaled = increment * 10**decimals
         if abs(scaled - round(scaled)) <= 1e-6 * scaled and round(scaled) >= 1:
@@ -186,11 +186,11 @@ def decimals_of(increment: float) -> int:
 
 
 class Grid(NamedTuple):
-    """The values one axis word can have: multiples of a step in the program's unit.
+    """The values an axis word can have: multiples of a step in the units of the program.
 
     Attributes:
-        step: step, in the program's unit.
-        decimals: decimals printed.
+        step: step, in program units.
+        decimals: decimals written.
         unit: mm (or degrees) per program unit.
     """
 
@@ -201,7 +201,7 @@ class Grid(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def grid(increment: float, inch: bool) -> Grid:
-    """The grid of an axis with a least increment in mm or degrees; ``inch``: a linear axis of an inch program."""
+    """Return the grid of an axis with a least increment in mm or degrees; ``inch``: a linear axis of an inch program."""
     decimals = decimals_of(increment)
     if inch:
         decimals = max(5, decimals + 2)
@@ -210,7 +210,7 @@ def grid(increment: float, inch: bool) -> Grid:
 
 
 def printed(value: float, increment: float, *, inch: bool = False) -> float:
-    """The value a program will hold once ``value`` has been printed.
+    """Return the value that a program holds after ``value`` has been formatted.
 
     Args:
         value: mm or degrees.
@@ -218,7 +218,7 @@ def printed(value: float, increment: float, *, inch: bool = False) -> float:
         inch: whether the program is in inches and the axis linear.
 
     Returns:
-        mm or degrees, as the printed word reads back (NaN stays NaN: nothing is printed).
+        mm or degrees, as read back from the formatted word; NaN stays NaN.
     """
     if value != value:
         return value
@@ -231,23 +231,23 @@ _SIGNED = tuple(f"%+.{decimals}f" for decimals in range(16))
 
 
 def format_number(value: float, decimals: int, style: Style) -> str:
-    """A number in a style, rounded to some decimals; never ``-0``."""
-    point, keep, lead, plus, comma = style
+    """Return a number as text in a style, rounded to some decimals; never ``-0``."""
+    point, min_decimals, leading_zero, plus, comma = style
     text = (_SIGNED if plus else _BARE)[decimals] % value
     if text[0] == "-" and text[1] == "0" and not text.strip("-0."):
         text = f"+{text[1:]}" if plus else text[1:]
-    if decimals > keep:
+    if decimals > min_decimals:
         if text[-1] == "0":
             text = text.rstrip("0")
-            if keep:
-                text = text.ljust(text.index(".") + 1 + keep, "0")
+            if min_decimals:
+                text = text.ljust(text.index(".") + 1 + min_decimals, "0")
             elif text[-1] == "." and not point:
                 text = text[:-1]
-    elif keep > decimals:
-        text = f"{text if decimals else text + '.'}{'0' * (keep - decimals)}"
+    elif min_decimals > decimals:
+        text = f"{text if decimals else text + '.'}{'0' * (min_decimals - decimals)}"
     elif not decimals and point:
         text += "."
-    if not lead:
+    if not leading_zero:
         at = 1 if text[0] in "+-" else 0
         if text[at : at + 2] == "0." and text[at:].strip("0."):
             text = text[:at] + text[at + 1 :]
@@ -255,7 +255,7 @@ def format_number(value: float, decimals: int, style: Style) -> str:
 
 
 def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float, float], float]:
-    """A vector at unit length, and the length it had (0 leaves it as it is)."""
+    """Return a vector at unit length, and its original length (a zero vector is returned unchanged)."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     if length == 0.0 or abs(length - 1.0) < 1e-15:
         return vector, length
@@ -263,7 +263,7 @@ def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float,
 
 
 def apply_edits(text: str, edits: list[tuple[int, int, str]]) -> str:
-    """A text with stretches replaced; none may overlap, and no two may insert at one place."""
+    """Return a text with some ranges replaced; ranges must not overlap, nor two insertions be at the same place."""
     if len(edits) > 1:
         edits.sort()
     parts = []

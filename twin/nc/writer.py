@@ -1,4 +1,4 @@
-"""What the writers of languages of words share: blocks rewritten word by word, every other byte kept."""
+"""Base of the ISO and Heidenhain writers: blocks rewritten word by word, every other byte kept."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Generic, TypeVar
 from twin._common.errors import InputError
 from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
-from twin.nc.emit import Said
+from twin.nc.emit import OutputState
 from twin.nc.text import Style, apply_edits, ending, number, style_of
 
-Pieces = tuple[Rewrite, list[list[float]]]
-"""What replaces a move, and its positions as lists."""
+Segments = tuple[Rewrite, list[list[float]]]
+"""A rewrite, and its positions as lists."""
 Edit = tuple[int, int, str]
 
 
@@ -21,17 +21,17 @@ B = TypeVar("B", bound=Block)
 
 
 class WordWriter(ABC, Generic[B]):
-    """Writes a program block by block, remembering what the output said.
+    """Writer of a program block by block that keeps track of the values written.
 
     Args:
-        source: the program's name.
+        source: file name for messages.
         axes: axis words.
-        newline: the line ending it uses.
-        style: of its numbers.
+        newline: line ending of the program.
+        style: its number format.
 
     Attributes:
-        said: what the output last said of every axis.
-        lower: whether letters are small.
+        said: the last value written for every axis.
+        lower: whether the program uses small letters.
     """
 
     separator = " "
@@ -45,32 +45,32 @@ class WordWriter(ABC, Generic[B]):
         self.linear = len(axes.linear)
         self.newline = newline
         self.style = style
-        self.said = Said(axes)
+        self.said = OutputState(axes)
         self.lower = False
         self._line = 0
         self._vector_text: tuple[str, str, str] | None = None
 
-    def heard(self, block: B) -> None:
-        """Take note of a block whose move stays."""
+    def record(self, block: B) -> None:
+        """Record the words of a block whose move is unchanged."""
         move = block.moves[0]
         for word in block.words:
             if move.machine:
-                self.said.forget((word.axis,))
+                self.said.mark_unknown((word.axis,))
             elif word.form in ("DC", "ACP", "ACN"):
-                self.said.heard(word.axis, move.position[word.axis], False)
+                self.said.record(word.axis, move.position[word.axis], False)
             else:
-                self.said.heard(word.axis, word.value, word.incremental)
-        if block.vector_words or block.seen >> self.linear:
+                self.said.record(word.axis, word.value, word.incremental)
+        if block.vector_words or block.axis_bits >> self.linear:
             self._vector_text = None
 
-    def rewritten(self, block: B, pieces: Pieces) -> list[str]:
-        """The lines that replace a block.
+    def rewritten(self, block: B, segments: Segments) -> list[str]:
+        """Return the lines that replace a block.
 
         Args:
             block: the block; its first move is replaced.
-            pieces: by what.
+            segments: the segments that replace it.
         """
-        rewrite, rows = pieces
+        rewrite, rows = segments
         many = len(rows) > 1
         vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
         edits: list[Edit] = []
@@ -79,12 +79,12 @@ class WordWriter(ABC, Generic[B]):
         for word in block.words:
             target = row[word[0]]
             if target != target:
-                self.said.heard(word.axis, word.value, word.incremental)
+                self.said.record(word.axis, word.value, word.incremental)
             elif word[5]:
                 edits.append(self._replaced(block, word, target))
             else:
                 edits.append((word[3], word[4], self._number(block, word, target)))
-        added = self._missing(block, rows[0], block.seen)
+        added = self._missing(block, rows[0], block.axis_bits)
         tool: list[str] = []
         if vectors is not None:
             tool = self._vector(block, vectors[0], edits)
@@ -93,7 +93,7 @@ class WordWriter(ABC, Generic[B]):
         if rewrite.move.kind is Kind.ARC:
             _drop(block, block.arc_words, edits)
         tails = self._tails(block, rewrite, edits) if many else []
-        last_m = _drop(block, block.last_m, edits) if many else []
+        end_m_words = _drop(block, block.end_m_words, edits) if many else []
         begin = self._insert(block, begin, added, tool, edits)
         lines = [apply_edits(block.text, edits) if edits else block.text]
         if not many:
@@ -105,7 +105,7 @@ class WordWriter(ABC, Generic[B]):
             if words and tails:
                 words.append(tails[place])
             if place == len(rows) - 1:
-                words += last_m
+                words += end_m_words
             if words:
                 lines.append(f"{begin}{self.separator.join(words)}{end or self.newline}")
         if not end:
@@ -114,32 +114,32 @@ class WordWriter(ABC, Generic[B]):
 
     @abstractmethod
     def _begin(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> str:
-        """Make a block one that goes straight; what it has to begin with."""
+        """Turn a block into a straight move and return the text with which each line begins."""
 
     @abstractmethod
     def _insert(self, block: B, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
-        """Put the words that a block lacks where they belong; what the lines of later pieces begin with."""
+        """Insert the missing words into a block and return the text with which the lines of later segments begin."""
 
     @abstractmethod
     def _tails(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
-        """What stands at the end of each of several pieces, for the first one as an edit; empty for nothing."""
+        """Return the text at the end of each of several segments, for the first one as an edit; empty if there is none."""
 
     @abstractmethod
     def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
-        """The components of a tool vector as this program writes them."""
+        """Return the components of a tool vector as text in the style of the program."""
 
     @abstractmethod
     def _vector_names(self, block: B) -> Sequence[str]:
-        """The names of the tool vector's words, none where the block can have none."""
+        """Return the names of the tool vector's words, none if the block cannot have them."""
 
     def _later(self, block: B, row: list[float], vector: list[float] | None) -> list[str]:
-        """The words of a piece behind the first."""
+        """Return the words of a segment after the first."""
         return self._missing(block, row, 0) + ([] if vector is None else self._vector(block, vector, None))
 
     # ------------------------------------------------------------------ words
 
     def _number(self, block: B, word: AxisWord, target: float) -> str:
-        """The number of an axis word for a target."""
+        """Return the number of an axis word for a target."""
         axis, _, _, start, end, _, incremental, _ = word
         old = block.text[start:end]
         value = number(old)
@@ -151,25 +151,25 @@ class WordWriter(ABC, Generic[B]):
         return self.said.replace(axis, old, value, target, block.inch, incremental, self.style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
-        """The edit of a word that has a form: a language without forms has no such words."""
+        """Return the edit of a word that has a form (``AC( )``); only ISO has such words."""
         raise NotImplementedError(word.form)
 
     def _missing(self, block: B, row: list[float], written: int) -> list[str]:
-        """Words for the axes that are not where they should be; ``written``: those that have one, as bits."""
-        axes = self.said.missing(row, written, block.inch)
+        """Return words for the axes that are not at their target; ``written``: axes that have a word already, as bits."""
+        axes = self.said.axes_to_write(row, written, block.inch)
         return [self._added(block, axis, row[axis]) for axis in axes]
 
     def _added(self, block: B, axis: int, target: float) -> str:
         name = self.names[axis].lower() if self.lower else self.names[axis]
         if block.incremental:
             self._check(axis)
-        text = self.said.say(axis, target, block.inch, block.incremental, self.style)
+        text = self.said.number_for(axis, target, block.inch, block.incremental, self.style)
         return f"{name}{self.equals if len(name) > 1 else ''}{text}"
 
     def _check(self, axis: int) -> None:
         if self.said.value[axis] != self.said.value[axis]:
             raise InputError(
-                f"{self.names[axis]} is incremental where its position is unknown",
+                f"incremental {self.names[axis]} while its position is unknown",
                 expected="absolute position first",
                 file=self.source,
                 line=self._line + 1,
@@ -177,7 +177,7 @@ class WordWriter(ABC, Generic[B]):
             )
 
     def _vector(self, block: B, vector: list[float], edits: list[Edit] | None) -> list[str]:
-        """Words of a tool vector: replaced where the block has them (edits), the others returned."""
+        """Replace the words of a tool vector that the block has (as edits) and return the others."""
         names = self._vector_names(block)
         if not names:
             if block.vector_words:
@@ -199,7 +199,7 @@ class WordWriter(ABC, Generic[B]):
 
 
 def _drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
-    """Take words out of a block, with the spaces before them; their texts."""
+    """Delete words from a block, with the spaces before them, and return their texts."""
     text = block.text
     for span in spans:
         edits.append((len(text[: span.start].rstrip(" \t")), span.end, ""))

@@ -110,7 +110,7 @@ def shortened(
     )
     found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
-    return Shortened(left, Reading(moves, found.notices, found.left))
+    return Shortened(left, Reading(moves, found.notices, found.lost_positions))
 
 
 def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:

@@ -189,7 +189,7 @@ def refit(
                 "--feed for a program", expected="--feed with points only: a program has its own", value=feed
             )
         read, dialect = read_program(source)
-    if target is not None and not dialect.becomes(target):
+    if target is not None and not dialect.can_post_to(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",

@@ -68,7 +68,7 @@ def find_runs(program: Program, dialect: Dialect, path: Path, space: WordSpace) 
             close()
         if members:
             before = path.motions[members[-1]].move.line
-            if feed != plain[before] or not all(map(dialect.is_remark, program.texts[before + 1 : motion.move.line])):
+            if feed != plain[before] or not all(map(dialect.is_comment, program.texts[before + 1 : motion.move.line])):
                 close()
         if fits:
             members.append(i)
@@ -118,8 +118,8 @@ def _plain_lines(program: Program, dialect: Dialect, path: Path, names: tuple[st
     found: dict[int, str] = {}
     feed, timed = "", False
     for index, text in enumerate(program.texts):
-        said, times = dialect.feed_said(text)
+        said, times = dialect.feed_word(text)
         feed, timed = said or feed, timed if times is None else times
-        if index in moving and not timed and dialect.only_moves(text, names):
+        if index in moving and not timed and dialect.is_motion_only(text, names):
             found[index] = feed
     return found

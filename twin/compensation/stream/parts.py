@@ -171,7 +171,7 @@ class PartReader:
 
     def _followed(self, read: Read, before: int) -> MotionColumns:
         """The motions of a stretch; ``before``: moves of its part that come first."""
-        motions = self._follower.columns(read.moves, self._reader.left(), read.stretch.text_of)
+        motions = self._follower.columns(read.moves, self._reader.lost_positions(), read.stretch.text_of)
         self._turns = self._turns or read.moves.turns(self._bench.space.axes.rotary)
         if self._aim is None and len(motions):
             self._aim = self._bench.aim(turns=self._turns)

@@ -86,7 +86,7 @@ class PartWriter:
         self._head += data
         if last or self._lines >= HEAD_LINES:
             comments = program_comments(self._bench.calibration.warnings)
-            self._out.write(ISO.commented(self._head.decode("latin-1"), comments).encode("latin-1"))
+            self._out.write(ISO.with_comments(self._head.decode("latin-1"), comments).encode("latin-1"))
             self._head = None
 
     def finish(self) -> None:

@@ -60,7 +60,9 @@ class Follower:
             InputError: as `follow`.
         """
         moves = reading.moves
-        vectors = self._enter({i: move for i, move in enumerate(moves) if move.vector is not None}, reading.left)
+        vectors = self._enter(
+            {i: move for i, move in enumerate(moves) if move.vector is not None}, reading.lost_positions
+        )
         steps = ((i, self._step(move, vectors.get(i), text_of)) for i, move in enumerate(moves))
         return {i: motion for i, motion in steps if motion is not None}
 

@@ -1,4 +1,4 @@
-"""The C++ compiler of this machine, if there is one."""
+"""The C++ compiler of this computer, if there is one."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ FLAGS: Final = (
     "-shared",
     "-fPIC",
 )
-"""No ``-ffast-math``: 6 % faster at most, and a comparison with not-a-number would be folded away."""
-GUARD: Final = """
+"""Compiler flags. Not ``-ffast-math``: at most 6 % faster, and it would remove comparisons with not-a-number."""
+GUARD_PROGRAM: Final = """
 import os, signal, subprocess, sys, threading
 
 def end_with_parent():
@@ -36,23 +36,23 @@ def end_with_parent():
 threading.Thread(target=end_with_parent, daemon=True).start()
 sys.exit(subprocess.call(sys.argv[2:]))
 """
-"""Runs the compiler in a process group of its own, and ends the group when the process that started it is gone."""
-PATIENCE_S: Final = 120.0
-"""Longest wait for the compiler; it takes one or two seconds."""
+"""Program that runs the compiler in its own process group and kills the group when the parent process has ended."""
+COMPILE_TIMEOUT_S: Final = 120.0
+"""Timeout of the compiler, which takes one or two seconds."""
 
 
 class CompilerError(Exception):
-    """The compiler did not do it; the message is its own."""
+    """Compilation failed; the message is the compiler's."""
 
 
 @final
 @dataclass(frozen=True)
 class Compiler:
-    """One compiler.
+    """A C++ compiler.
 
     Attributes:
-        command: how it is called.
-        version: the first line it says of itself.
+        command: its command line.
+        version: the first line of its version output.
     """
 
     command: tuple[str, ...]
@@ -60,7 +60,7 @@ class Compiler:
 
     @property
     def identity(self) -> str:
-        """All that the code it makes depends on, beside the source."""
+        """Text of all that affects the compiled code, except the source."""
         return "\n".join([*self.command, self.version, *FLAGS, processor()])
 
     def build(self, source: str, target: Path) -> None:
@@ -76,14 +76,14 @@ class Compiler:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise CompilerError(str(error)) from error
         if status != 0 or not target.is_file():
-            said = next((line for line in printed.splitlines() if "error" in line.lower()), printed.strip())
-            raise CompilerError(f"{' '.join(self.command)}: {said or f'status {status}'}"[:300])
+            message = next((line for line in printed.splitlines() if "error" in line.lower()), printed.strip())
+            raise CompilerError(f"{' '.join(self.command)}: {message or f'status {status}'}"[:300])
 
 
 def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
-    """Run the compiler and return its status and what it printed to stderr; it does not outlive this process.
+    """Run the compiler and return its status and its output on stderr; it cannot outlive this process.
 
-    It reads the source from its standard input; its temporary files go into the source's folder and are removed with it.
+    It reads the source from its standard input; its temporary files go into the folder of the source and are removed with it.
 
     Raises:
         OSError: it cannot be run.
@@ -92,7 +92,7 @@ def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
     read_end, write_end = os.pipe()
     with open(read_end, "rb"), open(write_end, "wb") as alive, source.open("rb") as stream:
         guard = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", GUARD, str(read_end), *command],
+            [sys.executable, "-I", "-S", "-c", GUARD_PROGRAM, str(read_end), *command],
             stdin=stream,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -102,13 +102,13 @@ def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
             text=True,
             errors="replace",
         )
-        with guard, alive:  # closed first: what still runs ends
-            printed = guard.communicate(timeout=PATIENCE_S)[1]
+        with guard, alive:  # closing `alive` first ends a compiler that still runs
+            printed = guard.communicate(timeout=COMPILE_TIMEOUT_S)[1]
     return guard.returncode, printed
 
 
-def found() -> Compiler | None:
-    """The compiler ``CXX`` names, else the first of `CANDIDATES`; None if there is none."""
+def find_compiler() -> Compiler | None:
+    """Return the compiler that ``CXX`` names, else the first of `CANDIDATES`; None if there is none."""
     return _found(os.environ.get("CXX", ""), os.environ.get("PATH", ""))
 
 
@@ -116,7 +116,7 @@ def found() -> Compiler | None:
 def _found(named: str, path: str) -> Compiler | None:
     try:
         own = tuple(shlex.split(named))
-    except ValueError:  # a quotation mark without its other
+    except ValueError:  # an unmatched quotation mark
         return None
     for words in [own] if own else [(name,) for name in CANDIDATES]:
         program = shutil.which(words[0], path=path)
@@ -124,20 +124,20 @@ def _found(named: str, path: str) -> Compiler | None:
             continue
         command = (program, *words[1:])
         try:
-            told = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=10.0, check=False)
+            answer = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=10.0, check=False)
         except (OSError, subprocess.TimeoutExpired):
             continue
-        return Compiler(command, told.stdout.split("\n", 1)[0].strip())
+        return Compiler(command, answer.stdout.split("\n", 1)[0].strip())
     return None
 
 
 @cache
 def processor() -> str:
-    """What ``-march=native`` makes code for."""
+    """Return a description of the processor that ``-march=native`` compiles for."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split("\n\n", 1)[0].splitlines()
     except OSError:
         lines = []
     wanted = ("vendor_id", "cpu family", "model", "model name", "stepping", "flags", "Features", "CPU part")
-    told = [line for line in lines if line.split(":")[0].strip() in wanted]
-    return "\n".join([platform.system(), platform.machine(), platform.processor(), *told])
+    known = [line for line in lines if line.split(":")[0].strip() in wanted]
+    return "\n".join([platform.system(), platform.machine(), platform.processor(), *known])

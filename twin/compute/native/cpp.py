@@ -1,43 +1,45 @@
-"""A tape as C++ on SIMD registers: several poses an instruction, no branch, no call.
+"""Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls.
 
-The vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them, and with sine and cosine of our own
-nothing needs ``-ffast-math``, so that not-a-number stays one and a comparison means what it says.
+It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own, so
+that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-from twin.compute.native.tape import OPERATIONS, TRUTHS, Tape
+from twin.compute.native.tape import LOGICAL, OPERATIONS, Tape
 
 LARGEST_ANGLE: Final = 1e5
-"""Radians up to which the C++ reduces an angle without loss; a pose beyond it is left to NumPy. 16,000 turns of a table."""
+"""Largest angle in radians that the C++ reduces without loss, 16,000 turns of a table; poses beyond it are left to NumPy."""
 
 
 def routine(name: str, tape: Tape) -> str:
-    """``name(x, k, y)``: inputs, constants, results."""
+    """Return the C++ function ``name(x, k, y)`` of inputs, constants and results."""
     first = tape.inputs + len(tape.constants)
     lines = [f"INLINE void {name}(const V *x, const double *k, V *y) {{"]
     turns: dict[int, str] = {}
 
-    def text(value: int, *, lifted: bool = False) -> str:
+    def text(value: int, *, needs_vector: bool = False) -> str:
         if value < tape.inputs:
             return f"x[{value}]"
         if value < first:
             number = f"k[{value - tape.inputs}]"
-            return f"all({number})" if lifted else number
+            return f"all({number})" if needs_vector else number
         return f"v{value - first}"
 
     for i, (kind, a, b) in enumerate(tape.nodes):
         if kind in ("sin", "cos"):
             if a not in turns:
                 turns[a] = f"t{i}"
-                lines.append(f"  const Turn t{i} = sincos({text(a, lifted=True)});")
+                lines.append(f"  const Turn t{i} = sincos({text(a, needs_vector=True)});")
             lines.append(f"  const V v{i} = {turns[a]}.{kind[0]};")
             continue
         operation = OPERATIONS[kind]
-        lifted = operation.lifted or all(tape.inputs <= v < first for v in (a, b))
-        body = operation.cpp.format(text(a, lifted=lifted), text(b, lifted=lifted) if b >= 0 else "")
-        lines.append(f"  const {'M' if kind in TRUTHS else 'V'} v{i} = {body};")
-    lines += [f"  y[{i}] = {text(value, lifted=True)};" for i, value in enumerate(tape.results)]
+        needs_vector = operation.needs_vector or all(tape.inputs <= v < first for v in (a, b))
+        body = operation.cpp.format(
+            text(a, needs_vector=needs_vector), text(b, needs_vector=needs_vector) if b >= 0 else ""
+        )
+        lines.append(f"  const {'M' if kind in LOGICAL else 'V'} v{i} = {body};")
+    lines += [f"  y[{i}] = {text(value, needs_vector=True)};" for i, value in enumerate(tape.results)]
     return "\n".join([*lines, "}", ""])

@@ -1,4 +1,4 @@
-"""Whether a piece of C++ is worth compiling, and what became of it: one place for all who have some."""
+"""Decision whether to compile a C++ source, and the compiled libraries; shared by all modules with C++ code."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from twin.compute.native.compiler import CompilerError
 SWITCH: Final = "TWIN_NATIVE"
 """Environment variable: 0 switches the compiled code off."""
 WORTH_COMPILING: Final = 50_000
-"""Rows in one call from which compiled code is used, compiled first if need be.
+"""Number of rows in one call from which compiled code is used, after compiling it if necessary.
 
-NumPy takes a fifth of a second for as many, the compiler one or two, once. Only the rows of the call count, not what was asked before
-or is kept already: the same call gives the same digits, the first time and the second.
+NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, neither earlier
+calls nor cached libraries, so that the same call gives the same digits the first time and later.
 """
 PORTION: Final = 32_768
-"""Rows a thread takes at a time."""
+"""Rows per chunk of a thread."""
 
 Part = TypeVar("Part")
 
 _HERE: Final = Path(__file__).parent
 _failed: dict[str, str] = {}
-"""Why the compiled code of a source is not in use."""
+"""Sources that are no longer used, with the reason."""
 _loaded: dict[str, ctypes.CDLL] = {}
 
 
-def text(name: str) -> str:
-    """A piece of C++ of this room."""
+def cpp_text(name: str) -> str:
+    """Return the text of a C++ file in this package."""
     return (_HERE / name).read_text(encoding="utf-8")
 
 
 def enabled() -> bool:
-    """Whether compiled code may be used."""
+    """Return whether compiled code may be used."""
     return os.environ.get(SWITCH, "") != "0"
 
 
 def library(source: str) -> ctypes.CDLL | None:
-    """The compiled source: at hand, kept from an earlier run, or compiled now; None if that is not to be had."""
-    tool = compiler.found()
+    """Return the compiled library of a source: loaded before, from the cache, or compiled now; None if that fails."""
+    tool = compiler.find_compiler()
     if tool is None or source in _failed:
         return None
     name = store.key(source, tool)
@@ -53,13 +53,13 @@ def library(source: str) -> ctypes.CDLL | None:
         try:
             _loaded[name] = store.library(source, tool)
         except (CompilerError, OSError) as error:
-            give_up(source, str(error))
+            disable(source, str(error))
             return None
     return _loaded[name]
 
 
-def give_up(source: str, why: str) -> None:
-    """Use that source no more; said once, whatever fails after it."""
+def disable(source: str, why: str) -> None:
+    """Stop using the compiled code of a source; only the first failure is reported."""
     if not _failed:
         warnings.warn(f"solving without compiled code: {why}", RuntimeWarning, stacklevel=2)
     _failed[source] = why
@@ -67,11 +67,11 @@ def give_up(source: str, why: str) -> None:
 
 @cache
 def _lanes(tool: compiler.Compiler) -> int:
-    return int(store.library(text("simd.hpp") + '\nextern "C" int lanes() { return W; }\n', tool).lanes())
+    return int(store.library(cpp_text("simd.hpp") + '\nextern "C" int lanes() { return W; }\n', tool).lanes())
 
 
-def in_portions(rows: int, work: Callable[[slice], Part]) -> list[Part]:
-    """What each portion of some rows gave, in threads: ctypes lets go of Python while it is in there."""
+def map_row_chunks(rows: int, work: Callable[[slice], Part]) -> list[Part]:
+    """Apply a function to chunks of rows in threads and return the results; ctypes releases the GIL during the calls."""
     parts = [slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)]
     if len(parts) <= 1:
         return [work(part) for part in parts]
@@ -80,16 +80,14 @@ def in_portions(rows: int, work: Callable[[slice], Part]) -> list[Part]:
 
 
 def in_use() -> str:
-    """How large batches are solved here, in words; compiles a few lines to find out."""
+    """Return a description of the solver for large batches; compiles a few lines to find out."""
     if not enabled():
         return f"NumPy ({SWITCH}=0)"
-    tool = compiler.found()
+    tool = compiler.find_compiler()
     if tool is None:
         return "NumPy (no C++ compiler found)"
     try:
         lanes = _lanes(tool)
     except (CompilerError, OSError) as error:
         return f"NumPy ({error})"
-    return (
-        f"compiled from {WORTH_COMPILING:,} poses on: {lanes} an instruction, {tool.version}, kept in {store.folder()}"
-    )
+    return f"compiled from {WORTH_COMPILING:,} poses on: {lanes} per instruction, {tool.version}, cached in {store.folder()}"

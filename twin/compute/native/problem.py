@@ -1,4 +1,4 @@
-"""What is solved, and what comes of it: the same whichever way it is done."""
+"""The inverse kinematics problem and its result, independent of the solver."""
 
 from __future__ import annotations
 
@@ -11,54 +11,54 @@ import numpy as np
 CONVERGED: Final = 0
 OUT_OF_RANGE: Final = 1
 SINGULAR: Final = 2
-LEFT: Final = 3
-"""Codes of a pose; the last one is for the C++ alone: an angle larger than it reduces, which NumPy sees to."""
+FOR_NUMPY: Final = 3
+"""Status codes of a pose. The last one is internal to the C++: an angle too large for it, which is left to NumPy."""
 ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
-"""Names of the functions of a step, as of `StepFunctions`."""
+"""Names of the functions of a step, as in `StepFunctions`."""
 
 
 class StepFunctions(Protocol):
-    """What a step of the solver is; each takes q (axes), the approach (axes) if the machine is directed, point (3) and axis (3)."""
+    """The functions of a solver step. Inputs: q (axes), the approach (axes) if the machine has reversals, point (3) and axis (3)."""
 
     @property
     def turn(self) -> ca.Function:
-        """To q after one step of all axes, the size of the residual before it, and the matrices of the step."""
+        """Position q after a Newton step of all axes, the size of the residual before it, and the matrices of the step."""
 
     @property
     def again(self) -> ca.Function:
-        """From residual (3 of the point, 2 of the axis) and matrices to what one more step with these moves: (axes)."""
+        """Change of q (axes) in another step with the same matrices, from residual (3 of the point, 2 of the axis) and matrices."""
 
     @property
     def follow(self) -> ca.Function:
-        """To q after one step of the linear axes, and the largest component of the point's residual before it."""
+        """Position q after a Newton step of the linear axes, and the largest component of the point's residual before it."""
 
     @property
     def repair(self) -> ca.Function:
-        """To q with the rotary axes moved as far as makes sense where the whole orientation cannot be had."""
+        """Position q with the rotary axes in the best position where the whole orientation cannot be reached."""
 
     @property
     def check(self) -> ca.Function:
-        """To the two sizes; the squares of what is left at the point, and of the length between tool axis and target; the residual."""
+        """Both residual sizes; squared distances of the point and between the unit vectors of tool axis and target; the residual."""
 
 
 @final
 @dataclass(frozen=True)
 class InverseProblem:
-    """A machine with errors, as far as its inverse needs it; metres and radians but where said.
+    """A machine with errors, reduced to the data of its inverse; metres and radians unless stated otherwise.
 
     Attributes:
-        functions: its steps.
-        axes: how many.
-        rotary: indices of the rotary ones.
-        directed: whether there is an approach.
-        scale: (axes,) metres a millimetre, radians a degree.
-        bounds: (axes, 2) mm and degrees that a result must keep to.
-        limits: (rotary, 2) that a full repair of the orientation must keep to.
-        rotary_limit: how far a rotary axis may leave its start for it.
+        functions: functions of a step.
+        axes: number of axes.
+        rotary: indices of the rotary axes.
+        directed: whether the errors depend on the direction of approach.
+        scale: (axes,) metres per millimetre, radians per degree.
+        bounds: (axes, 2) limits of a result in mm and degrees.
+        limits: (rotary, 2) limits of the rotary axes for a full correction of the orientation.
+        rotary_limit: largest change of a rotary axis for it.
         tolerance: metres, and radians for the tool axis.
-        steps: Newton steps allowed.
-        near: residual from which on a step may have the matrices of the one before.
-        mm: metres a millimetre.
+        steps: maximum number of Newton steps.
+        near: residual below which a step may reuse the matrices of the step before.
+        mm: metres per millimetre.
     """
 
     functions: StepFunctions
@@ -76,20 +76,20 @@ class InverseProblem:
 
     @property
     def inputs(self) -> int:
-        """Numbers that a function takes."""
+        """Number of inputs of a function."""
         return self.axes * (1 + self.directed) + 6
 
 
 @final
 @dataclass(frozen=True)
 class Batch:
-    """Poses to be reached; mm and degrees.
+    """Poses to reach, in mm and degrees.
 
     Attributes:
-        start: (n, axes).
-        point: (n, 3).
-        axis: (n, 3).
-        approach: (n, axes), or None where there is none.
+        start: (n, axes) start positions.
+        point: (n, 3) target points.
+        axis: (n, 3) target directions of the tool axis.
+        approach: (n, axes) directions of approach, or None.
         loose: (n,) whether the rotary axes may move.
     """
 
@@ -103,7 +103,7 @@ class Batch:
         return len(self.start)
 
     def part(self, rows: slice | np.ndarray) -> Batch:
-        """Some of them."""
+        """Return some of the poses."""
         approach = None if self.approach is None else self.approach[rows]
         return Batch(self.start[rows], self.point[rows], self.axis[rows], approach, self.loose[rows])
 
@@ -111,28 +111,28 @@ class Batch:
 @final
 @dataclass(frozen=True)
 class BatchOutcome:
-    """What became of a batch.
+    """The result of a batch.
 
     Attributes:
-        positions: (n, axes) mm and degrees; not-a-number where a given number was none.
-        distance: (n,) mm left at the point.
-        apart: (n,) radians between tool axis and target.
+        positions: (n, axes) mm and degrees; NaN for an input that is not finite.
+        distance: (n,) remaining distance of the point, mm.
+        axis_angle_rad: (n,) angle between tool axis and target, radians.
         code: (n,) `CONVERGED`, `OUT_OF_RANGE`, `SINGULAR`.
-        iterations: most Newton steps taken by any pose.
+        iterations: largest number of Newton steps of a pose.
     """
 
     positions: np.ndarray
     distance: np.ndarray
-    apart: np.ndarray
+    axis_angle_rad: np.ndarray
     code: np.ndarray
     iterations: int
 
     def put(self, rows: slice | np.ndarray, other: BatchOutcome) -> None:
-        """Write what became of some of the poses."""
+        """Store the results of some of the poses."""
         self.positions[rows], self.code[rows] = other.positions, other.code
-        self.distance[rows], self.apart[rows] = other.distance, other.apart
+        self.distance[rows], self.axis_angle_rad[rows] = other.distance, other.axis_angle_rad
 
     @staticmethod
     def empty(rows: int, axes: int) -> BatchOutcome:
-        """Room for as many."""
+        """Return an outcome with uninitialised arrays."""
         return BatchOutcome(np.empty((rows, axes)), np.empty(rows), np.empty(rows), np.empty(rows, dtype=np.uint8), 0)

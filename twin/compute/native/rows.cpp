@@ -2,9 +2,9 @@
 
 struct Rows {
   int64_t rows;
-  const double *const *in;   // N columns, and how far apart their rows are (0: one number for all rows)
+  const double *const *in;   // N columns, and the distance of their rows (0: one number for all rows)
   const int64_t *in_step;
-  const int64_t *const *in_line;  // which line of a column each row has; null: its own
+  const int64_t *const *in_line;  // index of each row in a column; null: the row itself
   double *const *out;        // O of them
   const int64_t *out_step;
   const double *k;
@@ -21,7 +21,7 @@ extern "C" void run(const Rows *given) {
       const double *in = job.in[c];
       const int64_t step = job.in_step[c], *line = job.in_line[c];
       for (int l = 0; l < W; ++l) {
-        const int64_t at = i + (l < some ? l : some - 1);  // the last row again for what fills a register up
+        const int64_t at = i + (l < some ? l : some - 1);  // repeat the last row to fill a register
         x[c][l] = in[(line ? line[at] : at) * step];
       }
     }

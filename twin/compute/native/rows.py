@@ -1,4 +1,4 @@
-"""A CasADi function over very many rows: compiled where that is worth it, else NumPy's way (`twin.compute.native.tape`)."""
+"""A CasADi function over very many rows: compiled if that pays, else evaluated by NumPy (`twin.compute.native.tape`)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from twin.compute.native.cpp import LARGEST_ANGLE, routine
 from twin.compute.native.tape import Tape
 
 LARGEST_TAPE: Final = 5_000
-"""Instructions of what is compiled: the compiler takes a third of a millisecond for each."""
+"""Largest number of instructions that is compiled; the compiler takes a third of a millisecond for each."""
 TRIED: Final = 256
-"""Rows that NumPy confirms before compiled code is believed."""
+"""Number of rows on which compiled code must agree with NumPy before it is used."""
 ROUNDING: Final = 1e-10
-"""Of a value that is at most one, or of the value: rounding of either evaluation is a thousandth of it."""
+"""Tolerance of that comparison, relative to the value or to one; rounding errors of either are a thousandth of it."""
 
 
 class _RowsJob(ctypes.Structure):
@@ -35,11 +35,11 @@ class _RowsJob(ctypes.Structure):
 @final
 @dataclass(frozen=True)
 class Taken:
-    """Rows taken from a shorter table, not written out: what each of many rows wants of the few things there are.
+    """Rows taken from a shorter table by index, without copying.
 
     Attributes:
         table: (lines, entries).
-        line: (rows,) which line each row is.
+        line: (rows,) index of each row in the table.
     """
 
     table: np.ndarray
@@ -47,17 +47,17 @@ class Taken:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """As if written out."""
+        """The shape of the expanded array."""
         return len(self.line), self.table.shape[1]
 
     def written(self) -> np.ndarray:
-        """(rows, entries)."""
+        """Return the expanded array (rows, entries)."""
         return self.table.take(self.line, axis=0)
 
 
 @final
 class RowFunction:
-    """``columns in, rows out``; the answers of its ways agree to rounding.
+    """A function from columns to rows, evaluated by compiled code or NumPy; the results agree to rounding.
 
     Args:
         function: dense inputs and outputs.
@@ -71,11 +71,11 @@ class RowFunction:
         """Fill the outputs.
 
         Args:
-            inputs: (rows, entries) doubles of any strides; one number for all rows has the stride 0.
-            outputs: (rows, entries) each, row after row.
+            inputs: (rows, entries) doubles of any strides; a number shared by all rows has stride 0.
+            outputs: (rows, entries) each, C-contiguous.
 
         Returns:
-            Whether it did: not where the function has an operation that is not known here (`twin.compute.native.tape`).
+            False if the function has an unsupported operation (`twin.compute.native.tape`) and nothing was done.
         """
         if self._tape is None:
             return False
@@ -85,7 +85,7 @@ class RowFunction:
         wanted = many and len(self._tape.nodes) <= LARGEST_TAPE and loading.enabled()
         if wanted and self._library is None:
             self._library = self._confirmed(loading.library(self._source), columns)
-        # Sines of angles the C++ does not reduce are left to NumPy; infinite and not-a-number come out as they should.
+        # Angles too large for the C++ are left to NumPy; infinity and not-a-number are handled correctly.
         if self._library is None or not wanted or any(_far(one) for one in inputs):
             self._plain(columns, found)
         else:
@@ -102,7 +102,7 @@ class RowFunction:
         if tape is None:
             return ""
         sizes = f"enum {{ N = {tape.inputs}, O = {tape.outputs} }};"
-        return "\n".join([loading.text("simd.hpp"), sizes, routine("row", tape), loading.text("rows.cpp")])
+        return "\n".join([loading.cpp_text("simd.hpp"), sizes, routine("row", tape), loading.cpp_text("rows.cpp")])
 
     @cached_property
     def _constants(self) -> np.ndarray:
@@ -114,7 +114,7 @@ class RowFunction:
                 column[:] = values
 
     def _confirmed(self, library: ctypes.CDLL | None, columns: list[_Column]) -> ctypes.CDLL | None:
-        """The library, if NumPy finds the same for the first rows."""
+        """Return the library if NumPy gives the same results for the first rows."""
         if library is None or self._tape is None:
             return None
         some = [column.part(TRIED) for column in columns]
@@ -124,7 +124,7 @@ class RowFunction:
         there = np.isfinite(plain)
         if np.all(np.abs(fast - plain)[there] <= ROUNDING * np.maximum(1.0, np.abs(plain[there]))):
             return library
-        loading.give_up(self._source, "its results are wrong")
+        loading.disable(self._source, "its results are wrong")
         return None
 
     def _compiled(self, library: ctypes.CDLL, columns: list[_Column], found: list[np.ndarray]) -> None:
@@ -147,7 +147,7 @@ class RowFunction:
             )
             library.run(ctypes.byref(job))
 
-        loading.in_portions(len(found[0]), part)
+        loading.map_row_chunks(len(found[0]), part)
 
 
 @final
@@ -155,8 +155,8 @@ class _Column:
     """One entry of an input.
 
     Attributes:
-        values: doubles, a whole number of them apart.
-        line: (rows,) which of these each row has; None: its own.
+        values: doubles, separated by a whole number of doubles.
+        line: (rows,) index of each row among these; None: the row itself.
     """
 
     def __init__(self, given: np.ndarray | Taken, entry: int) -> None:
@@ -165,17 +165,17 @@ class _Column:
         self.line = np.ascontiguousarray(given.line, dtype=np.int64) if isinstance(given, Taken) else None
 
     def part(self, rows: int | None = None) -> np.ndarray:
-        """The first so many rows, or all."""
+        """Return the first n rows, or all."""
         return self.values[:rows] if self.line is None else self.values.take(self.line[:rows])
 
 
 def _steps(columns: list[np.ndarray]) -> np.ndarray:
-    """How many doubles from one row to the next."""
+    """Return the number of doubles from one row to the next."""
     return np.array([column.strides[0] // column.itemsize for column in columns], dtype=np.int64)
 
 
 def _far(given: np.ndarray | Taken) -> bool:
-    """Whether a number is larger than the C++ takes as an angle."""
+    """Return whether a number is larger than the C++ accepts as an angle."""
     values = given.table if isinstance(given, Taken) else given
     if not values.size or (values.max() <= LARGEST_ANGLE and values.min() >= -LARGEST_ANGLE):
         return False

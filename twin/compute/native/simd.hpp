@@ -1,4 +1,4 @@
-// Registers of doubles, and the functions a tape needs of them. See twin/native/cpp.py.
+// Registers of doubles, and the functions on them that a tape needs. See cpp.py.
 #include <stdint.h>
 #if defined(__AVX512F__)
 enum { W = 8 };

@@ -1,14 +1,14 @@
 // Newton's method on blocks of poses. Before this file: simd.hpp, the sizes
 //   A axes, N inputs of a routine, R rotary axes and ROTARY[], DIRECTED, K numbers in the matrices of a step,
-// and the routines turn, again, follow, repair, check (twin/steps.py).
-// The rules are those of twin/native/plain.py, pose by pose, which the tests hold it to.
+// and the routines turn, again, follow, repair, check (StepFunctions in problem.py).
+// The algorithm is that of numpy_solver.py, pose by pose; tests compare the two.
 
 struct Job {
   int64_t rows;
   const double *start, *point, *axis, *approach;
   const uint8_t *loose;  // whether the rotary axes may move
   int64_t start_row, start_column, point_row, point_column, axis_row, axis_column, approach_row, approach_column, loose_row;
-  double *positions, *distance, *apart;
+  double *positions, *distance, *axis_angle_rad;
   uint8_t *code;
   const double *k_turn, *k_again, *k_follow, *k_repair, *k_check;
   const double *scale, *lower, *upper;   // mm and degrees: range and domain of the curves
@@ -17,12 +17,12 @@ struct Job {
   int64_t steps, taken;
 };
 
-enum { CONVERGED = 0, OUT_OF_RANGE = 1, SINGULAR = 2, LEFT = 3 };
+enum { CONVERGED = 0, OUT_OF_RANGE = 1, SINGULAR = 2, FOR_NUMPY = 3 };
 enum { BLOCK = 1024, SOON = 3, COLUMNS = N };
-enum { LINE = BLOCK + W };  // from one column to the next: not a multiple of a page, or all would want the same line of the cache
+enum { LINE = BLOCK + W };  // column stride: not a multiple of a page, or all columns would share one cache line
 
 struct Block {
-  V in[COLUMNS][LINE / W];  // a routine's inputs, a column each
+  V in[COLUMNS][LINE / W];  // inputs of a routine, one column each
   V out[A + 2][LINE / W];
   uint8_t code[BLOCK];
 };
@@ -47,7 +47,7 @@ NOINLINE Found newton(const Job &job, V *x, M active, int64_t limit) {
   int64_t s = 0;
   V y[A + 1 + K];
   for (;; ++s) {
-    // From the third evaluation on most are done: the residual alone says so at half the price.
+    // From the third evaluation on most have converged; the residual alone costs half as much as a step.
     if (s >= 2) {
       run_check(x, job.k_check, found.check);
       checked = true;
@@ -57,7 +57,7 @@ NOINLINE Found newton(const Job &job, V *x, M active, int64_t limit) {
         found.done |= active & finished;
         break;
       }
-      if (rotary && s == 2) {  // what is missing is so little that the matrices at hand will do
+      if (rotary && s == 2) {  // the residual is so small that the last matrices can be reused
         found.done |= active & finished;
         active = active & ~finished & (size < inf);
         last = size;
@@ -94,7 +94,7 @@ INLINE void lane_in(Block &b, const int *rows, int count, V *x) {
   }
 }
 
-// Results of the lanes in `which`: places, what is left, and the code.
+// Results of the lanes in `which`: positions, remaining distances, and the code.
 NOINLINE void store(const Job &job, Block &b, const int *rows, M which, const V *x, const V *left, uint8_t reached) {
   V result[A + 2];
   M beyond = M{};
@@ -106,7 +106,7 @@ NOINLINE void store(const Job &job, Block &b, const int *rows, M which, const V 
   M missed = ~(distance <= 2.0 * job.tolerance) | beyond;
   result[A] = distance / job.mm;
   V d = vsqrt(left[3]), dd = d * d;
-  // 2 asin(d/2) where its series is exact; the caller sees to the others.
+  // 2 asin(d/2) where its series is exact; the caller computes the others.
   V angle = d + d * dd * (1.0 / 24 + dd * (3.0 / 640));
   result[A + 1] = d < 0.01 ? angle : d;
   bool beside = !any(~which | missed);
@@ -146,11 +146,11 @@ NOINLINE void load(const Job &job, int64_t from, int count, Block &b) {
       in[(N - 3 + c) * LINE + i] = axis[i * job.axis_row + c * job.axis_column];
     }
   }
-  for (int c = 0; c < COLUMNS; ++c)  // what fills the last register up is no pose
+  for (int c = 0; c < COLUMNS; ++c)  // the padding of the last register is not a pose
     for (int i = count; i < (count + W - 1) / W * W; ++i) in[c * LINE + i] = __builtin_nan("");
 }
 
-// Whether a register of poses are numbers, and not too large.
+// Whether all values of a register are finite and not too large.
 INLINE M sound(const Job &job, Block &b, int g, M &small) {
   const double inf = __builtin_inf();
   V square = V{};
@@ -195,7 +195,7 @@ extern "C" void solve(Job *given) {
           ((double *)b.out[A])[i] = ((double *)b.out[A + 1])[i] = inf;
           b.code[i] = OUT_OF_RANGE;
         } else if (!small[l]) {
-          b.code[i] = LEFT;
+          b.code[i] = FOR_NUMPY;
         } else if (R == 0 || !job.loose[(from + i) * job.loose_row]) {
           held[helds++] = i;
         } else {
@@ -251,7 +251,7 @@ extern "C" void solve(Job *given) {
     for (int i = 0; i < count; ++i)
       for (int a = 0; a < A; ++a) job.positions[(from + i) * A + a] = out[a * LINE + i];
     __builtin_memcpy(job.distance + from, out + A * LINE, count * sizeof(double));
-    __builtin_memcpy(job.apart + from, out + (A + 1) * LINE, count * sizeof(double));
+    __builtin_memcpy(job.axis_angle_rad + from, out + (A + 1) * LINE, count * sizeof(double));
     __builtin_memcpy(job.code + from, b.code, count);
   }
 }

@@ -1,4 +1,4 @@
-"""Solves a problem the fastest way there is here: compiled where there is a compiler and work enough for it, else by NumPy."""
+"""Solver that uses compiled code where there is a compiler and enough work for it, else NumPy."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE, routine
-from twin.compute.native.plain import NumpySolver, angle
-from twin.compute.native.problem import CONVERGED, LEFT, ROUTINES, Batch, BatchOutcome, InverseProblem
+from twin.compute.native.numpy_solver import NumpySolver, angle
+from twin.compute.native.problem import CONVERGED, FOR_NUMPY, ROUTINES, Batch, BatchOutcome, InverseProblem
 from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
-"""Poses whose answer NumPy confirms before compiled code is believed."""
+"""Number of poses on which compiled code must agree with NumPy before it is used."""
 
 _POINTERS: Final = ctypes.c_void_p
 
@@ -33,7 +33,7 @@ class _SolveJob(ctypes.Structure):
             for step in ("row", "column")
         ),
         ("loose_row", ctypes.c_int64),
-        *((name, _POINTERS) for name in ("positions", "distance", "apart", "code")),
+        *((name, _POINTERS) for name in ("positions", "distance", "axis_angle_rad", "code")),
         *((f"k_{name}", _POINTERS) for name in ROUTINES),
         *((name, _POINTERS) for name in ("scale", "lower", "upper", "first", "last")),
         *((name, ctypes.c_double) for name in ("rotary_limit", "tolerance", "near", "largest", "mm")),
@@ -45,7 +45,7 @@ class _SolveJob(ctypes.Structure):
 @final
 @dataclass
 class _Compiled:
-    """One problem, solved by compiled code."""
+    """Solver of one problem with compiled code."""
 
     problem: InverseProblem
     library: ctypes.CDLL
@@ -62,7 +62,7 @@ class _Compiled:
 
     def solve(self, batch: Batch) -> BatchOutcome:
         found = BatchOutcome.empty(len(batch), self.problem.axes)
-        taken = loading.in_portions(len(batch), lambda part: self._run(batch, found, part))
+        taken = loading.map_row_chunks(len(batch), lambda part: self._run(batch, found, part))
         return replace(found, iterations=max(taken, default=0))
 
     def _run(self, batch: Batch, found: BatchOutcome, part: slice) -> int:
@@ -78,7 +78,7 @@ class _Compiled:
         )
         for name, values in self.numbers.items():
             setattr(job, name, values.ctypes.data)
-        for name in ("positions", "distance", "apart", "code"):
+        for name in ("positions", "distance", "axis_angle_rad", "code"):
             setattr(job, name, getattr(found, name)[part].ctypes.data)
         for name in ("start", "point", "axis", "approach", "loose"):
             values = getattr(batch, name)
@@ -93,9 +93,9 @@ class _Compiled:
 
 @final
 class Solver:
-    """One problem, solved whichever way is fastest; the answers agree to rounding.
+    """Solver of one problem that chooses the fastest method; the results agree to rounding.
 
-    The compiled code is kept in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
+    The compiled code is cached in `store.folder`; it depends on the machine and on the orders of its curves, not on their numbers.
     """
 
     def __init__(self, problem: InverseProblem) -> None:
@@ -105,7 +105,7 @@ class Solver:
         self._confirmed = False
 
     def solve(self, batch: Batch) -> BatchOutcome:
-        """All poses of a batch."""
+        """Solve all poses of a batch."""
         if len(batch) < loading.WORTH_COMPILING or not loading.enabled():
             return self._plain.solve(batch)
         if self._native is None:
@@ -114,16 +114,18 @@ class Solver:
             return self._plain.solve(batch)
         found = self._native.solve(_aligned(batch))
         if not self._confirmed and not self._agrees(found, batch):
-            loading.give_up(self._source, "its results are wrong")
+            loading.disable(self._source, "its results are wrong")
             self._native = None
             return self._plain.solve(batch)
         return self._completed(found, batch)
 
     def _completed(self, found: BatchOutcome, batch: Batch) -> BatchOutcome:
-        """With what the C++ leaves to NumPy: large angles."""
-        far = np.flatnonzero((found.apart > 0.01) & np.isfinite(found.apart) & (found.code != LEFT))
-        found.apart[far] = angle(found.apart[far])
-        rows = np.flatnonzero(found.code == LEFT)
+        """Return the outcome with the poses that the C++ leaves to NumPy: large angles."""
+        far = np.flatnonzero(
+            (found.axis_angle_rad > 0.01) & np.isfinite(found.axis_angle_rad) & (found.code != FOR_NUMPY)
+        )
+        found.axis_angle_rad[far] = angle(found.axis_angle_rad[far])
+        rows = np.flatnonzero(found.code == FOR_NUMPY)
         if not rows.size:
             return found
         rest = self._plain.solve(batch.part(rows))
@@ -131,12 +133,12 @@ class Solver:
         return replace(found, iterations=max(found.iterations, rest.iterations))
 
     def _agrees(self, found: BatchOutcome, batch: Batch) -> bool:
-        """Whether poses said to be reached are, by NumPy: the check of a compiler nobody has tried this with."""
+        """Return whether NumPy confirms poses that compiled code reports as reached; guards against a faulty compiler."""
         rows = np.flatnonzero(found.code == CONVERGED)[:TRIED]
         if not rows.size:
             return not np.any(self._plain.solve(batch.part(slice(0, TRIED))).code == CONVERGED)
         left = self._plain.check(found.positions[rows], batch.part(rows))
-        # Twice: the promise itself holds to rounding of either evaluation.
+        # Twice the tolerance, since it holds only to rounding of either evaluation.
         self._confirmed = bool(np.all(left <= 2.0 * 2.0 * self.problem.tolerance / self.problem.mm))
         return self._confirmed
 
@@ -153,11 +155,11 @@ class Solver:
         sizes["K"] = tapes[0].outputs - problem.axes - 1
         return "\n".join(
             [
-                loading.text("simd.hpp"),
+                loading.cpp_text("simd.hpp"),
                 f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
                 f"static const int ROTARY[] = {{{', '.join(map(str, problem.rotary or (0,)))}}};",
                 *(routine(name, tape) for name, tape in zip(ROUTINES, tapes, strict=True)),
-                loading.text("solve.cpp"),
+                loading.cpp_text("solve.cpp"),
             ]
         )
 
@@ -171,7 +173,7 @@ class Solver:
 
 
 def _aligned(batch: Batch) -> Batch:
-    """Arrays C++ can step through: doubles, whole strides."""
+    """Return a batch of arrays that C++ can step through: doubles, whole strides."""
 
     def ready(values: np.ndarray, kind: Any) -> np.ndarray:
         fits = values.dtype == kind and values.flags.aligned and all(s % values.itemsize == 0 for s in values.strides)

@@ -1,8 +1,8 @@
-"""Compiled code kept between runs, in the user's cache directory.
+"""Cache of compiled libraries in the user's cache directory.
 
-Loading a library runs what is in it, so only what this user wrote is loaded, and only if it is whole: the folder and the file belong
-to the user and nobody else may write them, and the file's digest is the one noted beside it. Anything else is built anew. Where there
-is no such folder (a home that cannot be written, or is somebody else's) the library is built in a private place, gone afterwards.
+Loading a library runs its code, so a library is loaded only if this user wrote it and it is complete: folder and file belong
+to the user and are not writable by others, and the file has the digest recorded beside it. Otherwise it is built again. If there
+is no such folder (a home directory that is read-only or belongs to another user) the library is built in a temporary folder.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from twin.compute.native.compiler import Compiler
 
 try:
     import fcntl
-except ImportError:  # no such locks on Windows: two processes then build the same thing, each for itself
+except ImportError:  # no such locks on Windows: two processes then both build the library
     fcntl = None  # type: ignore[assignment]
 
 
 def folder() -> Path:
-    """``$XDG_CACHE_HOME/twin`` or ``~/.cache/twin``, whether or not it exists."""
+    """Return ``$XDG_CACHE_HOME/twin`` or ``~/.cache/twin``, whether or not it exists."""
     named = os.environ.get("XDG_CACHE_HOME", "")
-    # The specification has relative paths ignored.
+    # The XDG specification says that relative paths are ignored.
     return (Path(named) if os.path.isabs(named) else Path(os.path.expanduser("~")) / ".cache") / "twin"
 
 
 def key(source: str, compiler: Compiler) -> str:
-    """Name of the library: what it is made from, by what and for what processor."""
+    """Return the cache key of a library: a digest of source, compiler and processor."""
     return hashlib.sha256(f"{compiler.identity}\0{source}".encode()).hexdigest()[:40]
 
 
-def kept(name: str) -> ctypes.CDLL | None:
-    """The library of that name, if it is there and to be trusted."""
+def cached_library(name: str) -> ctypes.CDLL | None:
+    """Return the cached library of that key, if it exists and is trusted."""
     place = folder()
     return _loaded(place / f"{name}.so") if _private(place) else None
 
 
 def library(source: str, compiler: Compiler) -> ctypes.CDLL:
-    """The compiled source: from the folder, else built and put there.
+    """Return the compiled library of a source from the cache; build and cache it if necessary.
 
     Raises:
         CompilerError: it cannot be compiled.
-        OSError: it can be put nowhere, or not be loaded.
+        OSError: it can be stored nowhere, or not be loaded.
     """
     place, name = folder(), key(source, compiler)
     try:
@@ -56,24 +56,24 @@ def library(source: str, compiler: Compiler) -> ctypes.CDLL:
     except OSError:
         usable = False
     if not usable:
-        found = kept(name)
-        return found if found is not None else _for_once(source, compiler)
+        found = cached_library(name)
+        return found if found is not None else _build_temporary(source, compiler)
     target = place / f"{name}.so"
-    with _alone(place / f"{name}.lock"):
+    with _locked(place / f"{name}.lock"):
         found = _loaded(target)
         if found is None:
             try:
                 _build(source, compiler, target)
-            except OSError:  # a full disc, a folder that is not what it says
-                return _for_once(source, compiler)
+            except OSError:  # a full disc, or a folder that is not writable after all
+                return _build_temporary(source, compiler)
             found = _loaded(target)
-    return found if found is not None else _for_once(source, compiler)
+    return found if found is not None else _build_temporary(source, compiler)
 
 
 def _build(source: str, compiler: Compiler, target: Path) -> None:
-    """Build beside the target; both files appear by renaming, the note last: until then the library is not loaded."""
-    with scratch_folder(target.parent) as room:
-        made, noted = room / "made.so", room / "noted"
+    """Build beside the target; the digest is renamed into place last, and until then the library is not loaded."""
+    with scratch_folder(target.parent) as scratch:
+        made, noted = scratch / "made.so", scratch / "noted"
         compiler.build(source, made)
         os.chmod(made, 0o600)
         noted.write_text(_digest(made), encoding="ascii")
@@ -81,9 +81,9 @@ def _build(source: str, compiler: Compiler, target: Path) -> None:
         os.replace(noted, _note(target))
 
 
-def _for_once(source: str, compiler: Compiler) -> ctypes.CDLL:
-    with scratch_folder() as room:
-        made = room / "made.so"
+def _build_temporary(source: str, compiler: Compiler) -> ctypes.CDLL:
+    with scratch_folder() as scratch:
+        made = scratch / "made.so"
         compiler.build(source, made)
         return ctypes.CDLL(str(made))
 
@@ -91,7 +91,7 @@ def _for_once(source: str, compiler: Compiler) -> ctypes.CDLL:
 def _loaded(path: Path) -> ctypes.CDLL | None:
     note = _note(path)
     try:
-        if not (_own(path, stat.S_ISREG) and _own(note, stat.S_ISREG)):
+        if not (_is_private(path, stat.S_ISREG) and _is_private(note, stat.S_ISREG)):
             return None
         if note.read_text(encoding="ascii", errors="replace").strip() != _digest(path):
             return None
@@ -110,21 +110,21 @@ def _digest(path: Path) -> str:
 
 def _private(place: Path) -> bool:
     try:
-        return _own(place, stat.S_ISDIR)
+        return _is_private(place, stat.S_ISDIR)
     except OSError:
         return False
 
 
-def _own(path: Path, kind: object) -> bool:
-    """Whether it is of that kind (no link), this user's, and writeable by nobody else."""
-    told = path.lstat()
-    mine = not hasattr(os, "geteuid") or (told.st_uid == os.geteuid() and not told.st_mode & 0o022)
-    return mine and callable(kind) and bool(kind(told.st_mode))
+def _is_private(path: Path, kind: object) -> bool:
+    """Return whether a path has the given kind (not a link), belongs to this user and is not writable by others."""
+    status = path.lstat()
+    mine = not hasattr(os, "geteuid") or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
+    return mine and callable(kind) and bool(kind(status.st_mode))
 
 
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """One process at a time; where files cannot be locked, several, each of which builds its own."""
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock between processes; where files cannot be locked, each process builds its own library."""
     with contextlib.ExitStack() as stack:
         if fcntl is not None:
             with contextlib.suppress(OSError):

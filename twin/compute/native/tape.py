@@ -1,7 +1,7 @@
-"""A CasADi function as straight-line code, every value computed once: what is turned into C++, and what NumPy runs without it.
+"""A CasADi function as straight-line code with every value computed once; source of the C++ code, and run by NumPy without it.
 
 CasADi's own evaluation spends most of its time on finding the next instruction, five nanoseconds each for every row. Here an
-instruction is one NumPy call for a block of rows, or a line of C++ for a register full of them.
+instruction is one NumPy call for a block of rows, or a line of C++ for a register of rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 BLOCK: Final = 1024
-"""Rows an instruction: a call into NumPy costs as much as these, and the values in use stay in cache."""
+"""Rows per instruction: enough to outweigh the cost of a NumPy call, few enough to keep the values in cache."""
 
 
 def _where(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
@@ -34,22 +34,22 @@ class Operation:
 
     Attributes:
         code: CasADi's number.
-        run: by NumPy: operands, and where the result goes.
-        cpp: in C++, with places for the operands; empty for sine and cosine, which are made together.
-        lifted: whether the C++ wants a vector even for a constant; sums and products take a number.
+        run: NumPy function of the operands and the result array.
+        cpp: C++ expression with places for the operands; empty for sine and cosine, which are computed together.
+        needs_vector: whether the C++ needs a vector even for a constant; sums and products accept a number.
     """
 
     code: int
     run: Callable[..., Any]
     cpp: str
-    lifted: bool = True
+    needs_vector: bool = True
 
 
 OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
     {
-        "add": Operation(ca.OP_ADD, np.add, "{0} + {1}", lifted=False),
-        "sub": Operation(ca.OP_SUB, np.subtract, "{0} - {1}", lifted=False),
-        "mul": Operation(ca.OP_MUL, np.multiply, "{0} * {1}", lifted=False),
+        "add": Operation(ca.OP_ADD, np.add, "{0} + {1}", needs_vector=False),
+        "sub": Operation(ca.OP_SUB, np.subtract, "{0} - {1}", needs_vector=False),
+        "mul": Operation(ca.OP_MUL, np.multiply, "{0} * {1}", needs_vector=False),
         "div": Operation(ca.OP_DIV, np.divide, "{0} / {1}"),
         "neg": Operation(ca.OP_NEG, np.negative, "-{0}"),
         "sqrt": Operation(ca.OP_SQRT, np.sqrt, "vsqrt({0})"),
@@ -61,28 +61,28 @@ OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
         "max": Operation(ca.OP_FMAX, np.fmax, "vmax({0}, {1})"),
         "lt": Operation(ca.OP_LT, np.less, "{0} < {1}"),
         "le": Operation(ca.OP_LE, np.less_equal, "{0} <= {1}"),
-        "not": Operation(ca.OP_NOT, _not, "~{0}", lifted=False),
+        "not": Operation(ca.OP_NOT, _not, "~{0}", needs_vector=False),
         "where": Operation(ca.OP_IF_ELSE_ZERO, _where, "where({0}, {1})"),
     }
 )
-"""What is known here; squares, doubles, inverses and whole powers are put down to these."""
+"""Supported operations; squares, doubles, inverses and whole powers are reduced to these."""
 NAMES: Final[Mapping[int, str]] = MappingProxyType({one.code: name for name, one in OPERATIONS.items()})
 COMMUTE: Final = frozenset({"add", "mul"})
 TURNS: Final = frozenset({"sin", "cos"})
-TRUTHS: Final = frozenset({"lt", "le", "not"})
-"""Operations whose result is true or false; ``where`` (condition, value) takes one, and is zero where it is false."""
+LOGICAL: Final = frozenset({"lt", "le", "not"})
+"""Operations with a logical result; ``where`` (condition, value) takes one, and is zero where it is false."""
 
-MULTIPLES: Final = 20
-"""Largest multiple of an angle that is built from the angle: each costs one rounding."""
-ONE: Final = 4e-16
-"""Two roundings from one."""
+MAX_MULTIPLE: Final = 20
+"""Largest multiple of an angle that is built from the angle; each step costs one rounding."""
+UNIT_TOLERANCE: Final = 4e-16
+"""Tolerance for a factor of one: two roundings."""
 
 Node = tuple[str, int, int]
 """Operation and the numbers of its operands (−1: none)."""
 
 
 class UnknownOperationError(Exception):
-    """An operation of a CasADi function that has no place here: the caller evaluates it by CasADi."""
+    """An operation of a CasADi function is not supported here; the caller uses CasADi instead."""
 
 
 @final
@@ -93,14 +93,13 @@ class Tape:
         function: an SX function of dense inputs and outputs.
 
     Attributes:
-        inputs, outputs: how many numbers go in and come out, all arguments after one another, column-major.
-        constants: every constant, so that the same code serves other numbers; two calibrations with curves of the same orders differ
-            in nothing else.
-        nodes: operations on values: 0 … are the inputs, then the constants, then the nodes themselves.
-        results: numbers of the values that come out.
+        inputs, outputs: numbers of scalar inputs and outputs, all arguments concatenated, column-major.
+        constants: the constants, kept out of the code so that calibrations with curves of the same orders share it.
+        nodes: operations on values: values 0 … are the inputs, then the constants, then the nodes themselves.
+        results: numbers of the output values.
 
     Raises:
-        UnknownOperationError: an operation that is not in `OPERATIONS`.
+        UnknownOperationError: an operation is not in `OPERATIONS`.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -115,17 +114,17 @@ class Tape:
 
     @classmethod
     def of(cls, function: ca.Function) -> Tape | None:
-        """The instructions of a function; None if it has an operation that is not known here."""
+        """Return the instructions of a function; None if it has an unsupported operation."""
         try:
             return cls(function)
         except UnknownOperationError:
             return None
 
     def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Evaluate by NumPy.
+        """Evaluate with NumPy.
 
         Args:
-            columns: one (rows,) array an input.
+            columns: one (rows,) array per input.
 
         Returns:
             (outputs, rows).
@@ -133,14 +132,14 @@ class Tape:
         rows = len(columns[0])
         found = np.empty((self.outputs, rows))
         program, slots, results = self._program
-        room = np.empty((slots, min(rows, BLOCK)))
+        scratch = np.empty((slots, min(rows, BLOCK)))
         constants = [np.array(value) for value in self.constants]
         with np.errstate(all="ignore"):
             for start in range(0, rows, BLOCK):
                 part = slice(start, start + BLOCK)
-                given = [*(np.ascontiguousarray(column[part]) for column in columns), *constants]
-                size = len(given[0])
-                place = [*given, *room[:, :size]]
+                arrays = [*(np.ascontiguousarray(column[part]) for column in columns), *constants]
+                size = len(arrays[0])
+                place = [*arrays, *scratch[:, :size]]
                 for function, a, b, out in program:
                     function(place[a], place[b], place[out]) if b >= 0 else function(place[a], place[out])
                 for k, slot in enumerate(results):
@@ -149,7 +148,7 @@ class Tape:
 
     @cached_property
     def _program(self) -> tuple[list[tuple[Callable[..., Any], int, int, int]], int, list[int]]:
-        """Instructions on places that are used again as soon as nobody needs them, how many places, and where results are."""
+        """Instructions on slots, reused when their value is no longer needed; the number of slots; the slots of the results."""
         last: dict[int, int] = {}
         for i, (_, a, b) in enumerate(self.nodes):
             last[a] = last[b] = i
@@ -173,7 +172,7 @@ class Tape:
 
 
 class _Builder:
-    """Reads instructions, giving equal values one number."""
+    """Reader of instructions that assigns one number to equal values."""
 
     def __init__(self, inputs: int) -> None:
         self.inputs = inputs
@@ -189,27 +188,27 @@ class _Builder:
     def constant(self, value: float) -> int:
         return self.value(("const", float(value)))
 
-    def given(self, number: int) -> float | None:
+    def constant_value(self, number: int) -> float | None:
         key = self.known[number]
         return key[1] if isinstance(key, tuple) and key[0] == "const" else None
 
-    def truth(self, number: int) -> bool:
-        """Whether a value is true or false."""
+    def is_logical(self, number: int) -> bool:
+        """Return whether a value is logical."""
         key = self.known[number] if number >= 0 else None
-        return isinstance(key, tuple) and key[0] in TRUTHS
+        return isinstance(key, tuple) and key[0] in LOGICAL
 
     def numeric(self, number: int) -> int:
-        """A value as a number: one for true, zero for false."""
-        return self.value(("where", number, self.constant(1.0))) if self.truth(number) else number
+        """Return a value as a number: one for true, zero for false."""
+        return self.value(("where", number, self.constant(1.0))) if self.is_logical(number) else number
 
     def operation(self, name: str, a: int, b: int = -1) -> int:
-        # CasADi counts with truths: the derivative of a maximum is the slope times whether it is the larger one.
-        if name == "mul" and self.truth(a) is not self.truth(b):
-            a, b = (a, b) if self.truth(a) else (b, a)
+        # CasADi multiplies by logical values: the derivative of a maximum is the slope times a comparison.
+        if name == "mul" and self.is_logical(a) is not self.is_logical(b):
+            a, b = (a, b) if self.is_logical(a) else (b, a)
             return self.value(("where", a, b))
         if name != "not":
             a, b = a if name == "where" else self.numeric(a), self.numeric(b)
-        if name == "div" and (divisor := self.given(b)) is not None and divisor != 0.0:
+        if name == "div" and (divisor := self.constant_value(b)) is not None and divisor != 0.0:
             name, b = "mul", self.constant(1.0 / divisor)
         if name == "mul":
             return self.product(a, b)
@@ -220,36 +219,38 @@ class _Builder:
         return self.value((name, a, b))
 
     def product(self, a: int, b: int) -> int:
-        """A product; constant factors become one, and none where they cancel to rounding (degrees and back)."""
-        factor, rest = 1.0, [v for v in (a, b) if self.given(v) is None]
-        for given in (self.given(v) for v in (a, b)):
-            factor *= 1.0 if given is None else given
+        """Return a product; constant factors are combined, and dropped if they cancel to rounding (degrees and back)."""
+        factor, rest = 1.0, [v for v in (a, b) if self.constant_value(v) is None]
+        for constant in (self.constant_value(v) for v in (a, b)):
+            factor *= 1.0 if constant is None else constant
         if len(rest) == 1:
             inner, rest[0] = self.factor(rest[0])
             factor *= inner
             return (
-                rest[0] if abs(factor - 1.0) < ONE else self.value(("mul", *sorted((rest[0], self.constant(factor)))))
+                rest[0]
+                if abs(factor - 1.0) < UNIT_TOLERANCE
+                else self.value(("mul", *sorted((rest[0], self.constant(factor)))))
             )
         return self.value(("mul", *sorted(rest))) if rest else self.constant(factor)
 
     def factor(self, value: int) -> tuple[float, int]:
-        """A value as a number times another value."""
+        """Return a value as a constant and another value to be multiplied by it."""
         key = self.known[value]
         if isinstance(key, tuple) and key[0] == "add" and key[1] == key[2]:
             number, rest = self.factor(key[1])
             return 2.0 * number, rest
         if isinstance(key, tuple) and key[0] == "mul":
             for one, other in ((key[1], key[2]), (key[2], key[1])):
-                constant = self.given(one)
+                constant = self.constant_value(one)
                 if constant is not None:
                     return constant, other
         return 1.0, value
 
     def turn(self, name: str, angle: int) -> int:
-        """Sine or cosine; of a whole multiple of an angle by way of the multiple below."""
+        """Return sine or cosine; for a whole multiple of an angle by recurrence from the multiple below."""
         number, rest = self.factor(angle)
-        times = round(number) if abs(number) <= MULTIPLES else 0
-        if times < 2 or abs(number / times - 1.0) >= ONE:
+        times = round(number) if abs(number) <= MAX_MULTIPLE else 0
+        if times < 2 or abs(number / times - 1.0) >= UNIT_TOLERANCE:
             return self.value((name, angle, -1))
         below = self.product(self.constant(times - 1.0), rest)
         (s1, c1), (s, c) = ((self.turn("sin", v), self.turn("cos", v)) for v in (rest, below))
@@ -271,40 +272,40 @@ class _Builder:
         results = [self.constant(0.0)] * int(starts_out[-1])
         work: dict[int, int] = {}
         for k in range(function.n_instructions()):
-            code, given, made = (
+            code, operands, outputs = (
                 function.instruction_id(k),
                 function.instruction_input(k),
                 function.instruction_output(k),
             )
             if code == ca.OP_CONST:
-                work[made[0]] = self.constant(function.instruction_constant(k))
+                work[outputs[0]] = self.constant(function.instruction_constant(k))
             elif code == ca.OP_INPUT:
-                work[made[0]] = int(starts_in[given[0]]) + given[1]
+                work[outputs[0]] = int(starts_in[operands[0]]) + operands[1]
             elif code == ca.OP_OUTPUT:
-                rows = function.sparsity_out(made[0]).find()
-                results[int(starts_out[made[0]]) + rows[made[1]]] = self.numeric(work[given[0]])
+                rows = function.sparsity_out(outputs[0]).find()
+                results[int(starts_out[outputs[0]]) + rows[outputs[1]]] = self.numeric(work[operands[0]])
             else:
-                work[made[0]] = self._made(code, [work[i] for i in given])
+                work[outputs[0]] = self._translated(code, [work[i] for i in operands])
         return results
 
-    def _made(self, code: int, given: list[int]) -> int:
+    def _translated(self, code: int, operands: list[int]) -> int:
         match code:
             case ca.OP_ASSIGN:
-                return given[0]
+                return operands[0]
             case ca.OP_SQ:
-                return self.operation("mul", given[0], given[0])
+                return self.operation("mul", operands[0], operands[0])
             case ca.OP_TWICE:
-                return self.operation("add", given[0], given[0])
+                return self.operation("add", operands[0], operands[0])
             case ca.OP_INV:
-                return self.operation("div", self.constant(1.0), given[0])
+                return self.operation("div", self.constant(1.0), operands[0])
             case ca.OP_POW | ca.OP_CONSTPOW:
-                return self.power(given[0], self.given(given[1]))
+                return self.power(operands[0], self.constant_value(operands[1]))
         if code not in NAMES:
             raise UnknownOperationError(f"operation {code}")
-        return self.operation(NAMES[code], *given)
+        return self.operation(NAMES[code], *operands)
 
     def finished(self, results: list[int]) -> tuple[tuple[float, ...], tuple[Node, ...], tuple[int, ...]]:
-        """Constants, nodes and results without what nobody uses, renumbered."""
+        """Return constants, nodes and results without unused values, renumbered."""
         used: set[int] = set()
         stack = list(results)
         while stack:
@@ -315,8 +316,8 @@ class _Builder:
             key = self.known[value]
             if isinstance(key, tuple) and key[0] != "const":
                 stack += [key[1], key[2]]
-        constants = [v for v in sorted(used) if self.given(v) is not None]
-        nodes = [v for v in sorted(used) if isinstance(self.known[v], tuple) and self.given(v) is None]
+        constants = [v for v in sorted(used) if self.constant_value(v) is not None]
+        nodes = [v for v in sorted(used) if isinstance(self.known[v], tuple) and self.constant_value(v) is None]
         new = {v: v for v in range(self.inputs)} | {-1: -1}
         new |= {v: self.inputs + i for i, v in enumerate([*constants, *nodes])}
         code = tuple((self.known[v][0], new[self.known[v][1]], new[self.known[v][2]]) for v in nodes)

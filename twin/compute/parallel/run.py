@@ -1,7 +1,7 @@
-"""Runs a list of independent tasks through joblib: in this process, on processes of this computer (loky), or on a Dask cluster.
+"""Independent tasks run through joblib: in this process, on processes of this computer (loky), or on a Dask cluster.
 
-A task is a pure function of what is given to it, its seed included, and each runs with one thread of linear algebra: its result does
-not depend on how many workers there are, nor on which of them had it. Because of that a task whose worker died is simply run again.
+A task is a pure function of its arguments, including its seed, and runs with one thread of linear algebra. Its result therefore does
+not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError, OutputError
 from twin.compute.parallel.tls import Tls
-from twin.compute.parallel.versions import apart, versions
+from twin.compute.parallel.versions import version_differences, versions
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Refusal = InputError | OutputError
 
-AHEAD: Final = 2
-"""Tasks handed out a worker: one at work and one waiting, so that neither workers nor memory wait."""
-TOGETHER: Final = 2
-"""Deaths of a worker after which those tasks that were out each time are run one at a time: then it is clear whose fault it is."""
-DEATHS: Final = 4
-"""Deaths of a worker after which a task that was out each time is given up."""
+TASKS_PER_WORKER: Final = 2
+"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
+SUSPECT_DEATHS: Final = 2
+"""Number of worker deaths after which the tasks in flight at each of them are run one at a time, to find the cause."""
+MAX_DEATHS: Final = 4
+"""Number of worker deaths during a task after which it is given up."""
 
-_one_at_a_time = threading.Lock()
+_task_lock = threading.Lock()
 
 
 @final
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work.
+    """Choice of where tasks run: on processes of this computer or on a Dask cluster.
 
     Attributes:
-        processes: of this computer; 1: this process itself; None: one a core. Not looked at where there is a scheduler.
-        scheduler: address of a Dask scheduler, ``tcp://host:8786``; None for none. Its workers should have one thread each.
-            Scheduler and workers run code of each other and of this computer: name only those you trust like your own code.
-        tls: for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
+        processes: number of processes on this computer; 1: this process itself; None: one per core. Ignored with a scheduler.
+        scheduler: address of a Dask scheduler, ``tcp://host:8786``, or None. Its workers should have one thread each. Scheduler and
+            workers can run any code on each other and on this computer: use only those that you trust like your own code.
+        tls: certificates for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
 
     Raises:
-        InputError: fewer than one process; a scheduler, and Dask is not installed; TLS without a scheduler that uses it.
+        InputError: fewer than one process; a scheduler without Dask installed; TLS files without a ``tls://`` scheduler.
     """
 
     processes: int | None = None
@@ -65,13 +65,15 @@ class Workers:
 
     def __post_init__(self) -> None:
         if self.processes is not None and self.processes < 1:
-            raise InputError("too few workers", expected="at least 1", value=self.processes)
+            raise InputError("number of workers too small", expected="at least 1", value=self.processes)
         if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
             raise InputError(
-                "TLS files and a scheduler that does not use TLS", expected="tls://host:8786", value=self.scheduler
+                "TLS files for a scheduler that does not use TLS",
+                expected="a scheduler at tls://host:8786",
+                value=self.scheduler,
             )
         if self.scheduler is not None and find_spec("distributed") is None:
-            raise InputError("a scheduler was named and Dask is not installed", expected="pip install 'twin[cluster]'")
+            raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
 
 
 def finished(
@@ -81,40 +83,40 @@ def finished(
     workers: Workers | None = None,
     *,
     name: Callable[[Task], str] = str,
-    refusals: bool = False,
+    return_errors: bool = False,
 ) -> Generator[tuple[int, Result | Refusal], None, None]:
-    """Results as they come, each with the index of its task.
+    """Run tasks and yield their results in order of completion, each with the index of its task.
 
     Args:
-        function: of what all tasks share, and of one task; an importable one. What it keeps in the former (a ``cached_property``)
-            stays there for a worker's next task.
-        shared: the same for all tasks; goes to a worker as a pickle, without what it keeps.
-        tasks: what sets them apart; each is asked for when it is handed out, and again if its worker dies.
-        workers: None for one process a core.
-        name: of a task, for messages.
-        refusals: give the error of a task for its result, and go on with the others, instead of raising it.
+        function: importable function of the shared value and of one task. What it caches in the shared value (a
+            ``cached_property``) is kept for the worker's next task.
+        shared: value common to all tasks, sent to a worker as a pickle, without its caches.
+        tasks: the arguments of the tasks; each is read when it is sent, and again if its worker dies.
+        workers: None for one process per core.
+        name: function that returns the name of a task, for messages.
+        return_errors: whether to yield the error of a task as its result and go on with the others, instead of raising it.
 
     Raises:
-        InputError: raised by a task; a worker died each time it had one; no cluster at that address, or one that is not fit.
+        InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
     """
     own = Workers() if workers is None else workers
     processes = min(cpu_count() if own.processes is None else own.processes, len(tasks))
     if own.scheduler is None and processes <= 1:
-        found = _here(function, shared, tasks)
+        found = _in_this_process(function, shared, tasks)
     else:
         common = cloudpickle.dumps((function, shared))
 
-        def told(index: int) -> str:
+        def task_name(index: int) -> str:
             return name(tasks[index])
 
         found = (
-            _on_processes(common, tasks, processes, told)
+            _on_processes(common, tasks, processes, task_name)
             if own.scheduler is None
-            else _on_cluster(common, tasks, own.scheduler, own.tls, told)
+            else _on_cluster(common, tasks, own.scheduler, own.tls, task_name)
         )
     with closing(found):
         for index, result in found:
-            if isinstance(result, InputError | OutputError) and not refusals:
+            if isinstance(result, InputError | OutputError) and not return_errors:
                 raise result
             yield index, result
 
@@ -127,7 +129,10 @@ def in_order(
     *,
     name: Callable[[Task], str] = str,
 ) -> Iterator[Result]:
-    """Results in the order of the tasks: what is added up in it comes out the same to the last bit. Else as `finished`."""
+    """Run tasks as `finished` and yield their results in the order of the tasks.
+
+    Sums over the results are then reproducible to the last bit.
+    """
     early: dict[int, Result] = {}
     following = 0
     with closing(finished(function, shared, tasks, workers, name=name)) as found:
@@ -138,7 +143,7 @@ def in_order(
                 following += 1
 
 
-def _here(
+def _in_this_process(
     function: Callable[[Shared, Task], Result], shared: Shared, tasks: Sequence[Task]
 ) -> Generator[tuple[int, Result], None, None]:
     for index, task in enumerate(tasks):
@@ -153,46 +158,46 @@ def _on_processes(
     left = dict.fromkeys(range(len(tasks)))
     deaths: Counter[int] = Counter()
     while left:
-        suspect = next((index for index in left if deaths[index] >= TOGETHER), None)
+        suspect = next((index for index in left if deaths[index] >= SUSPECT_DEATHS), None)
         out: set[int] = set()
-        # Never fewer than two, for joblib would take one to be this process.
+        # At least two, since joblib would run a single job in this process.
         pool = Parallel(
             n_jobs=max(2, processes),
             backend="loky",
             batch_size=1,
-            pre_dispatch=AHEAD * max(2, processes),
+            pre_dispatch=TASKS_PER_WORKER * max(2, processes),
             return_as="generator_unordered",
             max_nbytes=None,
-            initializer=_start_worker,
+            initializer=_prepare_worker,
             initargs=(os.getpid(),),
         )
         some = list(left) if suspect is None else [suspect]
         try:
-            with _ended(pool(_calls(common, tasks, some, out, None))) as results:
+            with _closing(pool(_calls(common, tasks, some, out, None))) as results:
                 for index, result in results:
                     del left[index]
                     yield index, result
         except BrokenProcessPool:
             deaths.update(out & left.keys())
-            if suspect is not None and deaths[suspect] >= DEATHS:
+            if suspect is not None and deaths[suspect] >= MAX_DEATHS:
                 del left[suspect]
                 yield (
                     suspect,
                     InputError(
-                        f"a worker process ended without a word each time it had this task, {DEATHS} times",
-                        expected="memory enough for it, or fewer workers",
+                        f"a worker process died {MAX_DEATHS} times while running this task",
+                        expected="enough memory for the task, or fewer workers",
                         value=name(suspect),
                     ),
                 )
 
 
-def _start_worker(parent: int) -> None:
-    """Let a worker process leave Ctrl-C to the process that started it, and end when that one is gone."""
+def _prepare_worker(parent: int) -> None:
+    """Make a worker process ignore Ctrl-C, which its parent handles, and end when its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
 
 
-def _end_with(parent: int) -> None:
+def _exit_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
@@ -201,29 +206,29 @@ def _end_with(parent: int) -> None:
 def _on_cluster(
     common: bytes, tasks: Sequence[Any], address: str, tls: Tls | None, name: Callable[[int], str]
 ) -> Generator[tuple[int, Any], None, None]:
-    from twin.compute.parallel.cluster import connected  # Dask takes its time, and is not always installed
+    from twin.compute.parallel.cluster import connected  # Dask is optional and slow to import
 
     with connected(address, tls, name) as (backend, threads):
         pool = Parallel(
             n_jobs=threads,
             backend=backend,
             batch_size=1,
-            pre_dispatch=AHEAD * threads,
+            pre_dispatch=TASKS_PER_WORKER * threads,
             return_as="generator_unordered",
         )
-        with _ended(pool(_calls(common, tasks, range(len(tasks)), set(), versions()))) as results:
-            for found in results:  # noqa: UP028  # `yield from` would close them past `_ended`
+        with _closing(pool(_calls(common, tasks, range(len(tasks)), set(), versions()))) as results:
+            for found in results:  # noqa: UP028  # `yield from` would close them without `_closing`
                 yield found
 
 
 @contextmanager
-def _ended(results: Any) -> Iterator[Any]:
-    """Results whose workers end with whoever reads them: on Ctrl-C, and where one result is enough."""
+def _closing(results: Any) -> Iterator[Any]:
+    """Close the results on leaving the context, which ends the workers, also on Ctrl-C and after a partial read."""
     try:
         yield results
     finally:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that not all of them were read
+            warnings.simplefilter("ignore", UserWarning)  # not all results were read
             results.close()
 
 
@@ -236,21 +241,21 @@ def _calls(
 
 
 def work(index: int, common: bytes, packed: bytes, expected: dict[str, str] | None) -> tuple[int, Any]:
-    """One task, on a worker: its index and result; what it refuses to do is a result too, else the others' would be lost with it.
+    """Run one task on a worker and return its index with its result; an `InputError` or `OutputError` is a result, too.
 
     Args:
         index: of the task.
-        common: the function and what its tasks share, pickled: Dask's scheduler reads what it hands on, and need not know these.
+        common: the function and the shared value, pickled, so that Dask's scheduler need not be able to load them.
         packed: the task, pickled.
-        expected: the versions of whoever asks; None where they are this computer's own.
+        expected: the versions on the calling computer; None for a worker on the same computer.
     """
-    # A worker of Dask's may have several threads, and what is shared belongs to one of them at a time.
-    with _one_at_a_time:
-        different = "" if expected is None else apart(expected, versions())
+    # A Dask worker may have several threads, but only one at a time may use the shared value.
+    with _task_lock:
+        different = "" if expected is None else version_differences(expected, versions())
         if different:
             return index, InputError(
-                f"a worker with other versions, which give other digits: {different}",
-                expected="the same on all computers",
+                f"a worker has other versions: {different}",
+                expected="the same versions on all computers",
                 value=_host(),
             )
         threadpool_limits(limits=1, user_api="blas")
@@ -259,7 +264,7 @@ def work(index: int, common: bytes, packed: bytes, expected: dict[str, str] | No
             task = pickle.loads(packed)
         except ModuleNotFoundError as error:
             return index, InputError(
-                "a worker cannot load what it is to run", expected=f"a module {error.name} there", value=_host()
+                "a worker cannot import a module of the task", expected=f"module {error.name} there", value=_host()
             )
         try:
             return index, function(shared, task)

@@ -1,4 +1,4 @@
-"""Files by which computers of a cluster know each other."""
+"""TLS files for the connection to a cluster."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import final
 @final
 @dataclass(frozen=True)
 class Tls:
-    """Files (PEM) by which a Dask scheduler and this computer know each other; their connection is encrypted.
+    """PEM files with which a Dask scheduler and this computer authenticate each other; the connection is encrypted.
 
     Attributes:
         ca_file: the certificate authority that signed the scheduler's certificate.
-        certificate: of this computer, signed by the authority that the scheduler knows.
-        key: of that certificate; None where the certificate's file holds it.
+        certificate: of this computer, signed by an authority that the scheduler accepts.
+        key: of that certificate; None if the certificate file contains it.
     """
 
     ca_file: Path

@@ -1,4 +1,4 @@
-"""What the digits of a result depend on beside its inputs: the programs here and on every worker, and the arithmetic."""
+"""Versions and hardware that affect the digits of a result: software here and on every worker, processor and compiler."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SOURCES: Final = (".py", ".cpp", ".hpp", ".j2")
 
 @cache
 def versions() -> dict[str, str]:
-    """By name: Python, `twin` with the digest of its own text, and the packages that calculate.
+    """Return the versions by name: Python, `twin` with the digest of its source, and the numerical packages.
 
-    The version alone would not tell two checkouts apart.
+    The version alone would not distinguish two checkouts.
     """
     package = Path(__file__).parents[2]
     digest = hashlib.sha256()
@@ -34,14 +34,14 @@ def versions() -> dict[str, str]:
 
 @cache
 def arithmetic() -> str:
-    """Digest of the processor, and of the compiler if compiled code may be used: where these differ, last digits may."""
-    tool = compiler.found() if loading.enabled() else None
-    told = f"{compiler.processor()}\0{'' if tool is None else tool.identity}"
-    return hashlib.sha256(told.encode()).hexdigest()
+    """Return a digest of the processor, and of the compiler if compiled code may be used; where it differs, last digits may differ."""
+    tool = compiler.find_compiler() if loading.enabled() else None
+    identity = f"{compiler.processor()}\0{'' if tool is None else tool.identity}"
+    return hashlib.sha256(identity.encode()).hexdigest()
 
 
-def apart(here: dict[str, str], there: dict[str, str]) -> str:
-    """How other versions differ from ours, in words; empty if they do not."""
+def version_differences(here: dict[str, str], there: dict[str, str]) -> str:
+    """Return a description of the differences between two sets of versions; empty if there are none."""
     return ", ".join(
         f"{name} {there.get(name, 'none')} instead of {mine}" for name, mine in here.items() if there.get(name) != mine
     )

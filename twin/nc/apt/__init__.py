@@ -1,1 +1,1 @@
-"""APT cutter locations."""
+"""APT cutter location files."""

@@ -1,4 +1,4 @@
-"""APT cutter locations (``.cls``, ``.apt``) as a dialect: ``GOTO/x,y,z,i,j,k`` in the work frame."""
+"""The APT dialect: cutter locations (``.cls``, ``.apt``), ``GOTO/x,y,z,i,j,k`` in the work frame."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from twin.nc.apt.statements import Statement, statement_at, statements
 from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
 from twin.nc.blocks import AxisWords, Kind, Program, Reading, Rewrite
 from twin.nc.dialect import Dialect
-from twin.nc.emit import pieces_of
-from twin.nc.header import first_lines, inserted
+from twin.nc.emit import rewrites_by_line
+from twin.nc.header import first_lines, insert_comments
 from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of, number
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
@@ -25,7 +25,7 @@ _NOT_PER_MINUTE: Final = frozenset({"MMPR", "IPR", "PERREV", "INVERS"})
 
 @final
 class Apt(Dialect):
-    """APT cutter locations: tool-tip coordinates and tool vectors, whatever the machine's kinematics."""
+    """APT cutter locations: tool-tip coordinates and tool vectors, independent of the machine's kinematics."""
 
     name = "apt"
     suffixes = (".cls", ".apt")
@@ -42,7 +42,7 @@ class Apt(Dialect):
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
-        by_line = pieces_of(reading, rewrites, axes)
+        by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:
             return program.text
         reader = AptReader(program.source, axes)
@@ -50,15 +50,15 @@ class Apt(Dialect):
         for statement in statements(program.texts):
             before = len(reader.moves)
             reader.step(statement)
-            pieces = by_line.get(statement.line) if len(reader.moves) > before else None
-            if pieces is None:
-                writer.keep(statement.raw, tilts=len(reader.moves) > before and len(statement.texts) == 6)
+            segments = by_line.get(statement.line) if len(reader.moves) > before else None
+            if segments is None:
+                writer.write_unchanged(statement.raw, tilts=len(reader.moves) > before and len(statement.texts) == 6)
             else:
-                writer.location(statement, *pieces[0], reader.unit)
+                writer.location(statement, *segments[0], reader.unit)
         return "".join(writer.out)
 
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind ``PARTNO``."""
+    def with_comments(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.with_comments`: after ``PARTNO``."""
         lines = first_lines(text)
         at = place = 0
         while place < len(lines):
@@ -68,28 +68,28 @@ class Apt(Dialect):
             elif statement.word:
                 break
             place = after
-        return inserted(text, lines, at, comments, "$$ {}".format, _comment)
+        return insert_comments(text, lines, at, comments, "$$ {}".format, _comment)
 
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
         """See `Dialect.from_points`."""
         said = "" if feed is None else f"FEDRAT/{feed:g},MMPM\n"
-        style = Style(keep=5)
+        style = Style(min_decimals=5)
         rows = [",".join(format_number(value, 9, style) for value in row) for row in points.tolist()]
         return f"$$ {remark}\nUNITS/MM\n{said}" + "".join(f"GOTO/{row}\n" for row in rows) + "FINI\n"
 
-    def is_remark(self, text: str) -> bool:
-        """See `Dialect.is_remark`."""
+    def is_comment(self, text: str) -> bool:
+        """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
 
-    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
-        """See `Dialect.only_moves`."""
+    def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.is_motion_only`."""
         return _LOCATION.fullmatch(text) is not None
 
     def posted(
         self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
     ) -> str:
         """See `Dialect.posted`."""
-        by_line = pieces_of(reading, rewrites, axes)
+        by_line = rewrites_by_line(reading, rewrites, axes)
         writer = into.new_program(axes)
         writer.start(program.source)
         unit = 1.0
@@ -121,7 +121,7 @@ def _words(statement: Statement) -> set[str]:
 
 
 def _feed(statement: Statement, unit: float, last: float) -> float:
-    """The feed of a ``FEDRAT`` in mm/min; what is not per minute leaves the last one."""
+    """Return the feed of a ``FEDRAT`` in mm/min; the last feed if it is not per minute."""
     values = [v for v in (number(text) for text in statement.texts) if math.isfinite(v) and v > 0]
     words = _words(statement)
     if not values or words & _NOT_PER_MINUTE:
@@ -132,6 +132,6 @@ def _feed(statement: Statement, unit: float, last: float) -> float:
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = line.strip()
     return body[2:].strip() if body.startswith("$$") else None if body else ""

@@ -1,4 +1,4 @@
-"""The interpreter of APT statements: what each says in full out."""
+"""Interpreter of APT statements."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PASSED = frozenset(
 _REFUSED: dict[str, tuple[str, str]] = {
     "GODLTA": ("incremental GODLTA", "absolute GOTO statements"),
     **{
-        word: (f"curve {word}", "cutter locations linearised by CAM")
+        word: (f"curve {word}", "cutter locations linearised by the CAM system")
         for word in ("CIRCLE", "ARC", "HELIX", "NURBS", "SPLINE", "MOVARC", "CONE", "CYLNDR", "ELLIPS", "POLYGN")
     },
     **{
@@ -30,11 +30,11 @@ _REFUSED: dict[str, tuple[str, str]] = {
         for word in ("ROTATE", "TRANS", "COPY", "MIRROR", "MATRIX", "ROTABL", "ROTHED", "TRACUT", "INDEX", "REFSYS")
     },
     **{
-        word: (f"contour motion {word}", "GOTO statements written out by CAM")
+        word: (f"contour motion {word}", "GOTO statements from the CAM system")
         for word in ("GOFWD", "GOBACK", "GOLFT", "GORGT", "GOUP", "GODOWN", "GO", "TLON", "TLLFT", "TLRGT", "INDIRV")
     },
     **{
-        word: ("control flow", "one program with every statement written out")
+        word: ("control flow", "one program without jumps or calls")
         for word in ("CALL", "MACRO", "TERMAC", "LOOPST", "LOOPND", "JUMPTO", "IF", "DO", "TRANTO")
     },
 }
@@ -43,7 +43,7 @@ _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 @final
 class AptReader:
-    """Interprets statements in order."""
+    """Interpreter of statements in order."""
 
     def __init__(self, source: str, axes: AxisWords) -> None:
         self.source = source
@@ -57,12 +57,12 @@ class AptReader:
         self._noted: set[str] = set()
         self._line = 0
 
-    def refuse(self, what: str, value: object, expected: str) -> InputError:
-        """An error at the present statement."""
+    def error(self, what: str, value: object, expected: str) -> InputError:
+        """Return an error at the current statement."""
         return InputError(what, expected=expected, file=self.source, line=self._line + 1, value=value)
 
     def note(self, text: str, *, once: bool = False) -> None:
-        """A notice at the present statement."""
+        """Add a notice at the current statement; ``once``: only if there is no such notice yet."""
         if not (once and text in self._noted):
             self._noted.add(text)
             self.notices.append(Notice(self._line, text))
@@ -71,7 +71,7 @@ class AptReader:
         """Interpret one statement.
 
         Raises:
-            InputError: with file, line and value, on whatever must not pass.
+            InputError: with file, line and value, for anything that must not pass uncompensated.
         """
         word = statement.word
         if not word:
@@ -81,9 +81,9 @@ class AptReader:
             _MEANINGS[word](self, statement)
         elif word in _REFUSED:
             what, expected = _REFUSED[word]
-            raise self.refuse(what, statement.raw.strip(), expected)
+            raise self.error(what, statement.raw.strip(), expected)
         elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
-            self.note(f"a statement that is not understood passes through: {statement.raw.strip()[:60]}")
+            self.note(f"unknown statement passed through: {statement.raw.strip()[:60]}")
 
     def _rapid(self, statement: Statement) -> None:
         self.rapid = statement.word == "RAPID"
@@ -91,54 +91,54 @@ class AptReader:
     def _units(self, statement: Statement) -> None:
         unit = statement.texts[0].upper() if statement.arguments else ""
         if unit not in ("MM", "INCHES", "INCH"):
-            raise self.refuse("a unit that is not one", statement.raw.strip(), "UNITS/MM or UNITS/INCHES")
+            raise self.error("unknown unit", statement.raw.strip(), "UNITS/MM or UNITS/INCHES")
         self.unit = 1.0 if unit == "MM" else MM_PER_INCH
 
     def _home(self, statement: Statement) -> None:
-        self.note("GOHOME passes through uncompensated")
+        self.note("GOHOME passed through uncompensated")
 
     def _insert(self, statement: Statement) -> None:
-        self.note("INSERT passes text to the control that is not understood here")
+        self.note("INSERT passed through; its text is not interpreted")
 
     def _frame(self, statement: Statement) -> None:
         if [number(text) for text in statement.texts] != _IDENTITY[: len(statement.texts)]:
-            self.note("MSYS is not the identity: locations are taken in it, the work frame", once=True)
+            self.note("MSYS is not the identity: its frame is assumed to be the work frame", once=True)
 
     def _origin(self, statement: Statement) -> None:
         if any(number(text) != 0.0 for text in statement.texts):
             shown = statement.raw.strip()
-            raise self.refuse("coordinate transformation ORIGIN", shown, "locations in one work frame")
+            raise self.error("coordinate transformation ORIGIN", shown, "locations in one work frame")
 
     def _cycle(self, statement: Statement) -> None:
         if not statement.arguments or statement.texts[0].upper() not in ("OFF", "NOMORE"):
-            raise self.refuse("canned cycle", statement.raw.strip(), "the cycle expanded into GOTO statements")
+            raise self.error("canned cycle", statement.raw.strip(), "a cycle expanded into GOTO statements")
 
     def _cutcom(self, statement: Statement) -> None:
         if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
             shown = statement.raw.strip()
-            raise self.refuse("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
+            raise self.error("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
 
     def _mode(self, statement: Statement) -> None:
         if any(text.upper().startswith("INCR") for text in statement.texts):
-            raise self.refuse("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
+            raise self.error("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
 
     def _goto(self, statement: Statement) -> None:
         texts = statement.texts
         shown = statement.raw.strip()
         if len(texts) not in (3, 6):
-            raise self.refuse(f"a location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
+            raise self.error(f"location with {len(texts)} numbers", shown, "x,y,z or x,y,z,i,j,k")
         values = []
         for text in texts:
             value = number(text)
             if value != value and (value := number(text.replace("D", "E").replace("d", "e"))) != value:
-                raise self.refuse("a coordinate that is not a number", text or shown, "a number like 12.5")
+                raise self.error("coordinate that is not a number", text or shown, "a number such as 12.5")
             values.append(value)
         if len(values) == 6:
             vector, length = unit_vector((values[3], values[4], values[5]))
             if length == 0.0:
-                raise self.refuse("tool vector of zero length", shown, "a direction")
+                raise self.error("tool vector of zero length", shown, "a direction")
             if abs(length - 1.0) > 1e-3:
-                self.note(f"tool vector of length {length:.6g} is taken as a direction")
+                self.note(f"tool vector of length {length:.6g} normalised")
             self.vector = vector
         unit = self.unit
         position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
@@ -164,4 +164,4 @@ _MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], None]]] = {
     "RAPID": AptReader._rapid,
     "UNITS": AptReader._units,
 }
-"""What statements do that may change what locations mean, by their major word."""
+"""Handlers of statements that may change the meaning of locations, by their major word."""

@@ -1,4 +1,4 @@
-"""Statements of APT: lines joined over ``$``, their major words and arguments."""
+"""APT statements: lines joined over ``$``, major words and arguments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CONTINUED = re.compile(r"\$[ \t]*(?:\r\n|\n|\r)")
 
 
 class AptField(NamedTuple):
-    """One argument of a statement: where it stands in the raw text, without spaces around it, and its text."""
+    """One argument of a statement: its range in the raw text, without surrounding spaces, and its text."""
 
     start: int
     end: int
@@ -26,10 +26,10 @@ class Statement(NamedTuple):
 
     Attributes:
         line: 0-based index of its first line.
-        raw: its lines as they are.
-        word: its major word in capitals, spaces removed; empty for comments and blank lines.
-        at: where its arguments begin in the raw text.
-        arguments: what they are, joined into one line.
+        raw: its lines as written.
+        word: its major word in capitals, without spaces; empty for comments and blank lines.
+        at: start of its arguments in the raw text.
+        arguments: the arguments, joined into one line.
     """
 
     line: int
@@ -40,28 +40,28 @@ class Statement(NamedTuple):
 
     @property
     def texts(self) -> list[str]:
-        """Its arguments."""
-        return [field.strip() for field in self._pieces()]
+        """The texts of the arguments."""
+        return [field.strip() for field in self._split_arguments()]
 
     @property
     def fields(self) -> list[AptField]:
-        """Its arguments, with their places."""
+        """The arguments with their ranges."""
         found = []
         at = self.at + (1 if self.arguments.startswith(",") else 0)
-        for piece in self._pieces():
-            bare = piece.strip()
-            start = at + piece.find(bare)
+        for field in self._split_arguments():
+            bare = field.strip()
+            start = at + field.find(bare)
             found.append(_new(AptField, (start, start + len(bare), bare)))
-            at += len(piece) + 1
+            at += len(field) + 1
         return found
 
-    def _pieces(self) -> list[str]:
+    def _split_arguments(self) -> list[str]:
         arguments = self.arguments
         return arguments.removeprefix(",").split(",") if arguments else []
 
 
 def statements(texts: Sequence[str]) -> Iterator[Statement]:
-    """The statements of a program's lines, in order; together their raw texts are the program."""
+    """Yield the statements of a program's lines in order; their raw texts together are the program."""
     index = 0
     while index < len(texts):
         statement, index = statement_at(texts, index)
@@ -69,7 +69,7 @@ def statements(texts: Sequence[str]) -> Iterator[Statement]:
 
 
 def statement_at(texts: Sequence[str], first: int) -> tuple[Statement, int]:
-    """The statement that begins at a line, and the index of the line after it."""
+    """Return the statement that begins at a line, and the index of the line after it."""
     raw = text = texts[first]
     index = first + 1
     if "$" in text:

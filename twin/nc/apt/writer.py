@@ -1,4 +1,4 @@
-"""The writer of APT statements: locations replaced, every other byte kept."""
+"""Writer of APT statements: locations replaced, every other byte kept."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.
 
 @final
 class AptWriter:
-    """Writes statements, remembering the vector said last.
+    """Writer of statements that keeps track of the last tool vector.
 
     Args:
-        newline: the line ending the program uses.
+        newline: line ending of the program.
     """
 
     def __init__(self, newline: str) -> None:
@@ -28,19 +28,19 @@ class AptWriter:
         self.out: list[str] = []
         self._said: tuple[str, str, str] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
 
-    def keep(self, raw: str, *, tilts: bool) -> None:
-        """A statement that stays as it is; ``tilts``: it says a tool vector."""
+    def write_unchanged(self, raw: str, *, tilts: bool) -> None:
+        """Write a statement unchanged; ``tilts``: whether it has a tool vector."""
         self.out.append(raw)
         if tilts:
             self._said = None
 
     def location(self, statement: Statement, rewrite: Rewrite, rows: list[list[float]], unit: float) -> None:
-        """The pieces of a location.
+        """Write the segments of a location.
 
         Args:
             statement: the statement.
-            rewrite: what replaces it.
-            rows: its positions, as lists.
+            rewrite: its replacement.
+            rows: the positions of the replacement, as lists.
             unit: mm per program unit.
         """
         raw, fields = statement.raw, statement.fields
@@ -50,8 +50,8 @@ class AptWriter:
         for (start, end, text), places, target in zip(fields, decimals, rows[0], strict=False):
             if target == target:
                 style = style_of(text, style)
-                if style.keep != places or style.comma:
-                    style = style._replace(keep=places, comma=False)
+                if style.min_decimals != places or style.comma:
+                    style = style._replace(min_decimals=places, comma=False)
                 edits.append((start, end, format_number(target / unit, places, style)))
         vectors: list[list[float] | None] = [None] * len(rows) if rewrite.vectors is None else rewrite.vectors.tolist()
         written = len(fields) == 6
@@ -69,7 +69,7 @@ class AptWriter:
         rapid = f"RAPID{newline}" if rewrite.move.kind is Kind.RAPID else ""
         for row, vector in zip(rows[1:], vectors[1:], strict=True):
             numbers = [
-                format_number(target / unit, places, style._replace(keep=places))
+                format_number(target / unit, places, style._replace(min_decimals=places))
                 for target, places in zip(row, decimals, strict=False)
             ]
             lines.append(f"{rapid}{goto}{','.join([*numbers, *self._vector(vector, again=False)])}{newline}")
@@ -78,7 +78,7 @@ class AptWriter:
         self.out += lines
 
     def _vector(self, vector: list[float] | None, *, again: bool) -> tuple[str, ...]:
-        """The components of a tool vector, none where it is the one said last; ``again``: even then."""
+        """Return the components of a tool vector, none if it is the last one written; ``again``: always."""
         if vector is None:
             return ()
         texts = vector_texts(vector, VECTOR_DECIMALS, False)

@@ -1,1 +1,1 @@
-"""Heidenhain plain language."""
+"""Heidenhain plain-language programs."""

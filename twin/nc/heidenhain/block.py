@@ -1,4 +1,4 @@
-"""One block of plain language, understood."""
+"""One interpreted block of a Heidenhain program."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from twin.nc.block import Block
 @final
 @dataclass(slots=True)
 class PathBlock(Block):
-    """One block: as `twin.nc.block.Block`, and what only plain language has.
+    """One block: `twin.nc.block.Block` with the attributes of Heidenhain blocks.
 
     Attributes:
         numbered: whether it has a number.
         keyword: ``L``, ``LN``, ``C``, ``CR``, or ``""`` for a paraxial block.
-        keyword_end: where the keyword ends.
-        rapid_text: ``FMAX`` as written, or nothing.
+        keyword_end: end of the keyword.
+        rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
-        normal: their components, none without them.
-        tool: the components of ``TX TY TZ``.
-        clockwise: the sense of an arc, None where it has none.
-        radius: mm, None where it has none.
+        normal: their components, or None.
+        tool: the components of ``TX TY TZ``, or None.
+        clockwise: the sense of an arc, or None.
+        radius: mm, or None.
         machine: whether its words are machine coordinates.
         retracts: whether it retracts along the tool axis.
     """

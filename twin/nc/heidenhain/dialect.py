@@ -1,4 +1,4 @@
-"""Heidenhain plain language as a dialect."""
+"""The Heidenhain plain-language dialect."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.emit import pieces_of
-from twin.nc.header import FEED, REMARK, first_lines, inserted, missing
+from twin.nc.emit import rewrites_by_line
+from twin.nc.header import FEED, REMARK, first_lines, insert_comments, missing_comments
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
@@ -37,31 +37,31 @@ class Heidenhain(Dialect):
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
                 moves += interpreter.moves(index, text)
-        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.left))
+        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
-        by_line = pieces_of(reading, rewrites, axes)
+        by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:
             return program.text
         interpreter = HeidenhainInterpreter(program.source, axes, tcp=reading.moves[0].tcp)
         style = style_in(program.texts, Style(plus=True))
         writer = HeidenhainWriter(program.source, axes, newline_of(program), style)
         for index, text in enumerate(program.texts):
-            pieces = by_line[index][0] if index in by_line else None
-            writer.block(interpreter.step(index, text, pieces[0].move if pieces else None), pieces)
+            segments = by_line[index][0] if index in by_line else None
+            writer.block(interpreter.step(index, text, segments[0].move if segments else None), segments)
         return writer.text()
 
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind ``BEGIN PGM``; the numbers of later blocks grow by those inserted."""
+    def with_comments(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.with_comments`: after ``BEGIN PGM``; the numbers of later blocks increase by the number of comments."""
         lines = first_lines(text)
         at = next((i + 1 for i, line in enumerate(lines) if _body(line).upper().split()[:2] == ["BEGIN", "PGM"]), 0)
         number = None if at == 0 else HEAD.match(lines[at - 1])
         if number is None or number.group(1) is None:
-            return inserted(text, lines, at, comments, "; {}".format, _comment)
+            return insert_comments(text, lines, at, comments, "; {}".format, _comment)
         first = int(number.group(1)[:15]) + 1
-        new = missing(lines[at:], comments, _comment)
-        return inserted(
+        new = missing_comments(lines[at:], comments, _comment)
+        return insert_comments(
             text,
             lines,
             at,
@@ -79,16 +79,16 @@ class Heidenhain(Dialect):
         lines = [f"BEGIN PGM {program} MM", f"; {remark}", *rows, "M30", f"END PGM {program} MM"]
         return "".join(f"{i} {line}\n" for i, line in enumerate(lines))
 
-    def is_remark(self, text: str) -> bool:
-        """See `Dialect.is_remark`."""
+    def is_comment(self, text: str) -> bool:
+        """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
 
-    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
-        """See `Dialect.only_moves`."""
-        return vocabulary.plain(names).pattern.fullmatch(text) is not None
+    def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.is_motion_only`."""
+        return vocabulary.simple_pattern(names).pattern.fullmatch(text) is not None
 
-    def feed_said(self, text: str) -> tuple[str, bool | None]:
-        """See `Dialect.feed_said`."""
+    def feed_word(self, text: str) -> tuple[str, bool | None]:
+        """See `Dialect.feed_word`."""
         feeds = FEED.findall(REMARK.sub(" ", text))
         return feeds[-1] if feeds else "", None
 
@@ -146,13 +146,13 @@ def _body(line: str) -> str:
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = _body(line)
     return body[1:].strip() if body.startswith(";") else None if body else ""
 
 
 def _renumbered(text: str, by: int) -> str:
-    """Numbered blocks with larger numbers; a block that goes on over several lines has one."""
+    """Return blocks with their numbers increased; a block continued over several lines has one number."""
     parts: list[str] = []
     continued = False
     for line in lines_in(text.encode("latin-1")):

@@ -1,4 +1,4 @@
-"""The interpreter of Heidenhain plain language: blocks in, what each says in full out."""
+"""Modal interpreter of Heidenhain programs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 @final
 class HeidenhainInterpreter(Interpreter):
-    """Reads blocks in order, keeping what is modal.
+    """Interpreter of blocks in order, with their modal state.
 
     Attributes:
-        continued: whether the next line continues the present block (a cycle's parameters).
+        continued: whether the next line continues the current block (parameters of a cycle).
     """
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
@@ -35,7 +35,7 @@ class HeidenhainInterpreter(Interpreter):
         self.plane = _PLANES["Z"]
         self.centre: dict[int, float] = {}
         self.continued = False
-        self._plain = vocabulary.plain(self.names)
+        self._simple = vocabulary.simple_pattern(self.names)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
@@ -43,29 +43,29 @@ class HeidenhainInterpreter(Interpreter):
         Args:
             line: 0-based index of the line.
             text: its text.
-            known: the move it makes, where somebody has read it before.
+            known: its move, if it has been interpreted before.
 
         Raises:
             InputError: with file, line and value.
         """
         found = self._found(line, text)
-        return self._block(text) if found is None else self._plain_block(found, known)
+        return self._block(text) if found is None else self._simple_block(found, known)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
-        """Return the moves of one line as `step` does, without the words that only a writer asks for."""
+        """Return the moves of one line as `step` does, without the words that only a writer needs."""
         found = self._found(line, text)
-        return self._block(text).moves if found is None else (self._plain_move(found, self._plain_words(found)),)
+        return self._block(text).moves if found is None else (self._simple_move(found, self._simple_words(found)),)
 
     def _found(self, line: int, text: str) -> re.Match[str] | None:
-        """Begin with a line; its match if it is a plain block, with vectors only in one that can have them."""
-        self._line, self._shown = line, text
-        found = None if self.continued else self._plain.pattern.fullmatch(text)
-        if found is not None and found[2] in ("L", "l") and any(found.groups()[self._plain.behind]):
+        """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
+        self._line, self._block_text = line, text
+        found = None if self.continued else self._simple.pattern.fullmatch(text)
+        if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
         return found
 
     def _block(self, text: str) -> PathBlock:
-        """Interpret a line that is no plain block."""
+        """Interpret a line that is not a simple block."""
         head = vocabulary.HEAD.match(text)
         begin = head.end() if head else 0
         block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
@@ -79,22 +79,22 @@ class HeidenhainInterpreter(Interpreter):
             self._body(block, body)
         return block
 
-    def _plain_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
-        """Interpret a plain block by the words its pattern found."""
+    def _simple_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
+        """Interpret a simple block from the groups of its pattern."""
         text, spans = match.string, match.regs
         start, end = spans[2]
-        move = self._plain_move(match, self._plain_words(match)) if known is None else known
+        move = self._simple_move(match, self._simple_words(match)) if known is None else known
         self.position, self.vector = list(move.position), move.vector
         block = PathBlock(text, start, self.inch, moves=(move,), numbered=spans[1][1] >= 0)
         words, position = block.words, move.position
-        for group, axis in self._plain.axes:
+        for group, axis in self._simple.axes:
             at, to = spans[group]
             if to >= 0:
-                block.seen |= 1 << axis
+                block.axis_bits |= 1 << axis
                 words.append(_new(AxisWord, (axis, at - 1, to, at, to, "", False, position[axis])))
         block.keyword, block.keyword_end = text[start:end].upper(), end
         block.rapid_text = _rapid(match)
-        for place, (group, name) in enumerate(self._plain.others if end - start > 1 else ()):
+        for place, (group, name) in enumerate(self._simple.others if end - start > 1 else ()):
             at, to = spans[group]
             if to >= 0 and place < 3:
                 block.normal_text.append(text[at - 2 : to])
@@ -102,55 +102,55 @@ class HeidenhainInterpreter(Interpreter):
                 block.vector_words[place - 3] = Span(at, to, name)
         return block
 
-    def _plain_words(self, match: re.Match[str]) -> int:
-        """Take the axis words of a plain block to the position; their axes as bits."""
+    def _simple_words(self, match: re.Match[str]) -> int:
+        """Set the position from the axis words of a simple block and return their axes as bits."""
         unit, linear, position = MM_PER_INCH if self.inch else 1.0, self.linear, self.position
-        seen = 0
-        for (_, axis), written in zip(self._plain.axes, match.groups()[2:], strict=False):
+        axis_bits = 0
+        for (_, axis), written in zip(self._simple.axes, match.groups()[2:], strict=False):
             if written is not None:
                 value = number(written) if "," in written else float(written)
                 position[axis] = value * unit if axis < linear else value
-                seen |= 1 << axis
-        return seen
+                axis_bits |= 1 << axis
+        return axis_bits
 
-    def _plain_move(self, match: re.Match[str], seen: int) -> Move:
-        """Return the move of a plain block whose axis words are taken."""
+    def _simple_move(self, match: re.Match[str], axis_bits: int) -> Move:
+        """Return the move of a simple block after its axis words have been applied."""
         normal = tool = None
         if len(match[2]) > 1:
-            values = match.groups()[self._plain.behind]
+            values = match.groups()[self._simple.behind]
             parts = values[:3], values[3:]
             normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
-        unit_normal = self._directed(seen, tool, normal)
+        unit_normal = self._directed(axis_bits, tool, normal)
         kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
         position = tuple(self.position)
-        return Move(self._line, kind, self.tcp, position, self.named(seen), False, self.vector, unit_normal)
+        return Move(self._line, kind, self.tcp, position, self.named(axis_bits), False, self.vector, unit_normal)
 
-    def _directed(self, seen: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
-        """Take the tool vector of a block that names some axes (bits); its surface normal at unit length."""
+    def _directed(self, axis_bits: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
+        """Set the tool vector from a block that names some axes (bits) and return its surface normal at unit length."""
         if tool is not None:
-            vector = self.direction("tool vector", tool)
+            vector = self.unit_direction("tool vector", tool)
             if not self.tcp:
-                what = "a tool vector while the control's kinematics are off"
-                raise self.refuse(what, "M128 or FUNCTION TCPM first")
-            self.turn_to(seen, vector)
-        elif seen >> self.linear:
+                what = "tool vector while tool centre point control is off"
+                raise self.error(what, "M128 or FUNCTION TCPM before it")
+            self.set_tool_vector(axis_bits, vector)
+        elif axis_bits >> self.linear:
             self.vector = None
-        return None if normal is None else self.direction("surface normal", normal)
+        return None if normal is None else self.unit_direction("surface normal", normal)
 
     def _body(self, block: PathBlock, body: str) -> None:
         found = vocabulary.KEYWORD.match(body)
         keyword = "" if found is None else found.group().upper()
         if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
-            self._path(block, "", block.head)
+            self._path(block, "", block.head_end)
         elif found is None:
-            raise self.refuse("a block that is not understood", "a plain-language block such as L X+10 FMAX", body)
+            raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN", "C", "CR"):
-            self._path(block, keyword, block.head + found.end())
+            self._path(block, keyword, block.head_end + found.end())
         elif keyword == "CC":
-            self._pole(block, block.head + found.end())
+            self._pole(block, block.head_end + found.end())
         else:
             self.continued = body.endswith("~")
-            self._shown = body
+            self._block_text = body
             self._statement(block, keyword, body)
 
     # ------------------------------------------------------------------ statements
@@ -158,22 +158,22 @@ class HeidenhainInterpreter(Interpreter):
     def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
-            raise self.refuse(f"path function {keyword}", vocabulary.LINEAR)
+            raise self.error(f"path function {keyword}", vocabulary.LINEAR)
         if keyword in _STATEMENTS:
             _STATEMENTS[keyword](self, block, body, upper)
         elif keyword[0] == "Q":
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
-            raise self.refuse("a word without a number", f"a number after {keyword}")
+            raise self.error("word without a number", f"a number after {keyword}")
         elif keyword not in vocabulary.PASSED:
-            what = "probing" if keyword == "TCH" else "a statement that is not understood"
-            self.note(f"{what} passes through, every axis is unknown afterwards: {body[:60]}")
-            self.forget(block, range(len(self.names)), moved=keyword == "TCH")
+            what = "probing" if keyword == "TCH" else "unknown statement"
+            self.note(f"{what} passed through; all axis positions are unknown afterwards: {body[:60]}")
+            self.mark_unknown(block, range(len(self.names)), moved=keyword == "TCH")
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
         unit = vocabulary.UNIT.match(body)
         if unit is None or unit.group(1).upper() not in ("MM", "INCH"):
-            raise self.refuse("a unit that is not one", "BEGIN PGM name MM or INCH")
+            raise self.error("unknown unit", "BEGIN PGM name MM or INCH")
         self.inch = unit.group(1).upper() == "INCH"
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
@@ -183,42 +183,42 @@ class HeidenhainInterpreter(Interpreter):
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith(("CALL", "IF")):
-            raise self.refuse("subprogram call or repetition", vocabulary.FLAT)
+            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
         if "RESET" not in upper:
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
-            raise self.refuse(f"coordinate transformation {name}", vocabulary.BAKED)
+            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
     def _tilt(self, block: PathBlock, body: str, upper: str) -> None:
         if not upper.startswith("PLANE RESET"):
-            raise self.refuse("coordinate transformation PLANE", vocabulary.BAKED)
+            raise self.error("coordinate transformation PLANE", vocabulary.NO_TRANSFORMATION)
         if "STAY" not in block.text.upper():
-            self.note("PLANE RESET may move the rotary axes; they are unknown afterwards")
-            self.forget(block, range(self.linear, len(self.names)))
+            self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
+            self.mark_unknown(block, range(self.linear, len(self.names)))
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
-            raise self.refuse("cycle call", vocabulary.EXPAND)
+            raise self.error("cycle call", vocabulary.EXPANDED_CYCLE)
         found = vocabulary.CYCLE.match(body)
         if found is None:
-            raise self.refuse("a cycle without its number", "CYCL DEF and a number")
+            raise self.error("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(found.group(1)), found.group(2), found.group(3).split(";")[0].strip(" \t\r\n~")
         if cycle in vocabulary.RUN_AT_ONCE:
-            raise self.refuse(f"cycle {cycle} runs where it is defined", vocabulary.EXPAND)
+            raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
-            self.note("CYCL DEF 247 chooses a preset: its offset is the one given with --work-offset")
+            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
         elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
-            raise self.refuse(what, vocabulary.BAKED)
+            raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         found = vocabulary.FN.match(body)
         if found is None:
-            raise self.refuse("a parameter function without its number", "FN 0: Q1 = +5")
+            raise self.error("parameter function without a number", "FN 0: Q1 = +5")
         if 9 <= int(found.group(1)) <= 12:
-            raise self.refuse("control flow", vocabulary.FLAT)
+            raise self.error("control flow", vocabulary.NO_CALLS)
         self._assignments(found.group(2))
 
     def _assignments(self, body: str) -> None:
@@ -231,7 +231,7 @@ class HeidenhainInterpreter(Interpreter):
         elif upper.startswith("FUNCTION TCPM"):
             self.switch(block, True, "FUNCTION TCPM")
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
-            raise self.refuse("a function that changes what words mean", vocabulary.BAKED)
+            raise self.error("function that changes the meaning of axis words", vocabulary.NO_TRANSFORMATION)
 
     # ------------------------------------------------------------------ words of paths
 
@@ -242,19 +242,19 @@ class HeidenhainInterpreter(Interpreter):
             if take is not None:
                 take(self, block, match)
         if block.retracts:
-            self.note("M140 retracts along the tool axis; the linear axes are unknown afterwards")
+            self.note("M140 retracts along the tool axis; the positions of the linear axes are unknown afterwards")
         if block.words or block.vector_words or (keyword in ("C", "CR") and block.clockwise is not None):
             self._move(block)
         elif keyword in ("C", "CR"):
-            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+            raise self.error("circular block without its sense", "DR+ or DR-")
         if block.retracts:
-            self.forget(block, range(self.linear), moved=True)
+            self.mark_unknown(block, range(self.linear), moved=True)
 
     def _axis_word(self, match: re.Match[str]) -> AxisWord:
         prefix, name, written = match.group(2, 3, 4)
         axis = self.index.get(name.upper(), -1)
         if axis < 0:
-            raise self.no_axis(match.group().strip())
+            raise self.unknown_axis(match.group().strip())
         value = self._value(name, written)
         if axis < self.linear and self.inch:
             value *= MM_PER_INCH
@@ -265,9 +265,9 @@ class HeidenhainInterpreter(Interpreter):
         if value == value:
             return value
         if "Q" in written.upper():
-            what = f"the value of {name} is not known here"
-            raise self.refuse(what, "a number, or a Q parameter set to one", written)
-        raise self.no_number(name, written)
+            what = f"the value of {name} is unknown"
+            raise self.error(what, "a number, or a Q parameter set to a number before", written)
+        raise self.missing_number(name, written)
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
         self.add(block, self._axis_word(match))
@@ -278,16 +278,18 @@ class HeidenhainInterpreter(Interpreter):
 
     def _side(self, block: PathBlock, match: re.Match[str]) -> None:
         if match["side"].upper() != "R0":
-            raise self.refuse(f"cutter radius compensation {match['side']}", "the tool centre path (R0)")
+            raise self.error(f"cutter radius compensation {match['side']}", "the tool centre path (R0)")
 
     def _misc(self, block: PathBlock, match: re.Match[str]) -> None:
         code = int(match.group(match.lastindex + 1) if match.lastindex else 0)
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
-            what = "cycle call" if code in (89, 99) else "a function that changes what words mean"
-            raise self.refuse(f"{what} {word}", vocabulary.EXPAND if code != 118 else vocabulary.BAKED)
+            what = "cycle call" if code in (89, 99) else "function that changes the meaning of axis words"
+            raise self.error(
+                f"{what} {word}", vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
+            )
         if code in vocabulary.LAST_M:
-            block.last_m.append(Span(match.start("misc"), match.end()))
+            block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
         block.machine |= code in (91, 92)
         block.retracts |= code == 140
@@ -311,7 +313,7 @@ class HeidenhainInterpreter(Interpreter):
         index = "XYZ".index(name[1].upper())
         if name[0] in "tT":
             if index in block.vector_words:
-                raise self.refuse(f"{name} twice in one block", "each word once")
+                raise self.error(f"{name} twice in one block", "each word once")
             block.tool = block.tool or [0.0, 0.0, 0.0]
             block.tool[index] = value
             block.vector_words[index] = Span(match.end() - len(written), match.end(), name)
@@ -327,10 +329,10 @@ class HeidenhainInterpreter(Interpreter):
         shown = block.text[match.start(match.lastgroup or 0) :].split(";")[0].strip()
         letter = shown[:1].upper()
         if letter in self.index or letter in "FMRI":
-            return self.refuse(f"{letter} has no number", f"a number after {letter}", shown)
+            return self.error(f"{letter} has no number", f"a number after {letter}", shown)
         if letter in "XYZABCUVW":
-            return self.no_axis(shown)
-        return self.refuse("a word that is not understood", "axis words, R0, F and M", shown)
+            return self.unknown_axis(shown)
+        return self.error("unknown word", "axis words, R0, F and M", shown)
 
     # ------------------------------------------------------------------ moves
 
@@ -342,7 +344,7 @@ class HeidenhainInterpreter(Interpreter):
             if match.lastgroup != "axis":
                 raise self._stray(block, match)
             if self.index.get(match.group(3).upper(), self.linear) >= self.linear:
-                raise self.no_axis(match.group().strip())
+                raise self.unknown_axis(match.group().strip())
             word = self._axis_word(match)
             found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
         if found:
@@ -352,38 +354,38 @@ class HeidenhainInterpreter(Interpreter):
 
     def _move(self, block: PathBlock) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
-        names = self.named(block.seen)
+        names = self.named(block.axis_bits)
         if block.machine:
             if block.keyword in ("C", "CR", "LN"):
-                raise self.refuse("machine coordinates in an arc", "an L block")
+                raise self.error("machine coordinates in an arc", "an L block")
             position = self.machine_position(block)
             block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
             return
         start = self.position[: self.linear]
-        self.take(block)
-        normal = self._directed(block.seen, block.tool, block.normal)
+        self.apply_words(block)
+        normal = self._directed(block.axis_bits, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in ("C", "CR"):
             kind = Kind.ARC
             arc = self._arc(block, start)
         elif block.arc_words:
-            raise self.refuse("DR outside a circular block", "C or CR")
+            raise self.error("DR outside a circular block", "C or CR")
         position = tuple(self.position)
         block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 
     def _arc(self, block: PathBlock, start: list[float]) -> Arc:
         if block.clockwise is None:
-            raise self.refuse("a circular block without its sense", "DR+ or DR-")
+            raise self.error("circular block without its sense", "DR+ or DR-")
         a, b, _ = self.plane
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
         if block.keyword == "CR":
             if block.radius is None:
-                raise self.refuse("CR without a radius", "R+10 or R-10")
-            return self.checked(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
+                raise self.error("CR without a radius", "R+10 or R-10")
+            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
-            return self.checked(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
-        return self.checked(ArcMisfit("a circular block without its centre", "CC before it"))
+            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
+        return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
@@ -396,7 +398,7 @@ _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match
     "misc": HeidenhainInterpreter._misc,
     "bad": HeidenhainInterpreter._bad,
 }
-"""What each kind of `vocabulary.TOKEN` does; those that are not here pass."""
+"""Handler of each kind of `vocabulary.TOKEN`; other kinds are ignored."""
 
 _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str, str], None]]] = {
     "BEGIN": HeidenhainInterpreter._begin,
@@ -411,17 +413,17 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "TOOL": HeidenhainInterpreter._tool,
     "TRANS": HeidenhainInterpreter._transform,
 }
-"""What statements do, by their first word."""
+"""Handler of each statement, by its first word."""
 
 
 def _rapid(match: re.Match[str]) -> str:
-    """``FMAX`` of a plain block as written, or nothing."""
+    """Return ``FMAX`` of a simple block as written, or an empty text."""
     feed = match[match.re.groups]
     return feed if feed is not None and feed[-1] in "xX" else ""
 
 
 def _cancels(cycle: int, rest: str) -> bool:
-    """Whether the values of a transformation cycle are those that cancel it."""
+    """Return whether the values of a transformation cycle cancel it."""
     values = [number(text) for text in vocabulary.NUMBERS.findall(rest)]
     if cycle in (11, 26):
         return bool(values) and all(value == 1.0 for value in values)

@@ -1,16 +1,16 @@
-"""The vocabulary of Heidenhain plain language: block heads, path words, and which statements mean what."""
+"""The vocabulary of Heidenhain plain language: beginnings of blocks, path words, and the meaning of statements."""
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
 
-from twin.nc.plain import Plain, plain_blocks
+from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
 HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d]))?+[ \t]*+", re.ASCII)
-"""What stands before a block: spaces and its number."""
+"""The text before a block: spaces and its number."""
 KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
@@ -51,27 +51,27 @@ TRANSFORM_CYCLES = {
     26: "scaling",
 }
 RUN_AT_ONCE = frozenset({12, 220, 221, 224})
-"""Cycles that run where they are defined: a program call, hole patterns."""
+"""Cycles that are executed where they are defined: a program call, hole patterns."""
 REFUSED_M = frozenset({89, 98, 99, 118, 130, 144})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
-EXPAND = "the cycle expanded into L blocks by the postprocessor"
-LINEAR = "the path written as L, LN, CC/C and CR blocks by the postprocessor"
-BAKED = "a program whose coordinates need no transformation"
-FLAT = "one program with every block written out"
+EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
+LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
+NO_TRANSFORMATION = "a program without coordinate transformations"
+NO_CALLS = "one program without jumps or calls"
 
 
 @lru_cache(maxsize=16)
-def plain(names: tuple[str, ...]) -> Plain:
-    """Plain blocks: ``10 L X+1,5 Y-2 R0 F500``, and ``LN`` with its vectors; groups: block number, keyword, .., feed."""
+def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
+    """Return the pattern of simple blocks: ``10 L X+1,5 Y-2 R0 F500``, ``LN`` with vectors; groups: block number, keyword, .., feed."""
     head = r"[ \t]*+(?:(\d++)[ \t]*+)?+(LN?+)[ \t]++"
     feed = r"(?:(F[ \t]*+MAX|F\d++(?:[.,]\d*+)?+)[ \t]*+)?+"
     others = ("NX", "NY", "NZ", "TX", "TY", "TZ")
-    return plain_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
+    return simple_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
 
 
 def numbered_as(text: str, head: re.Match[str], number: int) -> str:
-    """A block with another number, as wide as the old one (``head``: of `HEAD`) where that begins with a zero."""
+    """Return a block with another number, padded to the old width if the old number begins with a zero (``head``: of `HEAD`)."""
     old = head.group(1)
     new = str(number).zfill(len(old)) if old[0] == "0" else str(number)
     return f"{text[: head.start(1)]}{new}{text[head.end(1) :]}"

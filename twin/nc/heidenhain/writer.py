@@ -1,4 +1,4 @@
-"""The writer of plain language: moves replaced in their blocks, blocks renumbered where lines were inserted."""
+"""Writer of Heidenhain programs: moves replaced in their blocks, blocks renumbered where lines were inserted."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from twin.nc.emit import vector_texts
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
 from twin.nc.text import Style
-from twin.nc.writer import Edit, Pieces, WordWriter
+from twin.nc.writer import Edit, Segments, WordWriter
 
 VECTOR_DECIMALS = 7
 
 
 @final
 class HeidenhainWriter(WordWriter[PathBlock]):
-    """Writes a program block by block, remembering what the output said.
+    """Writer of a program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as of `WordWriter`.
+        source, axes, newline, style: as for `WordWriter`.
     """
 
     equals = ""
@@ -32,7 +32,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         self._inserted = False
 
     def text(self) -> str:
-        """The whole output, blocks renumbered where lines were inserted among numbered ones."""
+        """Return the whole output, renumbered if lines were inserted among numbered blocks."""
         if not self._inserted:
             return "".join(self._out)
         parts = []
@@ -45,27 +45,27 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             parts.append(text)
         return "".join(parts)
 
-    def block(self, block: PathBlock, pieces: Pieces | None) -> None:
-        """Write one block, its move replaced if there are pieces."""
-        if block.forgets:
-            self.said.forget(block.forgets)
-        if block.switched:
+    def block(self, block: PathBlock, segments: Segments | None) -> None:
+        """Write one block, with its move replaced if there are segments for it."""
+        if block.unknown_axes:
+            self.said.mark_unknown(block.unknown_axes)
+        if block.tcp_switched:
             self._vector_text = None
         lines = [block.text]
-        if pieces is not None and block.moves:
+        if segments is not None and block.moves:
             if block.words:
                 self.lower = block.text[block.words[-1].value_start - 1].islower()
-            lines = self.rewritten(block, pieces)
-            if block.forgets and not block.switched:
-                self.said.forget(block.forgets)
+            lines = self.rewritten(block, segments)
+            if block.unknown_axes and not block.tcp_switched:
+                self.said.mark_unknown(block.unknown_axes)
         elif block.moves:
-            self.heard(block)
+            self.record(block)
         self._out += lines
         self._numbered += [block.numbered] * len(lines)
         self._inserted |= block.numbered and len(lines) > 1
 
     def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
-        keyword = block.text[block.head : block.keyword_end]
+        keyword = block.text[block.head_end : block.keyword_end]
         if rewrite.move.kind is Kind.ARC:
             keyword = "l" if keyword.islower() else "L"
         return keyword
@@ -74,8 +74,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         text = block.text
         if tool and begin.upper() == "L":  # only LN blocks take a vector
             begin = "ln" if begin.islower() else "LN"
-        if block.keyword and begin != text[block.head : block.keyword_end]:
-            edits.append((block.head, block.keyword_end, begin))
+        if block.keyword and begin != text[block.head_end : block.keyword_end]:
+            edits.append((block.head_end, block.keyword_end, begin))
         words = " ".join(added + tool)
         if words:
             at = max((word.end for word in block.words), default=block.keyword_end)
@@ -84,8 +84,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             else:
                 edits.append((at, at, f"L {words} "))
             if not block.keyword and block.words:
-                edits.append((block.head, block.head, "L "))  # a paraxial block moves one axis only
-        indent = text[: block.head] if block.numbered or not text[: block.head].strip() else ""
+                edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
+        indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
         return f"{indent}{begin if block.keyword else 'L'} "
 
     def _tails(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
@@ -96,7 +96,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if vector is not None:
             before = self._vector_text
             if block.keyword == "LN":
-                self._vector_text = None  # an LN block says its vectors in full
+                self._vector_text = None  # an LN block has its vectors in full
             tool = self._vector(block, vector, None)
             if words or self._vector_text != before:
                 words += [*block.normal_text, *tool]

@@ -1,1 +1,1 @@
-"""ISO programs (G-code) in the flavours of Fanuc, LinuxCNC and Siemens 840D."""
+"""ISO programs (G-code) in the variants of Fanuc, LinuxCNC and Siemens 840D."""

@@ -1,4 +1,4 @@
-"""One block of an ISO program, understood."""
+"""One interpreted block of an ISO program."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twin.nc.block import Block, Span
 
 
 class Item(NamedTuple):
-    """A word whose meaning waits for the rest of its block: its name, its place, that of its value, and the value's text."""
+    """A word to be interpreted with the rest of its block: its name, its range, the range of its value, and the text of the value."""
 
     name: str
     start: int
@@ -20,13 +20,13 @@ class Item(NamedTuple):
 
 
 class Drilling(NamedTuple):
-    """A drilling cycle called at every position that follows (heights in mm, program coordinates).
+    """A drilling cycle executed at every following position (heights in mm, program coordinates).
 
     Attributes:
-        approach: rapid down to here,
-        depth: then feed to here,
-        dwell: text of the dwell there (``""``: none),
-        retract: then rapid up to here.
+        approach: height of the rapid down.
+        depth: height of the feed down.
+        dwell: text of the dwell at depth (``""``: none).
+        retract: height of the rapid up.
     """
 
     approach: float
@@ -38,20 +38,20 @@ class Drilling(NamedTuple):
 @final
 @dataclass(slots=True)
 class IsoBlock(Block):
-    """One block: as `twin.nc.block.Block`, and what only ISO blocks have.
+    """One block: `twin.nc.block.Block` with the attributes of ISO blocks.
 
     Attributes:
-        skip: the skip mark (``/``) and its digit, or nothing.
+        skip: the skip mark (``/``) and its digit, or empty.
         codes: G words, named by their code.
-        items: axis words, before they have values.
-        others: words that are no axis words.
+        items: axis words, before their values are known.
+        others: words that are not axis words.
         names: statements and their arguments.
         motion_word: the G word of the motion group, if the block has one.
         feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
         inverse_time: whether the feed is an inverse time.
-        vector_names: names of the vector's words here, with their ``=``, or None where there is no vector.
-        cycle_word: where a drilling cycle is called or ended.
+        vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
+        cycle_word: the range of a call or the end of a drilling cycle.
         dwell: text of the dwell at depth.
     """
 

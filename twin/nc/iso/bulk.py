@@ -1,7 +1,7 @@
-"""Plain lines written all at once: words replaced as `twin.nc.iso.writer.IsoWriter` replaces them one by one.
+"""Simple lines written together: words replaced as `twin.nc.iso.writer.IsoWriter` does one by one.
 
-What a word looks like depends on the words before it (`twin.nc.text.style_of`): each says something of the style or leaves it as it
-was. So the style at every word is, part by part, what was said last, and that is found for all words together.
+The format of a word depends on the words before it (`twin.nc.text.style_of`): each sets some attributes of the style and keeps the
+others. Each attribute at a word is therefore the last value set, which is computed for all words together.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.emit import SAME, Said
+from twin.nc.emit import SAME_NUMBER, OutputState
 from twin.nc.iso.scan import Scan, Words
 from twin.nc.text import Style, grid
 
 LARGEST_STEPS: Final = 1e11
-"""Values of more least increments are written one by one: a double no longer has all their decimals beyond doubt."""
+"""Larger values, in least increments, are written one by one: a double no longer holds all their decimals exactly."""
 _UNKNOWN: Final = np.iinfo(np.int64).min
 _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
 
@@ -24,12 +24,12 @@ _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
 @final
 @dataclass(frozen=True)
 class NewPositions:
-    """What replaces the moves of a stretch of program.
+    """Replacements for the moves of a chunk of a program.
 
     Attributes:
-        first: (moves,) the row that each one's pieces begin at.
-        count: (moves,) how many it becomes; 0 for one that stays as it is.
-        positions: (rows, axes) as of `twin.nc.blocks.Rewrite`.
+        first: (moves,) the first row of each move's segments.
+        count: (moves,) number of segments; 0 for a move that is unchanged.
+        positions: (rows, axes) as in `twin.nc.blocks.Rewrite`.
         vectors: (rows, 3) tool vectors, for moves that have one.
     """
 
@@ -39,23 +39,23 @@ class NewPositions:
     vectors: np.ndarray
 
     def part(self, first: int, last: int) -> NewPositions:
-        """What replaces some moves, one behind the other."""
+        """Return the replacements of the moves from one index up to, but excluding, another."""
         return replace(self, first=self.first[first:last], count=self.count[first:last])
 
     def rows(self, which: np.ndarray) -> np.ndarray:
-        """The rows of some moves, move by move."""
+        """Return the rows of some moves, move by move."""
         first, count = self.first[which], self.count[which]
         return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
 
 
 @final
 @dataclass(frozen=True)
-class Habits:
-    """How a program writes, at some place of it.
+class Formatting:
+    """Formatting of a program at some place.
 
     Attributes:
-        style: of its numbers.
-        spaced: whether words stand apart.
+        style: number format.
+        spaced: whether words are separated by spaces.
         lower: whether letters are small.
     """
 
@@ -66,7 +66,7 @@ class Habits:
 
 @final
 class Grids:
-    """The steps that axis words are written in, where they can be written all at once.
+    """The steps of the axis words, for writing many together.
 
     Args:
         names: axis names.
@@ -84,15 +84,17 @@ class Grids:
         self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
 
 
-def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray) -> bytes:
-    """A text with stretches replaced; they do not overlap, and those at one place are in order.
+def _with_replacements(
+    text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray
+) -> bytes:
+    """Return a text with some ranges replaced; they do not overlap, and insertions at one place are in order.
 
     Args:
         text: the text.
-        start: (n,) of each stretch, and
-        end: (n,) its end.
-        length: (n,) of what replaces it.
-        new: all of that, one behind the other.
+        start: (n,) beginnings of the ranges.
+        end: (n,) their ends.
+        length: (n,) length of each replacement.
+        new: all replacements, concatenated.
     """
     order = np.argsort(start, kind="stable")
     start, end = start[order], end[order]
@@ -108,61 +110,61 @@ def _assembled(text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.
     return np.concatenate([text, new])[places].tobytes()
 
 
-def edited(
+def rewritten_lines(
     scan: Scan,
     whole: slice,
     lines: np.ndarray,
     count: np.ndarray,
     targets: np.ndarray,
-    said: Said,
-    habits: Habits,
+    said: OutputState,
+    formatting: Formatting,
     grids: Grids,
-) -> tuple[bytes, Habits]:
-    """Plain lines, one behind the other but for blank ones, with new positions.
+) -> tuple[bytes, Formatting]:
+    """Return simple lines, consecutive except for blank ones, with new positions.
 
     Args:
         scan: the text.
-        whole: the stretch of it that they are in.
-        lines: (lines,) which.
-        count: (lines,) how many pieces each becomes.
-        targets: (pieces, axes) their ends, mm and degrees; NaN in the columns of axes nobody writes.
-        said: what the output said so far; brought up to date.
-        habits: before the first of the lines.
+        whole: the range of the text that contains the lines.
+        lines: (lines,) indices of the lines.
+        count: (lines,) number of segments of each line.
+        targets: (segments, axes) end positions, mm and degrees; NaN in the columns of axes that are not written.
+        said: last values in the output; updated.
+        formatting: formatting before the first of the lines.
         grids: of the axes.
 
     Returns:
-        That stretch, and the habits behind the last line.
+        The new text of the range, and the formatting after the last line.
     """
-    pieces = _Pieces(scan, lines, count, targets, said, grids)
-    of, words = pieces.of_word, pieces.words
-    look = _Look(words, habits.style)
+    segments = _Segments(scan, lines, count, targets, said, grids)
+    of, words = segments.of_word, segments.words
+    styles = _Styles(words, formatting.style)
     second = np.diff(scan.first)[lines] > 1
-    first = pieces.first_word
+    first = segments.first_word
     letter = words.start[first] - 1
     before = scan.text[
         np.maximum(np.where(second, words.start[np.minimum(first + 1, len(words.start) - 1)] - 1, letter) - 1, 0)
     ]
-    shown = second | pieces.headed
-    spaced = _last_said(np.where(shown, (before == _SPACE) | (before == 9), -1), habits.spaced).astype(bool)
+    shown = second | segments.headed
+    spaced = _forward_filled(np.where(shown, (before == _SPACE) | (before == 9), -1), formatting.spaced).astype(bool)
     lower = scan.text[letter] >= ord("a")
-    # Words there are: those that say another value than before.
-    steps = pieces.steps.take(of * pieces.steps.shape[1] + words.axis)
-    same = np.abs(words.value - steps * grids.step[words.axis]) < SAME
-    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & look.plus)
+    # Words in the text whose value changes.
+    steps = segments.steps.take(of * segments.steps.shape[1] + words.axis)
+    same = np.abs(words.value - steps * grids.step[words.axis]) < SAME_NUMBER
+    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & styles.plus)
     new = np.flatnonzero(~same)
-    # Words there are not.
-    row, axis = np.nonzero(pieces.missing)
-    line = pieces.line[row]
-    last_word = pieces.last_word[line]
-    extra = row != pieces.head[line]
+    # Words that are missing in the text.
+    row, axis = np.nonzero(segments.missing)
+    line = segments.line[row]
+    last_word = segments.last_word[line]
+    extra = row != segments.head[line]
     opens = extra & np.append(True, row[1:] != row[:-1])[: len(row)]
     closes = extra & np.append(row[1:] != row[:-1], True)[-len(row) :] if len(row) else extra
     word = np.concatenate([new, last_word])
     letters = np.where(lower[line], grids.letters[axis] + 32, grids.own[axis]).astype(np.uint8)
-    text, length = _printed(
-        np.concatenate([steps[new], pieces.steps[row, axis]]),
+    text, length = _formatted_words(
+        np.concatenate([steps[new], segments.steps[row, axis]]),
         np.concatenate([words.axis[new], axis]),
-        look.at(word),
+        styles.at(word),
         grids,
         np.concatenate([np.zeros(len(new), dtype=bool), spaced[line] & ~opens]),
         np.concatenate([np.zeros(len(new), dtype=np.uint8), letters]),
@@ -172,20 +174,20 @@ def edited(
     )
     behind = np.where(extra, scan.end[lines][line], words.end[last_word])
     start, end = np.concatenate([words.start[new], behind]), np.concatenate([words.end[new], behind])
-    written = _assembled(scan.text[whole], start - whole.start, end - whole.start, length, text)
+    written = _with_replacements(scan.text[whole], start - whole.start, end - whole.start, length, text)
     for i in range(len(grids.step)):
         if np.any(words.axis == i) or np.any(axis == i):
-            said.value[i] = float(pieces.steps[-1, i] * grids.step[i])
+            said.value[i] = float(segments.steps[-1, i] * grids.step[i])
             said.stale[i] = False
-    return written, Habits(look.last(), bool(spaced[-1]), bool(lower[-1]))
+    return written, Formatting(styles.last(), bool(spaced[-1]), bool(lower[-1]))
 
 
 @final
-class _Pieces:
-    """The pieces of some lines, and which words they need beside those that stand there."""
+class _Segments:
+    """The segments of some lines, and which words they need in addition to those in the text."""
 
     def __init__(
-        self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: Said, grids: Grids
+        self, scan: Scan, lines: np.ndarray, count: np.ndarray, targets: np.ndarray, said: OutputState, grids: Grids
     ) -> None:
         begin, end = scan.first[lines[0]], scan.first[lines[-1] + 1]
         all_words = scan.words
@@ -207,7 +209,7 @@ class _Pieces:
         np.not_equal(self.steps[1:], self.steps[:-1], out=self.missing[1:])
         self.missing &= known
         self.missing[self.of_word, self.words.axis] = False
-        # A word before the first axis word, whether or not it is one that moves.
+        # Whether any word stands before the first axis word.
         letter = self.words.start[self.first_word] - 1
         start = scan.start[lines]
         self.headed = np.zeros(len(lines), dtype=bool)
@@ -221,36 +223,43 @@ class _Pieces:
 
 
 @final
-class _Look:
-    """The style in force behind every word (`twin.nc.text.style_of`)."""
+class _Styles:
+    """The style in force after every word (`twin.nc.text.style_of`)."""
 
     def __init__(self, words: Words, style: Style) -> None:
         zero = words.value == 0.0
         tells = words.fraction > 0
         round_ = ~tells & (words.point | ~zero)
         point = np.where(round_, words.point, -1)
-        keep = np.where(round_, 0, -1)
+        min_decimals = np.where(round_, 0, -1)
         padded = tells & words.padded
-        point[padded], keep[padded] = 0, words.fraction[padded]
-        lead = np.where(words.point & (words.whole == 0), 0, -1)
-        lead[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
+        point[padded], min_decimals[padded] = 0, words.fraction[padded]
+        leading_zero = np.where(words.point & (words.whole == 0), 0, -1)
+        leading_zero[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
         plus = np.where(words.sign == _PLUS, 1, np.where(words.sign == _MINUS, -1, 0))
-        self.point = _last_said(point, style.point)
-        self.keep = _last_said(keep, style.keep)
-        self.lead = _last_said(lead, style.lead)
-        self.plus = _last_said(plus, style.plus).astype(bool)
+        self.point = _forward_filled(point, style.point)
+        self.min_decimals = _forward_filled(min_decimals, style.min_decimals)
+        self.leading_zero = _forward_filled(leading_zero, style.leading_zero)
+        self.plus = _forward_filled(plus, style.plus).astype(bool)
 
     def at(self, word: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Point, keep, lead and plus behind some words."""
-        return self.point[word].astype(bool), self.keep[word], self.lead[word].astype(bool), self.plus[word]
+        """Return point, minimum decimals, leading zero and plus after some words."""
+        return (
+            self.point[word].astype(bool),
+            self.min_decimals[word],
+            self.leading_zero[word].astype(bool),
+            self.plus[word],
+        )
 
     def last(self) -> Style:
-        """Behind the last word."""
-        return Style(bool(self.point[-1]), int(self.keep[-1]), bool(self.lead[-1]), bool(self.plus[-1]), False)
+        """Return the style after the last word."""
+        return Style(
+            bool(self.point[-1]), int(self.min_decimals[-1]), bool(self.leading_zero[-1]), bool(self.plus[-1]), False
+        )
 
 
-def _last_said(values: np.ndarray, before: int) -> np.ndarray:
-    """(n,) of each the value, or where that is -1 the last one that is not."""
+def _forward_filled(values: np.ndarray, before: int) -> np.ndarray:
+    """Return (n,) each value, or the last one before it that is not -1."""
     says = values >= 0
     if says.all():
         return values
@@ -261,53 +270,53 @@ def _last_said(values: np.ndarray, before: int) -> np.ndarray:
 
 
 def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
-    """(lines, 2) the characters that end each line, 0 for none."""
+    """Return (lines, 2) the characters that end each line, 0 for none."""
     end = scan.end[lines]
     two = (scan.text[end - 1] == 10) & (scan.text[np.maximum(end - 2, 0)] == 13)
     return np.stack([np.where(two, 13, 0), scan.text[end - 1]], axis=1).astype(np.uint8)
 
 
-def _printed(
+def _formatted_words(
     steps: np.ndarray,
     axis: np.ndarray,
-    look: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    styles: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     grids: Grids,
     spaced: np.ndarray,
     letter: np.ndarray,
     ending: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Words as `twin.nc.text.format_number` prints their numbers, all behind one another, and the length of each.
+    """Return words with numbers formatted as by `twin.nc.text.format_number`, concatenated, and the length of each.
 
     Args:
         steps: (n,) values in least increments.
-        axis: (n,) of which axis.
-        look: of the numbers (`_Look.at`).
+        axis: (n,) axis of each word.
+        styles: style of the numbers (`_Look.at`).
         grids: of the axes.
         spaced: (n,) whether a space comes first.
-        letter: (n,) then a letter, 0 for none.
-        ending: (n, 2) characters behind the number, 0 for none.
+        letter: (n,) the following letter, 0 for none.
+        ending: (n, 2) characters after the number, 0 for none.
     """
-    point, keep, lead, plus = look
-    places = int(max(grids.decimals.max(initial=0), keep.max(initial=0)))
+    point, min_decimals, leading_zero, plus = styles
+    places = int(max(grids.decimals.max(initial=0), min_decimals.max(initial=0)))
     size = np.abs(steps) * grids.scale[axis]
     power = (10**grids.decimals)[axis]
     whole = size // power
     fraction = (size - whole * power) * (10 ** (places - grids.decimals))[axis]
     digits = len(str(int(whole.max(initial=0))))
-    # A row a place, so that each is written at a stretch; what is not shown is zero, and taken out.
+    # One row per character position, for contiguous writes; characters not shown are zero and removed below.
     text = np.empty((digits + places + 6, len(steps)), dtype=np.uint8)
     text[0] = spaced * np.uint8(_SPACE)
     text[1] = letter
     text[2] = np.where(steps < 0, _MINUS, plus * np.uint8(_PLUS))
     _digits(whole, text[3 : 3 + digits])
-    text[2 + digits] *= lead | (whole > 0) | (fraction == 0)
+    text[2 + digits] *= leading_zero | (whole > 0) | (fraction == 0)
     for i in range(1, digits):
         text[2 + digits - i] *= whole >= 10**i
     _digits(fraction, text[4 + digits : -2])
-    wanted = np.array(keep)
+    wanted = np.array(min_decimals)
     for i in range(places):
         wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
-        # Later digits are looked at later, so the last that is not 0 decides.
+        # Digits are visited in order, so the last nonzero one decides.
     for i in range(places):
         text[4 + digits + i] *= wanted > i
     text[3 + digits] = ((wanted > 0) | point) * np.uint8(_POINT)
@@ -317,7 +326,7 @@ def _printed(
 
 
 def _digits(number: np.ndarray, out: np.ndarray) -> None:
-    """The decimal digits of whole numbers, as characters, into the rows of an array."""
+    """Write the decimal digits of whole numbers, as characters, into the rows of an array."""
     left = number
     for row in range(len(out) - 1, -1, -1):
         rest = left // 10

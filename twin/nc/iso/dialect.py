@@ -1,4 +1,4 @@
-"""ISO programs as a dialect."""
+"""The ISO dialect (G-code)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.emit import pieces_of
-from twin.nc.header import FEED, REMARK, first_lines, inserted
+from twin.nc.emit import rewrites_by_line
+from twin.nc.header import FEED, REMARK, first_lines, insert_comments
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.stream import GONE, STRETCH_LINES, IsoReader, IsoRewriter, stretches
+from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
 from twin.nc.text import BOM, Style, newline_of, style_in
 
 _TAPE: Final = re.compile(
     r"%.*|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
     re.IGNORECASE,
 )
-"""Lines before which nothing may stand: tape mark, program number or name, ``PROC``."""
+"""Lines that must stay first: tape mark, program number or name, ``PROC``."""
 _NUMBER: Final = re.compile(r"[ \t]*(?:/\d?[ \t]*)?(?:N\d+[ \t]*)?", re.IGNORECASE)
 _ROUND: Final = re.compile(r"\(([^()]*)\)[ \t]*;?")
 _SIEMENS: Final = re.compile(
@@ -41,19 +41,19 @@ class Iso(Dialect):
 
     name = "iso"
     suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
-    in_stretches = True
+    in_chunks = True
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
         """See `Dialect.moves`."""
         reader = IsoReader(program.source, axes, tcp=tcp)
         found = MoveBuilder(axes.names)
-        for stretch in stretches(program, axes.names):
-            reader.read_into(found, stretch)
-        return Reading(found.objects(), tuple(reader.notices()), tuple(reader.left()))
+        for chunk in chunks(program, axes.names):
+            reader.read_into(found, chunk)
+        return Reading(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()))
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
-        by_line = pieces_of(reading, rewrites, axes)
+        by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:
             return program.text
         writer = IsoRewriter(
@@ -61,9 +61,9 @@ class Iso(Dialect):
             axes,
             newline_of(program),
             style_in(program.texts, Style(point=True)),
-            # A switch of kinematics before the first move makes the start irrelevant, else the first move shows it.
+            # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=reading.moves[0].tcp,
-            # A cycle is written out where one of its strokes, or the block that it follows, is rewritten.
+            # Expand a cycle if one of its strokes, or the block that executes it, is rewritten.
             expand_cycles=any(
                 before.line == move.line in by_line
                 for before, move in zip(reading.moves, reading.moves[1:], strict=False)
@@ -75,19 +75,19 @@ class Iso(Dialect):
         rows = [entry[0].positions for entry in entries if entry is not None]
         positions = np.concatenate([np.zeros((0, len(axes.names))), *rows])
         new = NewPositions(np.cumsum(count) - count, count, positions, np.zeros((0, 3)))
-        cuts = np.searchsorted(moves.line, np.arange(0, len(program.texts), STRETCH_LINES))
+        cuts = np.searchsorted(moves.line, np.arange(0, len(program.texts), CHUNK_LINES))
         out = [
-            writer.write(stretch, moves.part(first, last), new.part(first, last), by_line)
-            for stretch, first, last in zip(
-                stretches(program, axes.names), cuts, np.append(cuts[1:], len(moves)), strict=True
+            writer.write(chunk, moves.part(first, last), new.part(first, last), by_line)
+            for chunk, first, last in zip(
+                chunks(program, axes.names), cuts, np.append(cuts[1:], len(moves)), strict=True
             )
         ]
-        return b"".join(out).decode("latin-1").replace(GONE, "")
+        return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
 
-    def commented(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.commented`: behind tape mark and program number.
+    def with_comments(self, text: str, comments: Sequence[str]) -> str:
+        """See `Dialect.with_comments`: after tape mark and program number.
 
-        In round brackets, or behind a semicolon where the program's own comments or words are those of a SINUMERIK.
+        In round brackets, or after a semicolon if the program's comments or words are those of a SINUMERIK.
         """
         lines = first_lines(text)
         at = place = 0
@@ -95,7 +95,7 @@ class Iso(Dialect):
             at = place + 1 if _is_tape(lines[place]) else at
             place += 1
         style = "; {}" if _uses_semicolon(lines) else "({})"
-        return inserted(text, lines, at, comments, style.format, _comment)
+        return insert_comments(text, lines, at, comments, style.format, _comment)
 
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
         """See `Dialect.from_points`."""
@@ -104,17 +104,17 @@ class Iso(Dialect):
         body = "".join(f"{words}\n" for words in others)
         return f"%\n({remark})\nG21 G90 G94\nG1 {first}{said}\n{body}M30\n%\n"
 
-    def is_remark(self, text: str) -> bool:
-        """See `Dialect.is_remark`."""
+    def is_comment(self, text: str) -> bool:
+        """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
 
-    def only_moves(self, text: str, names: tuple[str, ...]) -> bool:
-        """See `Dialect.only_moves`."""
-        found = vocabulary.plain(names).pattern.fullmatch(text)
+    def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
+        """See `Dialect.is_motion_only`."""
+        found = vocabulary.simple_pattern(names).pattern.fullmatch(text)
         return found is not None and found[found.re.groups] is None
 
-    def feed_said(self, text: str) -> tuple[str, bool | None]:
-        """See `Dialect.feed_said`."""
+    def feed_word(self, text: str) -> tuple[str, bool | None]:
+        """See `Dialect.feed_word`."""
         bare = REMARK.sub(" ", text)
         feeds, modes = FEED.findall(bare), _FEED_MODE.findall(bare)
         return feeds[-1] if feeds else "", modes[-1] == "93" if modes else None
@@ -154,12 +154,12 @@ def _is_tape(line: str) -> bool:
 
 
 def _bare(line: str) -> str:
-    """A line without its skip mark and number."""
+    """Return a line without its skip mark and number."""
     return line[_NUMBER.match(line).end() :].strip()  # type: ignore[union-attr]  # it matches anything
 
 
 def _comment(line: str) -> str | None:
-    """The text of a line that is nothing but a comment, or nothing; None of any other."""
+    """Return the text of a line that is a comment or blank; None for any other line."""
     body = _bare(line.removeprefix(BOM))
     if body.startswith(";"):
         return body[1:].strip()
@@ -175,7 +175,7 @@ def _uses_semicolon(lines: Sequence[str]) -> bool:
     for body in map(_bare, lines):
         if body.startswith("("):
             return False
-        # A semicolon at the end of a line is the end of a block; with text behind it a comment.
+        # A semicolon at the end of a line ends a block; followed by text, it begins a comment.
         if body.partition(";")[2].strip():
             return True
     return False

@@ -1,4 +1,4 @@
-"""The modal interpreter of ISO programs: blocks in, what each says in full out."""
+"""Modal interpreter of ISO programs."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
 }
-"""By group of G codes: the attribute of the interpreter that holds its state, and what a code makes of it."""
+"""For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
 
 
 @final
 class IsoInterpreter(IsoMotion):
-    """Reads blocks in order, keeping the modal state."""
+    """Interpreter of blocks in order, with their modal state."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         super().__init__(source, axes, tcp=tcp)
-        self._plain = vocabulary.plain(self.names)
+        self._simple = vocabulary.simple_pattern(self.names)
         self._codes: dict[str, str] = {}
         self._started = False
 
     # ------------------------------------------------------------------ a block
 
     def step(self, line: int, text: str) -> IsoBlock | None:
-        """Interpret one line; None for a line that says nothing (blank, comment, ``%``).
+        """Interpret one line; return None for a line without words (blank, comment, ``%``).
 
         Args:
             line: 0-based index of the line.
@@ -53,15 +53,15 @@ class IsoInterpreter(IsoMotion):
         Raises:
             InputError: with file, line and value.
         """
-        self._line, self._shown = line, text
-        found = self._plain.pattern.fullmatch(text)
+        self._line, self._block_text = line, text
+        found = self._simple.pattern.fullmatch(text)
         if found is not None:
-            return self._plain_block(found)
+            return self._simple_block(found)
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if not stripped or stripped[0] in "%;":
             return None
-        self._shown = stripped
+        self._block_text = stripped
         block = IsoBlock(text, begin)
         self._started = False
         for match in vocabulary.TOKEN.finditer(text, begin):
@@ -72,8 +72,8 @@ class IsoInterpreter(IsoMotion):
                 break
         return self._apply(block) if self._started or block.names else None
 
-    def _plain_block(self, match: re.Match[str]) -> IsoBlock:
-        """Interpret a plain block by the words its pattern found."""
+    def _simple_block(self, match: re.Match[str]) -> IsoBlock:
+        """Interpret a simple block from the groups of its pattern."""
         text = match.string
         block = IsoBlock(text, max(match.end(1), 0))
         spans = match.regs
@@ -82,17 +82,17 @@ class IsoInterpreter(IsoMotion):
             self.motion = int(match.group(2))
             block.motion_word = Span(start - 1, end)
         unit = MM_PER_INCH if self.inch else 1.0
-        for group, axis in self._plain.axes:
+        for group, axis in self._simple.axes:
             start, end = spans[group]
             if end >= 0:
                 value = float(text[start:end])
                 if axis < self.linear:
                     value *= unit
-                block.seen |= 1 << axis
+                block.axis_bits |= 1 << axis
                 block.words.append(_new(AxisWord, (axis, start - 1, end, start, end, "", self.incremental, value)))
         others = []
-        if (match.lastindex or 0) > 2 + len(self._plain.axes):
-            for group, name in self._plain.others:
+        if (match.lastindex or 0) > 2 + len(self._simple.axes):
+            for group, name in self._simple.others:
                 start, end = spans[group]
                 if end >= 0:
                     others.append(Item(name, start - len(name) - (len(name) > 1), end, start, end, text[start:end]))
@@ -114,9 +114,11 @@ class IsoInterpreter(IsoMotion):
         if "still" in groups:
             return block
         if "reference" in groups:
-            self.note("reference return or probing passes through uncompensated; its axes are unknown afterwards")
+            self.note(
+                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
+            )
             which = [self.index[item.name] for item in block.items]
-            self.forget(block, which or range(len(self.names)), moved=True)
+            self.mark_unknown(block, which or range(len(self.names)), moved=True)
             return block
         machine = machine or "machine" in groups
         for item in block.items:
@@ -126,24 +128,24 @@ class IsoInterpreter(IsoMotion):
         return block
 
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
-        """Whether a word that is no axis word belongs to the motion; what is not understood is refused or noted."""
+        """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
         name, shown = item.name, block.text[item.start : item.end]
         if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and block.items):
             return True
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
-            raise self.no_axis(f"{name}{item.value}")
+            raise self.unknown_axis(f"{name}{item.value}")
         if name == "L":
-            raise self.refuse("subprogram call or repetition", vocabulary.FLAT, shown)
+            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
         if name == "N":
-            raise self.refuse("a block number inside a block", "N at its start", shown)
+            raise self.error("block number inside a block", "N at the start of the block", shown)
         if name == "O":
             if block.items or block.names:
-                raise self.refuse("control flow", vocabulary.FLAT)
+                raise self.error("control flow", vocabulary.NO_CALLS)
         elif name not in _NO_MOTION:
             if block.items:
-                what = "a word that is not understood in a block that moves axes"
-                raise self.refuse(what, "words whose effect on the motion is known", shown)
-            self.note(f"{shown.strip()} is not understood and passes through")
+                what = "unknown word in a block that moves axes"
+                raise self.error(what, "words whose effect on the motion is known", shown)
+            self.note(f"unknown word {shown.strip()} passed through")
         return False
 
     # ------------------------------------------------------------------ tokens
@@ -155,13 +157,13 @@ class IsoInterpreter(IsoMotion):
             start, end = match.span(3)
             block.items.append(_new(Item, (letter, match.start(2), end, start, end, value)))
         elif letter == "N" and not self._started:
-            block.head = match.end()
+            block.head_end = match.end()
             return
         elif letter == "G":
             block.codes.append(Span(match.start(2), match.end(), self._code(value)))
         elif letter == "F":
             if not value.isdigit() and number(value) != number(value):
-                raise self.no_number("F", value)
+                raise self.missing_number("F", value)
             block.feed = Span(match.start(3), match.end())
         elif letter == "M":
             self._m_word(block, match.start(2), match.end(), value)
@@ -180,7 +182,7 @@ class IsoInterpreter(IsoMotion):
             self._sort(block, item)
 
     def _name(self, block: IsoBlock, match: re.Match[str]) -> bool:
-        """Take a name; whether the rest of the line is its own."""
+        """Interpret a name; return whether it takes the rest of the line."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
@@ -189,7 +191,7 @@ class IsoInterpreter(IsoMotion):
                 self.assign(variable, self.value_of(value))
             return True
         if name in vocabulary.CONTROL_FLOW:
-            raise self.refuse("control flow", vocabulary.FLAT)
+            raise self.error("control flow", vocabulary.NO_CALLS)
         return False
 
     def _late(self, block: IsoBlock, match: re.Match[str]) -> None:
@@ -203,10 +205,10 @@ class IsoInterpreter(IsoMotion):
 
     def _skip(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
-            raise self.refuse("a slash inside a block", "block skip at the start of a block")
+            raise self.error("slash inside a block", "block skip at the start of the block")
         skips = match["skip"]
         block.skip = skips[skips.rindex("/") :]
-        block.head = match.end()
+        block.head_end = match.end()
 
     def _is_label(self, block: IsoBlock, match: re.Match[str]) -> bool:
         alone = len(block.names) == 1 and not (block.items or block.others or block.codes)
@@ -214,21 +216,21 @@ class IsoInterpreter(IsoMotion):
 
     def _main(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
-            raise self.refuse("a colon inside a block", "a block number or label at its start")
-        block.head = match.end()
+            raise self.error("colon inside a block", "a block number or label at the start of the block")
+        block.head_end = match.end()
 
     def _bad(self, block: IsoBlock, match: re.Match[str]) -> None:
         character, rest = match["bad"], block.text[match.start("bad") :].strip()
         letter = character.upper()
         if letter in self.index or letter in "FGMIJKRSTDHN":
-            raise self.refuse(f"{letter} has no number", f"a number after {letter}", rest.split(";")[0].strip())
+            raise self.error(f"{letter} has no number", f"a number after {letter}", rest.split(";")[0].strip())
         if letter in _AXIS_LETTERS:
-            raise self.no_axis(rest)
+            raise self.unknown_axis(rest)
         if character == "(":
-            raise self.refuse("a comment or argument list without its closing parenthesis", "( ... )", rest)
+            raise self.error("comment or argument list without closing parenthesis", "( ... )", rest)
         if letter == "O":
-            raise self.refuse("control flow", vocabulary.FLAT, rest)
-        raise self.refuse("a character that is not understood", "words: letter and number", rest)
+            raise self.error("control flow", vocabulary.NO_CALLS, rest)
+        raise self.error("unexpected character", "words of a letter and a number", rest)
 
     # ------------------------------------------------------------------ words
 
@@ -237,28 +239,28 @@ class IsoInterpreter(IsoMotion):
         if code is None:
             word = vocabulary.canonical(f"G{value}")
             if len(word) < 2 or not word[1].isdigit():
-                raise self.no_number("G", value)
+                raise self.missing_number("G", value)
             code = self._codes[value] = word[1:]
         return code
 
     def _m_word(self, block: IsoBlock, start: int, end: int, value: str) -> None:
         word = vocabulary.canonical(f"M{value}")
         if word in vocabulary.REFUSED_M:
-            raise self.refuse("subprogram call", vocabulary.FLAT, word)
+            raise self.error("subprogram call", vocabulary.NO_CALLS, word)
         if len(word) < 2:
-            raise self.no_number("M", value)
+            raise self.missing_number("M", value)
         if word in vocabulary.LAST_M:
-            block.last_m.append(Span(start, end, word))
+            block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:
-        """Apply the G words of a block; the groups they are of."""
+        """Apply the G words of a block and return their groups."""
         seen: set[str] = set()
         for span in block.codes:
             code = span.name
             group = self._group(block, code)
             if group in seen:
-                raise self.refuse(f"two G words of one modal group ({group})", "one G word of a group in a block")
+                raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             if group is None:
                 continue
             if group:
@@ -270,42 +272,42 @@ class IsoInterpreter(IsoMotion):
                 block.motion_word = span
             elif group == "offset":
                 self._offset(block, code)
-            elif group == "length" and self.tcp_by in ("G43.4", "G43.5") and code in ("43", "44"):
+            elif group == "length" and self.tcp_word in ("G43.4", "G43.5") and code in ("43", "44"):
                 self.switch(block, False, f"G{code}")
             elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
-                raise self.refuse("curve G5", vocabulary.LINEAR)
+                raise self.error("curve G5", vocabulary.LINEAR)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
 
     def _group(self, block: IsoBlock, code: str) -> str | None:
-        """The modal group of a G code, empty if it is of none; None for one that is not understood and passes."""
+        """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
         group = vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
         if code in vocabulary.REFUSED_CODES:
-            raise self.refuse(*vocabulary.REFUSED_CODES[code])
+            raise self.error(*vocabulary.REFUSED_CODES[code])
         if f"G{code}" in self.tcp_on | self.tcp_off:
             return ""
         if block.items:
-            raise self.refuse("a G word that is not understood", "G words whose effect is known", f"G{code}")
-        self.note(f"G{code} is not understood and passes through")
-        self.forget(block, range(len(self.names)))
+            raise self.error("unknown G word in a block that moves axes", "G words whose effect is known", f"G{code}")
+        self.note(f"unknown G{code} passed through; all axis positions are unknown afterwards")
+        self.mark_unknown(block, range(len(self.names)))
         return None
 
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """As of `Interpreter`; G49 ends a length offset, not what another word switched on."""
-        if on or word != "G49" or self.tcp_by in ("", "G43.4", "G43.5"):
+        """As `Interpreter.switch`; G49 ends a length offset only, not the effect of other words."""
+        if on or word != "G49" or self.tcp_word in ("", "G43.4", "G43.5"):
             super().switch(block, on, word)
 
     def _offset(self, block: IsoBlock, code: str) -> None:
         if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
-            raise self.refuse(f"coordinate transformation G{code}", vocabulary.BAKED, f"G{code}")
+            raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
         if code == "54.1":
             code += "".join(f" P{item.value}" for item in block.others if item.name == "P")
         self.offset, self.offset_line = code, self._line
 
     def _names(self, block: IsoBlock) -> bool:
-        """Apply statements by name; whether one says machine coordinates."""
+        """Apply statements by name and return whether one of them selects machine coordinates."""
         names = block.names
         for place, (name, start, end, _, _, arguments) in enumerate(names):
             shown = block.text[start:end]
@@ -314,21 +316,21 @@ class IsoInterpreter(IsoMotion):
             elif name in vocabulary.TRANSFORMS:
                 if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
                     rest = block.text[start:].split(";")[0].strip()
-                    raise self.refuse(f"coordinate transformation {name}", vocabulary.BAKED, rest)
+                    raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, rest)
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
                 self._mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
-                raise self.refuse(f"curve or rounding {name}", vocabulary.LINEAR)
+                raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
             elif name not in vocabulary.PASSED:
                 if vocabulary.CYCLE.fullmatch(name):
-                    raise self.refuse(f"canned cycle {name}", vocabulary.EXPAND, shown)
+                    raise self.error(f"canned cycle {name}", vocabulary.EXPANDED_CYCLE, shown)
                 if name[0] in self.index and not arguments and "_" not in name and not name.startswith("CYCLE"):
-                    raise self.refuse("a word without a number", f"a number after {name[0]}", shown)
+                    raise self.error("word without a number", f"a number after {name[0]}", shown)
                 if block.items:
-                    what = "a word that is not understood in a block that moves axes"
-                    raise self.refuse(what, _SOME_WORDS, shown)
-                self.note(f"{shown.strip()} is not understood and passes through; every axis is unknown afterwards")
-                self.forget(block, range(len(self.names)))
+                    what = "unknown word in a block that moves axes"
+                    raise self.error(what, _SOME_WORDS, shown)
+                self.note(f"unknown word {shown.strip()} passed through; all axis positions are unknown afterwards")
+                self.mark_unknown(block, range(len(self.names)))
         return any(item.name == "SUPA" for item in names)
 
     def _mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
@@ -339,24 +341,24 @@ class IsoInterpreter(IsoMotion):
             return
         self.cycle = self.drilling(item.name, item.value) if last else None
         if self.cycle is None:
-            raise self.refuse(f"canned cycle {item.name}", vocabulary.EXPAND, block.text[item.start :].strip())
+            raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
 
     def _assigned(self, item: Item, bracket: str) -> bool:
-        """Take an assignment that is no word of the block; whether it was one."""
+        """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
         if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
             return False
         if name[0] in "ABCD" and name[1:] in ("2", "4", "5", "6", "7"):
-            raise self.refuse(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
+            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
         if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
-            raise self.refuse(f"curve or rounding {name}", vocabulary.LINEAR, shown)
+            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
         if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
-            raise self.refuse(f"coordinate transformation {name}", vocabulary.BAKED, shown)
+            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
         if name.startswith("$"):
-            self.note(f"{name} is set by the program; what that does is not known here")
+            self.note(f"the program sets the system variable {name}; its effect is not modelled")
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
@@ -372,4 +374,4 @@ _TOKENS: Final[Mapping[str, Callable[[IsoInterpreter, IsoBlock, re.Match[str]], 
     "main": IsoInterpreter._main,
     "bad": IsoInterpreter._bad,
 }
-"""What each kind of `vocabulary.TOKEN` does; True: the rest of the line is not words."""
+"""Handler of each kind of `vocabulary.TOKEN`; it returns True if the rest of the line is not words."""

@@ -1,4 +1,4 @@
-"""What ISO blocks do to the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
+"""Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
 class IsoMotion(Interpreter):
-    """The modal state that decides what axis words mean, and what blocks do to it."""
+    """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
@@ -37,63 +37,63 @@ class IsoMotion(Interpreter):
         self.cycle: Drilling | None = None
 
     @property
-    def settled(self) -> bool:
-        """Whether a plain line means no more than it says."""
+    def runs_allowed(self) -> bool:
+        """Whether simple lines can be interpreted together: no cycle, pending work offset, incremental mode or tool vector."""
         return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
-        """Make the moves of a block whose axis words are known.
+        """Add the moves of a block whose axis words are known.
 
         Args:
             block: the block.
-            centre: its words of a centre, a radius, full turns or a tool vector.
+            centre: its words for a centre, a radius, full turns or a tool vector.
             machine: whether its axis words are machine coordinates.
 
         Raises:
-            InputError: a word contradicts another or the modal state.
+            InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
         if machine:
             if centre or self.cycle is not None:
-                raise self.refuse("machine coordinates in an arc or a cycle", "a straight move")
+                raise self.error("machine coordinates in an arc or a cycle", "a straight move")
             kind = Kind.RAPID if motion == 0 else Kind.LINEAR
             position = self.machine_position(block)
-            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.seen), machine=True),)
+            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
             return
         start = self.position[: self.linear]
-        self.take(block)
+        self.apply_words(block)
         vector = self._vector(block, centre) if centre else None
         arc: Arc | None = None
         if motion is None:
-            self.note("axes move before any of G0, G1, G2, G3: taken as a linear move", once=True)
+            self.note("axes move before any of G0, G1, G2, G3: assumed to be a linear move", once=True)
         elif motion >= 2:
             if vector is not None or (self.length_vector and self.tcp):
-                raise self.refuse("an arc with a tool vector", vocabulary.LINEAR)
+                raise self.error("arc with a tool vector", vocabulary.LINEAR)
             arc = self._arc(block, centre, start)
         elif centre and vector is None:
             first = centre[0]
             shown = block.text[first.start : first.end]
-            raise self.refuse(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
+            raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
         self._use_offset()
         if vector is not None:
-            self.turn_to(block.seen, vector)
-        elif block.seen >> self.linear:
+            self.set_tool_vector(block.axis_bits, vector)
+        elif block.axis_bits >> self.linear:
             self.vector = None
         if self.vector is not None:
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
         if block.skip:
-            self.note("block skip: taken as executed", once=True)
+            self.note("block skip: assumed to be executed", once=True)
         kind = Kind.LINEAR if motion is None else _KINDS[motion]
-        named = self.named(block.seen)
+        named = self.named(block.axis_bits)
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
         if self.cycle is not None:
             self._drill(block, self.cycle)
 
-    def take(self, block: IsoBlock) -> None:  # type: ignore[override]
-        """Go where the words of a block say, the shorter or the said way round where they say so."""
-        turning = [word for word in block.words if word.form and word.form in vocabulary.WAYS]
+    def apply_words(self, block: IsoBlock) -> None:  # type: ignore[override]
+        """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
+        turning = [word for word in block.words if word.form and word.form in vocabulary.DIRECTION_FORMS]
         before = [self.position[word.axis] for word in turning]
-        super().take(block)
+        super().apply_words(block)
         for word, last in zip(turning, before, strict=True):
             if last == last:
                 turn = (word.value - last) % 360.0
@@ -105,8 +105,8 @@ class IsoMotion(Interpreter):
         if self.offset is None or self.offset == self.used_offset:
             return
         if self.used_offset is not None:
-            expected = f"one work offset in a program (moves so far are in G{self.used_offset})"
-            raise self.refuse("a second work offset", expected, f"G{self.offset}", self.offset_line + 1)
+            expected = f"one work offset per program (moves before use G{self.used_offset})"
+            raise self.error("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
         self.used_offset = self.offset
 
     # ------------------------------------------------------------------ words
@@ -115,7 +115,7 @@ class IsoMotion(Interpreter):
         """Return an axis word with its value.
 
         Raises:
-            InputError: that is not known, and the block is not in machine coordinates.
+            InputError: the value is unknown, and the block is not in machine coordinates.
         """
         name, start, end, value_start, value_end, text = item
         axis = self.index[name]
@@ -129,8 +129,10 @@ class IsoMotion(Interpreter):
             value = self.value_of(text)
             if value != value and not machine:
                 if vocabulary.LITERAL.fullmatch(text):
-                    raise self.no_number(name, text)
-                raise self.refuse(f"the value of {name} is not known here", "a number, or a variable set to one", text)
+                    raise self.missing_number(name, text)
+                raise self.error(
+                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
+                )
         if self.inch and axis < self.linear:
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
@@ -146,14 +148,14 @@ class IsoMotion(Interpreter):
             if index is None:
                 continue
             if not self.tcp:
-                raise self.refuse(f"tool vector {name} while the control's kinematics are off", "TRAORI first", text)
+                raise self.error(f"tool vector {name} while tool centre point control is off", "TRAORI before it", text)
             components[index] = self.value_of(text)
             if components[index] != components[index]:
-                raise self.no_number(name, text)
+                raise self.missing_number(name, text)
             if index in block.vector_words:
-                raise self.refuse(f"{name} twice in one block", "each word once")
+                raise self.error(f"{name} twice in one block", "each word once")
             block.vector_words[index] = Span(value_start, value_end, block.text[start:end])
-        return self.direction("tool vector", components) if block.vector_words else None
+        return self.unit_direction("tool vector", components) if block.vector_words else None
 
     def _arc(self, block: IsoBlock, items: list[Item], start: list[float]) -> Arc:
         a, b, _ = plane = PLANES[self.plane]
@@ -166,34 +168,34 @@ class IsoMotion(Interpreter):
             wrapped = vocabulary.WRAPPED.fullmatch(text)
             value = self.value_of(wrapped.group(2) if wrapped else text)
             if value != value:
-                raise self.no_number(name, text)
+                raise self.missing_number(name, text)
             if name in ("R", "CR"):
                 radius = value * scale
             elif name not in CENTRE:
                 if value != int(value) or not 0 <= value < 1e6:
-                    raise self.refuse(f"{name} is not a number of turns", "a whole number", text)
+                    raise self.error(f"{name} is not a number of turns", "a whole number", text)
                 turns = int(value) if name == "TURN" else max(0, int(value) - 1)
             elif CENTRE[name] in centre:
-                raise self.refuse(f"{name} twice in one block", "each word once")
+                raise self.error(f"{name} twice in one block", "each word once")
             else:
                 axis = CENTRE[name]
                 absolute = wrapped.group(1).upper() == "AC" if wrapped else self.absolute_centre
                 centre[axis] = value * scale + (0.0 if absolute else start[axis])
                 if axis not in (a, b):
-                    raise self.refuse(f"{name} outside the plane G{self.plane}", "a centre in the plane")
+                    raise self.error(f"{name} outside the plane G{self.plane}", "a centre in the plane")
         clockwise = self.motion == 2
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
         if radius is not None and not centre:
-            return self.checked(arc_by_radius(plane, from_, to, radius, clockwise, turns))
+            return self.valid_arc(arc_by_radius(plane, from_, to, radius, clockwise, turns))
         if centre and radius is None:
             middle = (centre.get(a, start[a]), centre.get(b, start[b]))
-            return self.checked(arc_by_centre(plane, from_, to, middle, clockwise, turns))
-        return self.checked(ArcMisfit("an arc needs either a centre or a radius", "I, J, K or R (CR=)"))
+            return self.valid_arc(arc_by_centre(plane, from_, to, middle, clockwise, turns))
+        return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
 
     # ------------------------------------------------------------------ drilling
 
     def drilling(self, name: str, arguments: str) -> Drilling | None:
-        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be told.
+        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be determined.
 
         Args:
             name: the cycle.
@@ -214,8 +216,8 @@ class IsoMotion(Interpreter):
         return Drilling(approach * unit, depth * unit, f"G4 F{texts[5]}" if dwell > 0 else "", retract * unit)
 
     def _drill(self, block: IsoBlock, cycle: Drilling) -> None:
-        if self.incremental or self.tcp or self.vector is not None or block.last_m:
-            raise self.refuse("canned cycle", vocabulary.EXPAND)
+        if self.incremental or self.tcp or self.vector is not None or block.end_m_words:
+            raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
         named = frozenset(self.names[2:3])
         for height, kind in ((cycle.approach, Kind.RAPID), (cycle.depth, Kind.LINEAR), (cycle.retract, Kind.RAPID)):
             self.position[2] = height

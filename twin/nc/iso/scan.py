@@ -1,8 +1,8 @@
-"""Plain lines of an ISO program found and read all at once: bytes in arrays, no line and no word an object of its own.
+"""Simple lines of an ISO program found and read all at once, with the bytes in arrays and no object per line or word.
 
-What is plain here is part of what `twin.nc.plain` calls plain: a block number, ``G0`` or ``G1``, axis words in the usual order and a
-feed, every number of at most 15 digits, so that its digits are an exact whole number and dividing it by an exact power of ten rounds
-once, as reading it digit by digit does. Every other line is for the general way.
+The simple lines here are a subset of those of `twin.nc.simple_blocks`: a block number, ``G0`` or ``G1``, axis words in the usual
+order and a feed. Numbers have at most 15 digits, so that the digits form an exact whole number and the division by an exact power
+of ten rounds once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.plain import plain_letters
+from twin.nc.simple_blocks import simple_axis_letters
 
 MOST_DIGITS: Final = 15
-"""Decimal digits every whole number of which a double holds."""
+"""Number of decimal digits up to which a double holds every whole number."""
 _WHOLE_DIGITS: Final = 9
-"""As of `twin.nc.plain.VALUE`."""
+"""As in `twin.nc.simple_blocks.VALUE`."""
 _OTHER, _LETTER, _DIGIT, _SIGN, _POINT, _BLANK, _END = range(7)
 _FOLLOWS: Final = {
     _LETTER: (_DIGIT, _SIGN, _POINT),
@@ -29,26 +29,26 @@ _FOLLOWS: Final = {
     _BLANK: (_BLANK, _LETTER, _END),
     _END: (_BLANK, _LETTER, _END),
 }
-"""Which kinds of character a plain line may have behind one another."""
+"""Kinds of character that may follow each kind in a simple line."""
 _NUMBER, _CODE, _FEED = -3, -2, -1
 _NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
-"""Of the lines that `twin.nc.iso.interpreter.Interpreter.step` finds nothing in, those that are a comment and nothing else."""
+"""Comment lines without anything else, among the lines for which `twin.nc.iso.interpreter.Interpreter.step` returns None."""
 _MINUS, _PLUS, _ZERO, _SPACE = b"-+0 "
 
 
 @final
 @dataclass(frozen=True)
 class Words:
-    """The axis words of plain lines, in the order of the text.
+    """The axis words of simple lines, in the order of the text.
 
     Attributes:
-        line: (n,) which line of the text each is on.
+        line: (n,) index of the word's line in the text.
         axis: (n,) index of its axis.
-        start, end: (n,) where its value begins and ends.
-        value: (n,) as written.
-        sign: (n,) the character code of its sign, 0 where it has none.
-        whole, fraction: (n,) how many digits stand before and behind the point.
-        point: (n,) whether it has one.
+        start, end: (n,) range of its value.
+        value: as written.
+        sign: (n,) the character code of its sign, 0 if there is none.
+        whole, fraction: (n,) number of digits before and after the point.
+        point: (n,) whether it has a point.
         padded: (n,) whether its last character is a 0.
     """
 
@@ -67,25 +67,25 @@ class Words:
 @final
 @dataclass(frozen=True)
 class Scan:
-    """A stretch of a program, whole lines.
+    """A chunk of a program, in whole lines.
 
     Attributes:
         data: its bytes.
-        text: (n,) the same as numbers.
-        start, end: (lines,) where each line begins and ends, its own ending included.
-        plain: (lines,) whether it is plain.
-        blank: (lines,) whether it says nothing: empty, or a comment.
-        code: (lines,) the motion code of a plain line, -1 where it has none.
-        wide: (lines,) whether that is written in two digits.
-        words: of the plain lines.
-        first: (lines + 1,) which of the words each line begins with.
+        text: (n,) the bytes as numbers.
+        start, end: (lines,) range of each line, including its ending.
+        simple: (lines,) whether the line is simple.
+        blank: (lines,) whether it is empty or a comment.
+        code: (lines,) the motion code of a simple line, -1 if it has none.
+        wide: (lines,) whether the motion code has two digits.
+        words: of the simple lines.
+        first: (lines + 1,) index of the first word of each line.
     """
 
     data: bytes
     text: np.ndarray
     start: np.ndarray
     end: np.ndarray
-    plain: np.ndarray
+    simple: np.ndarray
     blank: np.ndarray
     code: np.ndarray
     wide: np.ndarray
@@ -93,13 +93,13 @@ class Scan:
     first: np.ndarray
 
     def line(self, index: int) -> str:
-        """One line as text."""
+        """Return one line as text."""
         return self.data[self.start[index] : self.end[index]].decode("latin-1")
 
 
 @lru_cache(maxsize=16)
 def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes]:
-    """By character: its kind, its rank among the words of a line, its axis; and whether two kinds may not follow each other."""
+    """Return tables by character (kind, rank among the words of a line, axis), and whether each pair of kinds is forbidden."""
     kind, rank, axis = bytearray(256), np.zeros(256, dtype=np.int8), np.full(256, _FEED, dtype=np.int8)
     for characters, which in (
         (b"0123456789", _DIGIT),
@@ -110,7 +110,7 @@ def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, byte
     ):
         for code in characters:
             kind[code] = which
-    letters = plain_letters(names)
+    letters = simple_axis_letters(names)
     places = {"N": (0, _NUMBER), "G": (1, _CODE), "F": (len(letters) + 2, _FEED)}
     places |= {letter: (2 + i, [name.upper() for name in names].index(letter)) for i, letter in enumerate(letters)}
     for letter, (place, which) in places.items() if letters else ():
@@ -124,7 +124,7 @@ def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, byte
 
 
 def scan(data: bytes, names: tuple[str, ...]) -> Scan:
-    """Find and read the plain lines of a stretch of program.
+    """Find and read the simple lines of a chunk of a program.
 
     Args:
         data: whole lines; only the last line of a program may lack its ending.
@@ -141,23 +141,23 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     pairs = kind[:-1] << 3
     pairs |= kind[1:]
     bad = np.frombuffer(pairs.tobytes().translate(bad_pair), dtype=bool)
-    plain = np.ones(lines, dtype=bool)
-    # A pair across the end of a line counts for the line behind it: what that may begin with.
-    plain[np.searchsorted(end, np.flatnonzero(bad) + 1, side="right")] = False
+    simple = np.ones(lines, dtype=bool)
+    # A pair across a line end belongs to the following line: it checks how that begins.
+    simple[np.searchsorted(end, np.flatnonzero(bad) + 1, side="right")] = False
     if lines:
-        plain[0] &= not bad_pair[_END << 3 | int(kind[0])]
-        plain[-1] &= bool(kind[-1] == _END)
-    if not plain.all():
-        kind = np.where(np.repeat(plain, end - start), kind, _OTHER)
-    # In plain lines every letter has one number behind it, and there is no other.
+        simple[0] &= not bad_pair[_END << 3 | int(kind[0])]
+        simple[-1] &= bool(kind[-1] == _END)
+    if not simple.all():
+        kind = np.where(np.repeat(simple, end - start), kind, _OTHER)
+    # In simple lines every letter is followed by one number, and there are no other numbers.
     lettered = kind == _LETTER
     letters, points = np.flatnonzero(lettered), np.flatnonzero(kind == _POINT)
     of = np.cumsum(lettered, dtype=np.int32).take(points) - 1
     numeric = (kind >= _DIGIT) & (kind <= _POINT)
     stops = np.flatnonzero(numeric[:-1] > numeric[1:]) + 1
     per_line = np.diff(np.searchsorted(letters, end), prepend=0)
-    blank = plain & (per_line == 0)
-    blank[[i for i in np.flatnonzero(~plain).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
+    blank = simple & (per_line == 0)
+    blank[[i for i in np.flatnonzero(~simple).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
     line = np.repeat(np.arange(lines), per_line)
     char = text[letters]
     rank, axis = rank_of.take(char), axis_of.take(char)
@@ -180,17 +180,17 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     codes = np.flatnonzero(code)
     said, width = text[stops[codes] - 1] - _ZERO, whole[codes]
     good[codes] &= (said <= 1) & ((width == 1) | ((width == 2) & (text[begin[codes]] == _ZERO)))
-    plain[line[~good]] = False
-    known = plain[line]
+    simple[line[~good]] = False
+    known = simple[line]
     which = np.flatnonzero((axis >= 0) & known)
-    # The numbers of plain lines, in order, one to a letter.
-    digits = np.where(numeric & np.repeat(plain, end - start), text, np.uint8(_SPACE)).tobytes()
+    # The numbers of simple lines, in order, one per letter.
+    digits = np.where(numeric & np.repeat(simple, end - start), text, np.uint8(_SPACE)).tobytes()
     values = np.fromstring(digits, sep=" ")[axis[known] >= 0]
     named = np.bincount(line[which], minlength=lines)
-    plain &= named > 0
+    simple &= named > 0
     motion, wide = np.full(lines, -1, dtype=np.int8), np.zeros(lines, dtype=bool)
     motion[line[codes]], wide[line[codes]] = said.astype(np.int8), width > 1
-    motion[~plain] = -1
+    motion[~simple] = -1
     stops, whole, fraction, sign = stops.take(which), whole.take(which), fraction.take(which), sign.take(which)
     words = Words(
         line=line.take(which).astype(np.int32),
@@ -204,12 +204,12 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
         point=point.take(which),
         padded=text.take(stops - 1) == _ZERO,
     )
-    first = np.concatenate([[0], np.cumsum(np.where(plain, named, 0))])
-    return Scan(data, text, start, end, plain, blank, motion, wide, words, first)
+    first = np.concatenate([[0], np.cumsum(np.where(simple, named, 0))])
+    return Scan(data, text, start, end, simple, blank, motion, wide, words, first)
 
 
 def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
-    """Where the last character of every line is that has an ending; a return at the very end is one."""
+    """Return the index of the last character of every terminated line; CR at the very end counts as an ending."""
     ends = text == 10
     if b"\r" in data:
         returns = text == 13

@@ -1,7 +1,7 @@
-"""ISO programs in stretches: read, written and read back with the modal state carried from one to the next.
+"""ISO programs processed in chunks: read, written and read back, with the modal state carried from chunk to chunk.
 
-Runs of plain lines are done all at once (`twin.nc.iso.scan`, `twin.nc.iso.bulk`), every other line by the interpreter and the writer of
-blocks.
+Runs of simple lines are processed together (`twin.nc.iso.scan`, `twin.nc.iso.bulk`), all other lines by the interpreter and the writer
+of blocks.
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, Left, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
-from twin.nc.iso.bulk import LARGEST_STEPS, Grids, Habits, NewPositions, edited
+from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions, rewritten_lines
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.scan import MOST_DIGITS, Scan, scan
 from twin.nc.iso.writer import IsoWriter
 from twin.nc.text import BLANK, MM_PER_INCH, Style
-from twin.nc.writer import Pieces
+from twin.nc.writer import Segments
 
 SHORTEST_RUN: Final = 12
-"""Lines: fewer are quicker one by one."""
-STRETCH_LINES: Final = 4096
-"""Lines of a program in memory that are done together: little enough that what is made of them stays in cache."""
-GONE: Final = ";\0\n"
-"""A comment that no program has, in the place of a line that was taken out: the others keep their numbers."""
+"""Smallest number of simple lines processed together; fewer are faster one by one."""
+CHUNK_LINES: Final = 4096
+"""Lines per chunk of a program in memory, few enough to fit in cache."""
+DELETED_LINE: Final = ";\0\n"
+"""A comment that occurs in no program, in place of a deleted line, so that the other lines keep their numbers."""
 
 
 @final
 class Stretch:
-    """Whole lines of a program.
+    """A chunk of whole lines of a program.
 
     Args:
         data: their bytes.
-        first: 0-based index of the first of them in the program.
+        first: 0-based index of the first line in the program.
         names: axis names.
 
     Attributes:
-        scan: its plain lines.
+        scan: its simple lines.
         first: as given.
     """
 
@@ -50,19 +50,19 @@ class Stretch:
         return len(self.scan.start)
 
     def text_of(self, line: int) -> str:
-        """The text of a line, by its index in the program."""
+        """Return the text of a line, by its index in the program."""
         return self.scan.line(line - self.first)
 
 
 def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]:
-    """Stretches of lines, in order: those worth doing all at once, and every other line by itself.
+    """Split lines into runs to process together and single lines.
 
     Args:
-        bulk: (lines,) whether it can be done with its neighbours.
-        blank: (lines,) whether it says nothing.
+        bulk: (lines,) whether the line can be processed together with its neighbours.
+        blank: (lines,) whether it is empty or a comment.
 
     Yields:
-        First line, the one behind the last, and whether to do them all at once.
+        First line, the line after the last, and whether to process them together.
     """
     stops = np.append(np.flatnonzero(~(bulk | blank)), len(bulk)).tolist()
     at = 0
@@ -76,24 +76,24 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
         at = stop + 1
 
 
-def stretches(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
-    """A program in memory as stretches, `GONE` standing for lines without a character."""
-    for first in range(0, len(program.texts), STRETCH_LINES):
-        text = "".join(one or GONE for one in program.texts[first : first + STRETCH_LINES])
+def chunks(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
+    """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
+    for first in range(0, len(program.texts), CHUNK_LINES):
+        text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
         yield Stretch(text.encode("latin-1"), first, names)
 
 
 @final
 class IsoReader:
-    """Reads a program stretch by stretch.
+    """Reader of a program, chunk by chunk.
 
     Args:
-        source: its name.
+        source: file name for messages.
         axes: axis words.
-        tcp: whether the control's kinematics are on from the start.
+        tcp: whether tool centre point control is on from the start.
 
     Attributes:
-        drills: whether a block came that a drilling cycle makes several moves of.
+        drills: whether some block so far makes several moves because of a drilling cycle.
     """
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
@@ -101,34 +101,34 @@ class IsoReader:
         self._notices = self._left = 0
         self.drills = False
 
-    def read(self, stretch: Stretch) -> MoveColumns:
-        """The moves of the next stretch.
+    def read(self, chunk: Stretch) -> MoveColumns:
+        """Return the moves of the next chunk.
 
         Raises:
             InputError: as `twin.nc.dialect.Dialect.moves`.
         """
         found = MoveBuilder(self._interpreter.names)
-        self.read_into(found, stretch)
+        self.read_into(found, chunk)
         return found.moves()
 
-    def read_into(self, found: MoveBuilder, stretch: Stretch) -> None:
-        """As `read`, but collected by somebody else."""
-        scan, first = stretch.scan, stretch.first
-        for begin, end, together in runs(scan.plain, scan.blank):
+    def read_into(self, found: MoveBuilder, chunk: Stretch) -> None:
+        """As `read`, with the moves added to a builder."""
+        scan, first = chunk.scan, chunk.first
+        for begin, end, together in runs(scan.simple, scan.blank):
             at = begin
-            while at < end and not (together and self._run(stretch, at, end, found)):
+            while at < end and not (together and self._run(chunk, at, end, found)):
                 self._line(first + at, scan.line(at), found)
                 at += 1
 
     def notices(self) -> list[Notice]:
-        """Those that came since they were last asked for."""
+        """Return the notices since the last call."""
         found = self._interpreter.notices[self._notices :]
         self._notices += len(found)
         return found
 
-    def left(self) -> list[Left]:
-        """What lines left in places unknown since that was last asked for."""
-        found = self._interpreter.left[self._left :]
+    def lost_positions(self) -> list[Left]:
+        """Return the unknown axis positions since the last call."""
+        found = self._interpreter.lost_positions[self._left :]
         self._left += len(found)
         return found
 
@@ -141,13 +141,13 @@ class IsoReader:
             for one in block.moves:
                 found.add(one)
 
-    def _run(self, stretch: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
-        """Plain lines all at once; whether the state allows that."""
+    def _run(self, chunk: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
+        """Read simple lines together; return False if the modal state does not allow it."""
         state = self._interpreter
-        if not state.settled:
+        if not state.runs_allowed:
             return False
-        scan = stretch.scan
-        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        scan = chunk.scan
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
         if not lines.size:
             return True
         motion = _motions(scan, lines, state.motion)
@@ -162,8 +162,8 @@ class IsoReader:
         position[row, axis] = value
         said = ~np.isnan(position)
         named = said @ (1 << np.arange(len(state.names)))
-        filled(position, said, state.position)
-        found.extend(stretch.first + lines, motion == 0, state.tcp, named, position)
+        fill_forward(position, said, state.position)
+        found.extend(chunk.first + lines, motion == 0, state.tcp, named, position)
         state.position = position[-1].tolist()
         state.motion = int(motion[-1])
         return True
@@ -171,14 +171,15 @@ class IsoReader:
 
 @final
 class IsoRewriter:
-    """Writes a program stretch by stretch.
+    """Writer of a program, chunk by chunk.
 
     Args:
-        source: its name.
+        source: file name for messages.
         axes: axis words.
-        newline: the line ending it uses.
-        style: of its numbers (`twin.nc.text.style_in`).
-        tcp: whether the control's kinematics are on at its first move.
+        newline: line ending of the program.
+        style: its number format (`twin.nc.text.style_in`).
+        tcp: whether tool centre point control is on at the first move.
+        expand_cycles: whether drilling cycles are expanded into blocks.
     """
 
     def __init__(
@@ -190,30 +191,30 @@ class IsoRewriter:
 
     def write(
         self,
-        stretch: Stretch,
+        chunk: Stretch,
         moves: MoveColumns,
         new: NewPositions,
-        pieces: Mapping[int, Mapping[int, Pieces]] | None = None,
+        segments: Mapping[int, Mapping[int, Segments]] | None = None,
     ) -> bytes:
-        """The next stretch with its moves replaced.
+        """Return the next chunk with its moves replaced.
 
         Args:
-            stretch: the stretch.
+            chunk: the chunk.
             moves: its moves.
-            new: what replaces them.
-            pieces: the same by line and place in it, where that is known.
+            new: their replacements.
+            segments: the same by line and by move in the line, if known.
         """
-        scan = stretch.scan
-        at_line = moves.line - stretch.first
-        move_of = np.full(len(stretch), -1)
+        scan = chunk.scan
+        at_line = moves.line - chunk.first
+        move_of = np.full(len(chunk), -1)
         move_of[at_line] = np.arange(len(moves))
         general = new.count == 0
         general[list(moves.special)] = True
-        bulk = np.zeros(len(stretch), dtype=bool)
-        bulk[at_line] = ~general & self._countable(
+        bulk = np.zeros(len(chunk), dtype=bool)
+        bulk[at_line] = ~general & self._exact_in_steps(
             moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))]
         )
-        bulk &= scan.plain
+        bulk &= scan.simple
         out: list[bytes] = []
         for begin, end, together in runs(bulk, scan.blank):
             at = begin
@@ -222,15 +223,15 @@ class IsoRewriter:
                 if run is not None:
                     out.append(run)
                     break
-                line, text = stretch.first + at, scan.line(at)
-                mine = _pieces(int(move_of[at]), moves, new) if pieces is None else pieces.get(line)
+                line, text = chunk.first + at, scan.line(at)
+                mine = _segments(int(move_of[at]), moves, new) if segments is None else segments.get(line)
                 block = self._interpreter.step(line, text)
                 out.append((text if block is None else self._writer.block(line, block, mine)).encode("latin-1"))
                 at += 1
         return b"".join(out)
 
-    def _countable(self, named: np.ndarray, positions: np.ndarray) -> bool:
-        """Whether values can be counted in steps, each axis having one in all rows, or in none and no word either."""
+    def _exact_in_steps(self, named: np.ndarray, positions: np.ndarray) -> bool:
+        """Return whether values are exact in steps, and each axis has a value in all rows, or in none and no word either."""
         known = np.isfinite(positions)
         everywhere = known.all(axis=0)
         written = np.bitwise_or.reduce(named, initial=0) >> np.arange(known.shape[1]) & 1 > 0
@@ -241,29 +242,29 @@ class IsoRewriter:
     def _run(
         self, scan: Scan, begin: int, end: int, move_of: np.ndarray, moves: MoveColumns, new: NewPositions
     ) -> bytes | None:
-        """Plain lines all at once; None (and nothing done) where the state does not allow that."""
+        """Return simple lines written together; None (and nothing done) if the modal state does not allow it."""
         state, writer = self._interpreter, self._writer
-        if not state.settled or state.inch or state.feed_mode == "93" or writer.style.keep > MOST_DIGITS:
+        if not state.runs_allowed or state.inch or state.feed_mode == "93" or writer.style.min_decimals > MOST_DIGITS:
             return None
-        lines = begin + np.flatnonzero(scan.plain[begin:end])
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
         if not lines.size:
             return None
         motion = _motions(scan, lines, state.motion)
         if motion is None or (scan.code[lines[0]] < 0 and writer.motion != motion[0]):
             return None
         which = move_of[lines]
-        habits = Habits(writer.style, writer.spaced, writer.lower)
-        text, habits = edited(
+        formatting = Formatting(writer.style, writer.spaced, writer.lower)
+        text, formatting = rewritten_lines(
             scan,
             slice(int(scan.start[begin]), int(scan.end[end - 1])),
             lines,
             new.count[which],
             new.positions[new.rows(which)],
             writer.said,
-            habits,
+            formatting,
             self._grids,
         )
-        writer.style, writer.spaced, writer.lower = habits.style, habits.spaced, habits.lower
+        writer.style, writer.spaced, writer.lower = formatting.style, formatting.spaced, formatting.lower
         coded = lines[scan.code[lines] >= 0]
         if coded.size:
             writer.wide = bool(scan.wide[coded[-1]])
@@ -272,8 +273,8 @@ class IsoRewriter:
         return text
 
 
-def _pieces(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, Pieces] | None:
-    """What replaces a move as the writer of blocks takes it; -1: none."""
+def _segments(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, Segments] | None:
+    """Return the replacement of a move in the form of the writer of blocks; None for -1 and for an unchanged move."""
     if which < 0 or not new.count[which]:
         return None
     move: Move = moves[which]
@@ -283,7 +284,7 @@ def _pieces(which: int, moves: MoveColumns, new: NewPositions) -> Mapping[int, P
 
 
 def _motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | None:
-    """(lines,) motion code in force on each; None if one is neither G0 nor G1."""
+    """Return (lines,) the motion code in force on each line; None if one is neither G0 nor G1."""
     code = scan.code[lines].astype(np.int64)
     if code[0] < 0:
         if before not in (0, 1):
@@ -293,8 +294,8 @@ def _motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | 
     return np.asarray(code[np.maximum.accumulate(np.where(said, np.arange(len(code)), 0))])
 
 
-def filled(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
-    """In every column of an array, put the last value said where none is; ``before``: what was said before its first row."""
+def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+    """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
     if said.all():
         return
     values[0] = np.where(said[0], values[0], before)

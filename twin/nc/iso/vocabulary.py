@@ -1,11 +1,11 @@
-"""The vocabulary of ISO programs: the tokens of a block, and what Fanuc, LinuxCNC and Siemens 840D words mean to us."""
+"""The vocabulary of ISO programs: tokens of a block, and the meaning of Fanuc, LinuxCNC and Siemens 840D words."""
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
 
-from twin.nc.plain import VALUE, Plain, plain_blocks
+from twin.nc.simple_blocks import VALUE, SimpleBlocks, simple_blocks
 from twin.nc.text import number
 
 _STRING = r'"[^"\r\n]*+"'
@@ -32,14 +32,15 @@ TOKEN = re.compile(
     )""",
     re.VERBOSE | re.ASCII,
 )
-"""One token, spaces before it included: ``X1.5``; a comment or line end; ``X=..``, ``R1=..``, ``_X_HOME=..``; a name,
-with arguments or without; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; and what none of these is."""
+"""One token with the spaces before it: ``X1.5``; a comment or line end; ``X=..``, ``R1=..``, ``_X_HOME=..``; a name, with or
+without arguments; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; and any other character.
+"""
 
 LITERAL = re.compile(r"[+-]?[ \t]*+[\d.]++", re.ASCII)
 WRAPPED = re.compile(r"(AC|IC|DC|ACP|ACN)[ \t]*+\([ \t]*+(.*?)[ \t]*+\)", re.IGNORECASE | re.ASCII)
 ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
-# G codes by modal group. Two of one group in a block contradict each other; "" is no group.
+# G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
     "motion": ("0", "1", "2", "3"),
     "plane": ("17", "18", "19"),
@@ -66,15 +67,15 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for code in codes}
 
-EXPAND = "the cycle expanded into G0 and G1 blocks by the postprocessor"
-LINEAR = "the path written as G0, G1, G2 and G3 by the postprocessor"
-BAKED = "a program whose coordinates need no transformation (one work offset, given with --work-offset)"
-FLAT = "one program with every block written out"
+EXPANDED_CYCLE = "a cycle expanded into G0 and G1 blocks by the postprocessor"
+LINEAR = "a path of G0, G1, G2 and G3 blocks from the postprocessor"
+NO_TRANSFORMATION = "a program without coordinate transformations (at most one work offset, given as work_offset)"
+NO_CALLS = "one program without jumps or calls"
 
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
-        code: (f"canned cycle G{code}", EXPAND)
+        code: (f"canned cycle G{code}", EXPANDED_CYCLE)
         for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88", "89")
     },
     **{
@@ -87,26 +88,26 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     },
     **{code: (f"curve G{code}", LINEAR) for code in ("12", "13", "147", "148", "247", "248", "347", "348")},
     **{
-        code: (f"coordinate transformation G{code}", BAKED)
+        code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
             *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
             *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
         )
     },
     **{
-        code: (f"cutter radius compensation G{code}", "the tool centre path written out by CAM (G40)")
+        code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
         for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
     },
-    "29": ("return from the reference point G29", "the position written as a G0 block"),
-    **{code: (f"macro call G{code}", FLAT) for code in ("65", "66", "66.1", "72.1", "72.2")},
+    "29": ("return from the reference point G29", "a G0 block with the position"),
+    **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
 LAST_M: frozenset[str] = frozenset(
     {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
 )
-"""M words that act when the block's motion is over: in a block that is split they go with the last piece."""
+"""M words that take effect after the motion of the block; in a block that is split they go with the last segment."""
 
-# Names (Siemens 840D). PASSED change nothing about what axis words mean, CALLED run motion or control flow.
+# Names (Siemens 840D). PASSED do not change the meaning of axis words.
 PASSED: frozenset[str] = frozenset(
     """MSG DEF FNORM FLIN FCUB FPO COMPOF COMPON COMPCURV COMPCAD COMPSURF SOFT BRISK DRIVE SOFTA BRISKA DRIVEA FFWON
     FFWOF NEWCONF STOPRE CUT2D CUT2DF CUT3DC CUT3DF CUT3DFF CUT3DFS ORIWKS ORIMKS ORIAXES ORIVECT ORIPLANE ORIEULER
@@ -129,7 +130,7 @@ TRANSFORMS: frozenset[str] = frozenset(
     DIAM90 PRESETON PRESETONS MEAFRAME TCOFRX TCOFRY TCOFRZ TOFFON TRACON TRAFOON""".split()
 )
 CANCELLING: frozenset[str] = frozenset("ROT TRANS MIRROR SCALE CYCLE800".split())
-"""Transformations that cancel themselves when nothing follows them."""
+"""Transformations that cancel themselves if nothing follows them."""
 CURVES: frozenset[str] = frozenset(
     """CIP CT BSPLINE ASPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND RNDM CHF CHR ANG ANG1 ANG2 AR RP AP
     OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
@@ -139,24 +140,24 @@ CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CO
 
 TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "TRAORI"})
 TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
-"""Words that switch the control's own kinematics on and off."""
-WAYS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
-"""Forms that say which way round a rotary axis goes to its value."""
+"""Words that switch tool centre point control on and off."""
+DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
+"""Forms that give the direction in which a rotary axis turns to its value."""
 
 
 @lru_cache(maxsize=16)
-def plain(names: tuple[str, ...]) -> Plain:
-    """Plain blocks: ``N10 G1 X1.5 Y-2. F500``, arcs, tool vectors and comments at the end included.
+def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
+    """Return the pattern of simple blocks: ``N10 G1 X1.5 Y-2. F500``, arcs, tool vectors and trailing comments included.
 
     Groups: N word, motion code, .., value of F, comment.
     """
     head = r"[ \t]*+(N\d++)?+[ \t]*+(?:G(0?[0-3])[ \t]*+)?+"
     others = ("I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3")
-    return plain_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
+    return simple_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
 
 
 def canonical(word: str) -> str:
-    """A word as tables hold it: ``g01`` and ``G 1`` are ``G1``, ``G43.40`` is ``G43.4``."""
+    """Return a word in the form of the tables: ``g01`` and ``G 1`` are ``G1``, ``G43.40`` is ``G43.4``."""
     word = word.strip().upper()
     if len(word) > 1 and word[0] in "GM":
         value = number(word[1:])

@@ -1,4 +1,4 @@
-"""The writer of ISO programs: moves replaced in their blocks, every other byte kept."""
+"""Writer of ISO programs: moves replaced in their blocks, every other byte kept."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.emit import vector_texts
 from twin.nc.iso.block import IsoBlock
-from twin.nc.iso.vocabulary import WAYS
+from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.text import Style, ending, format_number, number, style_of
-from twin.nc.writer import Edit, Pieces, WordWriter
+from twin.nc.writer import Edit, Segments, WordWriter
 
 VECTOR_DECIMALS: Final = 7
 _CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
@@ -21,15 +21,15 @@ _CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 
 @final
 class IsoWriter(WordWriter[IsoBlock]):
-    """Writes an ISO program block by block, remembering what the output said.
+    """Writer of an ISO program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as of `WordWriter`.
-        expand_cycles: whether drilling cycles are written out.
+        source, axes, newline, style: as for `WordWriter`.
+        expand_cycles: whether drilling cycles are expanded into blocks.
 
     Attributes:
         motion: motion code in force in the output (None: before the first, or uncertain).
-        spaced: whether words stand apart.
+        spaced: whether words are separated by spaces.
         wide: whether motion words have two digits.
     """
 
@@ -44,28 +44,28 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     @property
     def separator(self) -> str:  # type: ignore[override]
-        """What stands between words."""
+        """The separator of words."""
         return " " if self.spaced else ""
 
-    def block(self, line: int, block: IsoBlock, pieces: Mapping[int, Pieces] | None) -> str:
-        """The output for one block.
+    def block(self, line: int, block: IsoBlock, segments: Mapping[int, Segments] | None) -> str:
+        """Return the output for one block.
 
         Args:
             line: 0-based index of its line.
             block: as interpreted.
-            pieces: what replaces its moves, by the move's place in the block.
+            segments: replacements of its moves, by the index of the move in the block.
         """
         self._line = line
-        if block.switched or block.forgets:
-            self.said.forget(block.forgets)
-            if block.switched:
+        if block.tcp_switched or block.unknown_axes:
+            self.said.mark_unknown(block.unknown_axes)
+            if block.tcp_switched:
                 self._vector_text = None
         moves = block.moves
-        if pieces and 0 in pieces:
-            self._see(block)
-            text = "".join(self.rewritten(block, pieces[0]))
+        if segments and 0 in segments:
+            self._observe_format(block)
+            text = "".join(self.rewritten(block, segments[0]))
         elif moves:
-            text = self._kept(block)
+            text = self._unchanged_block(block)
         else:
             text = block.text
             if block.motion_word is not None:
@@ -73,40 +73,40 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.cycle_word is not None and self.expand_cycles:
                 at = block.cycle_word.start
                 text = f"{text[:at]};{text[at:]}"
-        self._doubt(block)
+        self._mark_stale(block)
         if len(moves) > 1 and self.expand_cycles:
-            text += self._strokes(block, pieces or {}, text)
+            text += self._strokes(block, segments or {}, text)
         elif len(moves) > 1:
-            self.said.heard(2, moves[-1].position[2], False)
+            self.said.record(2, moves[-1].position[2], False)
         return text
 
-    def _doubt(self, block: IsoBlock) -> None:
-        """Behind a block that the operator can skip, nothing it said is certain."""
+    def _mark_stale(self, block: IsoBlock) -> None:
+        """Mark everything as uncertain after a block that the operator can skip."""
         if block.skip:
-            self.said.doubt(range(len(self.names)))
+            self.said.mark_stale(range(len(self.names)))
             self._vector_text = None
             self.motion = None
 
-    def _kept(self, block: IsoBlock) -> str:
-        """A block whose move stays: its text, with the motion word it relied on where the output's differs."""
+    def _unchanged_block(self, block: IsoBlock) -> str:
+        """Return a block whose move is unchanged; its motion word is added if the modal state of the output differs."""
         text = block.text
-        self.heard(block)
+        self.record(block)
         if block.motion_word is None and block.motion is not None and self.motion != block.motion:
             starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
-            at = min(starts, default=block.head)
+            at = min(starts, default=block.head_end)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
             text = f"{text[:at]}{self._g(block.motion)}{separator}{text[at:]}"
         if block.motion is not None:
             self.motion = block.motion
         return text
 
-    def _strokes(self, block: IsoBlock, pieces: Mapping[int, Pieces], text: str) -> str:
-        """The strokes of a drilling cycle, written out as blocks."""
+    def _strokes(self, block: IsoBlock, segments: Mapping[int, Segments], text: str) -> str:
+        """Return the strokes of a drilling cycle as blocks."""
         end = ending(block.text) or self.newline
         out = [] if ending(text) else [end]
         for place in range(1, len(block.moves)):
             move = block.moves[place]
-            for row in pieces[place][1] if place in pieces else [list(move.position)]:
+            for row in segments[place][1] if place in segments else [list(move.position)]:
                 words = self._missing(block, row, 0)
                 code = _CODE[move.kind]
                 if words and self.motion != code:
@@ -116,26 +116,26 @@ class IsoWriter(WordWriter[IsoBlock]):
                     out.append(block.skip + " ".join(words) + end)
             if place == 2 and block.dwell:
                 out.append(block.skip + block.dwell + end)
-        self._doubt(block)
+        self._mark_stale(block)
         return "".join(out)
 
     # ------------------------------------------------------------------ one block
 
-    def _see(self, block: IsoBlock) -> None:
-        """How this program spaces words and writes letters."""
+    def _observe_format(self, block: IsoBlock) -> None:
+        """Record how the program separates words and whether its letters are small."""
         words, text = block.words, block.text
         if words:
             first = words[0].start
             if len(words) > 1:
                 self.spaced = text[words[1].start - 1] in " \t"
-            elif first > 0 and (block.motion_word is not None or block.head > 0):
+            elif first > 0 and (block.motion_word is not None or block.head_end > 0):
                 self.spaced = text[first - 1] in " \t"
             self.lower = text[first].islower()
         elif block.motion_word is not None:
             self.lower = text[block.motion_word.start] == "g"
 
     def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
-        """Make the motion word say a straight move; the word to insert, if one is needed."""
+        """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
         code = _CODE[rewrite.move.kind] if block.motion is not None else None
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
@@ -163,33 +163,33 @@ class IsoWriter(WordWriter[IsoBlock]):
             glue = separator or (" " if not text[at - 1].isdigit() and text[at - 1] != "." else "")
             edits.append((at, at, f"{glue}{joined}"))
             return block.skip
-        at = block.head
+        at = block.head_end
         before = separator if at > 0 and text[at - 1 : at].isalnum() else ""
         after = separator if text[at:].strip() and not text[at : at + 1].isspace() else ""
         edits.append((at, at, f"{before}{joined}{after}"))
         return block.skip
 
     def _tails(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
-        """Inverse time feeds, each for its piece."""
+        """Return the inverse time feed of each segment."""
         if not block.inverse_time or block.motion is None or _CODE[rewrite.move.kind] != 1:
             return []
         span, rows = block.feed, len(rewrite.positions)
         if span is None:
             raise InputError(
-                "an inverse time block without F cannot be split",
-                expected="an F word in every block of G93",
+                "block with inverse time feed (G93) but without F cannot be split",
+                expected="an F word in every block with G93",
                 file=self.source,
                 line=self._line + 1,
                 value=block.text.strip(),
             )
         factors = [float(rows)] * rows if rewrite.shares is None else (1.0 / rewrite.shares).tolist()
-        feeds = [self._faster(block, span, factor) for factor in factors]
+        feeds = [self._segment_feed(block, span, factor) for factor in factors]
         edits.append((span.start, span.end, feeds[0]))
         letter = block.text[span.start - 1]
         return [f"{letter if letter.upper() == 'F' else 'F'}{feed}" for feed in feeds]
 
-    def _faster(self, block: IsoBlock, span: Span, factor: float) -> str:
-        """An inverse time feed for one of several pieces."""
+    def _segment_feed(self, block: IsoBlock, span: Span, factor: float) -> str:
+        """Return the inverse time feed of one of several segments."""
         old = block.text[span.start : span.end]
         value = number(old)
         decimals = max(4, len(old.partition(".")[2]))
@@ -201,14 +201,14 @@ class IsoWriter(WordWriter[IsoBlock]):
         return f"{'g' if self.lower else 'G'}{'0' if self.wide else ''}{code}"
 
     def _number(self, block: IsoBlock, word: AxisWord, target: float) -> str:
-        if word.form not in WAYS:
+        if word.form not in DIRECTION_FORMS:
             return super()._number(block, word, target)
         old = block.text[word.value_start : word.value_end]
         value = number(old)
         self.style = style_of(old, self.style) if value == value else self.style
-        self.said.say(word.axis, target, block.inch, False, self.style)
+        self.said.number_for(word.axis, target, block.inch, False, self.style)
         turn = self.said.value[word.axis] % 360.0
-        return format_number(turn, 9, self.style._replace(keep=0)) if turn < 359.9999999995 else "0"
+        return format_number(turn, 9, self.style._replace(min_decimals=0)) if turn < 359.9999999995 else "0"
 
     def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
         head = self._head(block, word, target)
@@ -216,9 +216,9 @@ class IsoWriter(WordWriter[IsoBlock]):
         return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
 
     def _head(self, block: IsoBlock, word: AxisWord, target: float) -> str:
-        """What stands before the value of a word with a way round; one that is no longer needed becomes the short way.
+        """Return the text before the value of a word with ``ACP`` or ``ACN``; ``DC`` replaces a direction that is no longer needed.
 
-        ``C=ACP(30)`` from 30 stays there, but ``C=ACP(29.999)`` would go round once.
+        ``C=ACP(30)`` from 30 does not move, but ``C=ACP(29.999)`` would make a full turn.
         """
         if word.form not in ("ACP", "ACN"):
             return ""
@@ -233,7 +233,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         if not forms:
             return super()._later(block, row, vector)
         words = []
-        for axis in self.said.missing(row, 0, block.inch):
+        for axis in self.said.axes_to_write(row, 0, block.inch):
             word = forms.get(axis)
             if word is None:
                 words.append(self._added(block, axis, row[axis]))

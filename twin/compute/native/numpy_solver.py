@@ -1,7 +1,7 @@
-"""The solver without a compiler: NumPy on blocks of poses, CasADi on a few.
+"""The solver without a compiler: NumPy on blocks of poses, CasADi on a few poses.
 
-Newton's method on all poses at once. The rotary axes are used where that reaches the orientation within what they may move; where it
-does not, they are moved as far as makes sense and the linear axes solve for the point.
+Newton's method runs on all poses at once. The rotary axes are used if they reach the orientation within their permitted range;
+otherwise they go to the best position and the linear axes solve for the point.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from twin.compute.native.problem import CONVERGED, OUT_OF_RANGE, ROUTINES, SINGU
 from twin.compute.native.tape import Tape
 
 FEW: Final = 100
-"""Poses up to which CasADi is faster: NumPy costs a call an instruction."""
+"""Number of poses up to which CasADi is faster; NumPy has the cost of a call per instruction."""
 PORTION: Final = 16384
-"""Poses at a time, so that what is held of them stays in cache."""
+"""Poses per chunk, few enough to fit in cache."""
 
 
 class _Routine:
-    """One function of a problem, evaluated column by column."""
+    """One function of a problem, evaluated on columns."""
 
     def __init__(self, problem: InverseProblem, name: str) -> None:
         self._problem = problem
@@ -38,7 +38,7 @@ class _Routine:
         return Tape.of(self._function)
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
-        """(inputs, rows) → (outputs, rows)."""
+        """Return (outputs, rows) from (inputs, rows)."""
         if columns.shape[1] > FEW and self._tape is not None:
             return self._tape(list(columns))
         ends = np.cumsum([self._function.numel_in(k) for k in range(self._function.n_in())])
@@ -48,7 +48,7 @@ class _Routine:
 
 @final
 class NumpySolver:
-    """One problem, solved by NumPy."""
+    """Solver of one problem with NumPy."""
 
     def __init__(self, problem: InverseProblem) -> None:
         self.problem = problem
@@ -57,13 +57,13 @@ class NumpySolver:
         )
 
     def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
-        """(n,) mm left at the point at (n, axes) positions in mm and degrees."""
+        """Return the (n,) remaining distances of the point in mm at (n, axes) positions in mm and degrees."""
         x = self._columns(batch)
         x[: self.problem.axes] = (positions * self.problem.scale).T
         return np.sqrt(self._check(x)[2]) / self.problem.mm
 
     def solve(self, batch: Batch) -> BatchOutcome:
-        """All poses of a batch."""
+        """Solve all poses of a batch."""
         found = BatchOutcome.empty(len(batch), self.problem.axes)
         iterations = 0
         for start in range(0, len(batch), PORTION):
@@ -74,7 +74,7 @@ class NumpySolver:
         return replace(found, iterations=iterations)
 
     def _columns(self, batch: Batch) -> np.ndarray:
-        """(inputs, n) of a routine."""
+        """Return the (inputs, n) columns for a routine."""
         problem = self.problem
         x = np.empty((problem.inputs, len(batch)))
         x[: problem.axes] = (batch.start * problem.scale).T
@@ -111,7 +111,7 @@ class NumpySolver:
         return self._judged(x, good, singular, iterations)
 
     def _newton(self, x: np.ndarray, *, rotary: bool) -> tuple[np.ndarray, np.ndarray, int]:
-        """Columns after Newton's method, whether each converged, and the steps taken."""
+        """Return the columns after Newton's method, whether each converged, and the number of steps."""
         problem, axes = self.problem, self.problem.axes
         x, step = x.copy(), self._turn if rotary else self._follow
         done = np.zeros(x.shape[1], dtype=bool)
@@ -119,7 +119,7 @@ class NumpySolver:
         active, moving, matrices = np.arange(x.shape[1]), x, x[:0]
         for steps in range(problem.steps + 1):
             if steps >= 2:
-                # Most are done by now: the residual alone says so at half the price.
+                # Most poses have converged by now; the residual alone costs half as much as a step.
                 found = self._check(moving)
                 size = found[0 if rotary else 1]
                 finished = self._finished(size, last[active])
@@ -129,7 +129,7 @@ class NumpySolver:
                 if not active.size:
                     return x, done, steps
                 if steps == 2 and rotary:
-                    # And what is missing is so little that the matrices at hand will do.
+                    # The remaining residuals are so small that the last matrices can be reused.
                     last[active] = size[left]
                     moved = moving[:axes] + self._again(np.concatenate([found[-5:, left], matrices[:, left]]))
                     far = np.flatnonzero(size[left] > problem.near)
@@ -151,12 +151,12 @@ class NumpySolver:
         return x, done, steps
 
     def _finished(self, size: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Converged: within a tenth of the promise, or no longer improving while within it."""
+        """Return whether each pose converged: within a tenth of the tolerance, or within it and no longer improving."""
         tolerance = self.problem.tolerance
         return (size <= 0.1 * tolerance) | ((size <= tolerance) & (size >= last))
 
     def _admissible(self, x: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Whether the rotary axes stayed within what a repair may move them, and in range."""
+        """Return whether the rotary axes stayed within the change and the range permitted for a correction."""
         problem, rotary = self.problem, list(self.problem.rotary)
         turned = x[rotary].T
         inside = (turned >= problem.limits[:, 0]) & (turned <= problem.limits[:, 1])
@@ -178,5 +178,5 @@ class NumpySolver:
 
 
 def angle(apart: np.ndarray) -> np.ndarray:
-    """Radians between unit vectors that far apart."""
+    """Return the angles in radians between unit vectors from the distances between their ends."""
     return np.asarray(2.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)))

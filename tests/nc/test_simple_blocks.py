@@ -1,4 +1,4 @@
-"""Plain blocks take a short way: it reads and writes exactly what the general way does."""
+"""Simple blocks are read and written by a faster path, with exactly the same result as by the general path."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
 from twin.nc.iso import stream
 from twin.nc.iso import vocabulary as iso_vocabulary
-from twin.nc.plain import NOTHING, Plain
+from twin.nc.simple_blocks import NOTHING, SimpleBlocks
 
 ISO, PLAIN = (dialect_for(Path(name)) for name in ("a.nc", "a.h"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
@@ -41,7 +41,7 @@ def rarely(draw, chances=12):
 
 @st.composite
 def axis_words(draw, names, *, glue=("", " ", "  ", "\t"), plus=False):
-    """Axis words, mostly in the usual order and well written, sometimes not."""
+    """Draw axis words, mostly in the usual order and well formed."""
     chosen = draw(st.lists(st.sampled_from(names), min_size=1, max_size=5, unique=not rarely(draw, 30)))
     if not rarely(draw):
         chosen = sorted(chosen, key="XYZABCUVW".find)
@@ -95,7 +95,7 @@ ISO_STRANGE = [
 
 
 def lines_of(draw, plain, special, strange, most=20):
-    """Lines of a program: plain ones, those that are not, and a few strange ones."""
+    """Draw lines of a program: simple ones, others, and a few unusual ones."""
     lines = []
     for _ in range(draw(st.integers(1, most))):
         if rarely(draw, 60):
@@ -107,7 +107,7 @@ def lines_of(draw, plain, special, strange, most=20):
 
 @st.composite
 def mixed_iso(draw, names=AXES.names):
-    """Plain blocks among those that are not, and modal words that change what plain blocks mean."""
+    """Draw simple and other blocks, with modal words that change the meaning of simple blocks."""
     mode = draw(st.sampled_from(sorted(ISO_MODES)))
     setting, tails = ISO_MODES[mode]
     upright = names[:3] if "vectors" in mode else names
@@ -147,7 +147,7 @@ PLAIN_STRANGE = [
 
 @st.composite
 def mixed_plain(draw):
-    """The same in plain language."""
+    """Draw the same in Heidenhain plain language."""
     tcp = draw(st.booleans())
     comma = draw(st.booleans())
     tilts = ["", " TX+0 TY+0.6 TZ+0.8", " NX+0 NY+0 NZ+1 TX+0 TY+0 TZ+1", " NZ-2", " TX+1", " TY-1 TZ+2"]
@@ -173,12 +173,12 @@ def mixed_plain(draw):
 
 
 def shown(reading):
-    """A reading in a form that compares (NaN is NaN, sets have no order)."""
+    """Return an interpretation in comparable form (NaN equals NaN, sets are sorted)."""
     return [repr(move._replace(named=tuple(sorted(move.named)))) for move in reading.moves], repr(reading.notices)
 
 
 def outcome(work):
-    """What comes of some work: its result, or its error."""
+    """Return the result of a function, or its error as text."""
     try:
         return work()
     except InputError as error:
@@ -186,7 +186,7 @@ def outcome(work):
 
 
 def new_positions(reading, seed, width):
-    """Rewrites of most moves: shifted or not, whole or in pieces, with tool vectors or without."""
+    """Return rewrites of most moves: shifted or not, in one or more segments, with tool vectors or without."""
     choice = random.Random(seed)
     tilted = choice.random() < 0.7
     most = choice.choice([1, 1, 2, 3])
@@ -197,13 +197,13 @@ def new_positions(reading, seed, width):
         if move.machine or choice.random() < kept:
             continue
         size = choice.choice([0.0, 0.0004, 0.05, 7.0])
-        pieces = choice.randint(1, most)
-        rows = np.array([[v + size * choice.uniform(-1, 1) for v in move.position] for _ in range(pieces)])
+        segments = choice.randint(1, most)
+        rows = np.array([[v + size * choice.uniform(-1, 1) for v in move.position] for _ in range(segments)])
         if choice.random() < 0.05:
             rows[:, choice.randrange(width)] = np.nan
         vectors = None
         if move.vector is not None and tilted:
-            vectors = np.array([move.vector] * pieces) + 0.01 * choice.randint(0, lean)
+            vectors = np.array([move.vector] * segments) + 0.01 * choice.randint(0, lean)
             vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
         rewrites.append(Rewrite(move, rows, vectors))
     return rewrites
@@ -211,17 +211,17 @@ def new_positions(reading, seed, width):
 
 @contextmanager
 def way(name):
-    """Read and write token by token, by the patterns of plain blocks, or (ISO) all plain blocks of a run at once."""
+    """Read and write token by token, by the patterns of simple blocks, or (ISO) all simple blocks of a run together."""
     with pytest.MonkeyPatch.context() as patch:
         if name == "tokens":
             for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
-                patch.setattr(vocabulary, "plain", lambda names: Plain(NOTHING, (), ()))
+                patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
         patch.setattr(stream, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
         yield
 
 
 def by_every_way(work):
-    """What comes of some work, by every way."""
+    """Yield the outcome of a function by each path."""
     for name in ("tokens", "plain", "runs"):
         with way(name):
             yield outcome(work)
@@ -268,7 +268,7 @@ def test_plain_language(text, seed, tcp):
 
 @pytest.mark.parametrize("name", ["tokens", "plain"])
 def test_fmax_is_a_rapid_of_its_own_block(name):
-    """Heidenhain: FMAX works block by block, every other feed until the next; either reader has to know one from the other."""
+    """Heidenhain: FMAX applies to its block only, any other feed until the next; both readers must distinguish them."""
     lines = {
         "L X+0 Y+0 Z+0 B+0 C+0 R0 FMAX": Kind.RAPID,
         "L X+1 R0 F500": Kind.LINEAR,
@@ -285,8 +285,8 @@ def test_fmax_is_a_rapid_of_its_own_block(name):
     with way(name):
         reading = PLAIN.moves(program, AXES, tcp=False)
     assert [move.kind for move in reading.moves] == list(lines.values())
-    # Most of these blocks are of the short way, where it may be taken.
-    pattern = heidenhain_vocabulary.plain(AXES.names).pattern
+    # Most of these blocks are simple, and take the faster path if it is enabled.
+    pattern = heidenhain_vocabulary.simple_pattern(AXES.names).pattern
     assert sum(pattern.fullmatch(f"{line}\n") is not None for line in lines) >= 5
 
 
@@ -321,7 +321,7 @@ HANDED_ON = {
 
 @pytest.mark.parametrize("name", HANDED_ON)
 def test_what_one_way_leaves_to_the_other(name):
-    """Modal habits of program and output go from plain blocks to others and back."""
+    """Modal state and formatting are passed between simple and other blocks, in both directions."""
     dialect, text = HANDED_ON[name]
     for seed in range(60):
         check(dialect, text, seed)
@@ -338,7 +338,7 @@ def test_programs_of_others(suffix):
     ("plain", "yes", "no"),
     [
         (
-            iso_vocabulary.plain(AXES.names),
+            iso_vocabulary.simple_pattern(AXES.names),
             [
                 "G1 X1.5\n",
                 "X1",
@@ -366,7 +366,7 @@ def test_programs_of_others(suffix):
             ],
         ),
         (
-            heidenhain_vocabulary.plain(AXES.names),
+            heidenhain_vocabulary.simple_pattern(AXES.names),
             ["L X+1\n", "10 L X+1,5 Y-2 R0 FMAX", "l c+5 F500", "LN X+1 TX+0 TY+0 TZ+1"],
             ["L", "L F5", "LX+1", "L IX+1", "L X+1 M3", "L X+Q1", "C X+1 DR+", "L X+1 RL", "X+1", "L X+1 ~"],
         ),
@@ -374,6 +374,6 @@ def test_programs_of_others(suffix):
     ids=["iso", "plain language"],
 )
 def test_what_is_plain(plain, yes, no):
-    """The short way is taken at all: a pattern that never matched would pass every other test here."""
+    """The patterns do match; otherwise every other test here would pass without the faster path."""
     assert [text for text in yes if not plain.pattern.fullmatch(text)] == []
     assert [text for text in no if plain.pattern.fullmatch(text)] == []
