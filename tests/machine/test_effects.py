@@ -137,8 +137,8 @@ def test_bounds_are_of_its_own_unit(one: Specification, machine: Machine) -> Non
     units |= {
         parameter.unit for where in one.places(machine)[:1] for parameter in _at(one, machine, where).parameters[:1]
     }
-    assert not one.largest or units & set(one.largest)
-    assert all(0.0 < size < np.inf for size in one.largest.values())
+    assert not one.limits or units & set(one.limits)
+    assert all(0.0 < size < np.inf for size in one.limits.values())
 
 
 def _at(one: Specification, machine: Machine, where: str) -> Effect:
