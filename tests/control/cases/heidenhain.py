@@ -15,7 +15,7 @@ GOOD = {
 }
 BAD = [
     ("X_CORR.COM", "+0.002 +0.001", "+0.002", 4, "cells"),
-    ("X_CORR.COM", "1 100", "1 0", 4, "do not rise"),
+    ("X_CORR.COM", "1 100", "1 0", 4, "do not increase"),
     ("X_CORR.COM", "X Y", "X W", 2, "no such axis"),
     ("X_CORR.COM", "+0.001 +0.002", "+0.001 ja", 3, "no number"),
     ("X_CORR.COM", "COM MM", "COM INCH", 1, "not in mm"),

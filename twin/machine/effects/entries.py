@@ -79,7 +79,7 @@ def effect_named(
     if specification is None or specification.make is None:
         known = list(specifications)
         raise InputError(
-            "unknown effect", expected=f"one of {', '.join(known)}", value=effect, nearest=nearest(effect, known)
+            "no such effect", expected=f"one of {', '.join(known)}", value=effect, nearest=nearest(effect, known)
         )
     values = specification.numbers_of(where, numbers)
     if not specification.open_places and where not in specification.places(machine):

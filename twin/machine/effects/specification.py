@@ -76,7 +76,7 @@ class Found:
 @final
 @dataclass(frozen=True)
 class Drawing:
-    """How a cause is plotted.
+    """Plot of a cause.
 
     Attributes:
         columns: place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place.
@@ -253,7 +253,7 @@ class Specification:
         places = self.places(machine)
         expected = f"one of {', '.join(places)}" if self.expected is None else self.expected(machine)
         return InputError(
-            f"unknown place for {self.name}", expected=expected, value=where, nearest=nearest(where, places)
+            f"no such place for {self.name}", expected=expected, value=where, nearest=nearest(where, places)
         )
 
     def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
