@@ -199,7 +199,9 @@ def test_what_did_not_settle_is_used_for_nothing(
     report = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
     assert "Use this calibration" in [step.title for step in report.advice.steps if step.kind == "never"]
     replace(calibration, settled=False).save(drill.parent / "five.yaml")
-    with pytest.raises(InputError, match=r"five.yaml: .* did not settle: 'settled: false'; expected one that did"):
+    with pytest.raises(
+        InputError, match=r"five.yaml: .* did not settle: 'settled: false'; expected a settled estimate"
+    ):
         compensate("cone_frustum.nc", dmu50, Calibration.load(drill.parent / "five.yaml", dmu50))
 
 

@@ -12,7 +12,7 @@ from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import Machine
-from twin.machine.urdf_file import MOST_BYTES, MOST_LINKS, MOST_MOVING
+from twin.machine.urdf_file import MAX_BYTES, MAX_LINKS, MAX_MOVING_JOINTS
 from twin.planning.sight import machine_shapes
 
 QUILL = '<link name="quill"/>'
@@ -154,9 +154,9 @@ def test_a_file_that_is_no_urdf(tmp_path: Path, raw: bytes) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (chain(MOST_LINKS + 1), "too many links"),
-        (chain(MOST_MOVING + 2, "prismatic"), "too many moving joints"),
-        ("<robot>" + " " * MOST_BYTES + "</robot>", "too large"),
+        (chain(MAX_LINKS + 1), "too many links"),
+        (chain(MAX_MOVING_JOINTS + 2, "prismatic"), "too many moving joints"),
+        ("<robot>" + " " * MAX_BYTES + "</robot>", "too large"),
     ],
 )
 def test_a_urdf_beyond_its_bounds(tmp_path: Path, text: str, what: str) -> None:
@@ -177,9 +177,9 @@ def test_20_000_links_do_not_end_the_process(tmp_path: Path) -> None:
 
 def test_a_chain_at_its_bounds_is_read(tmp_path: Path) -> None:
     path = few_axes.write_drill(tmp_path)
-    path.with_suffix(".urdf").write_text(chain(MOST_MOVING + 1, "prismatic"))
-    text = path.read_text().replace("x_joint", "j1").replace("z_joint", f"j{MOST_MOVING}")
-    path.write_text(text.replace("quill", f"l{MOST_MOVING}").replace("table", "l0"))
+    path.with_suffix(".urdf").write_text(chain(MAX_MOVING_JOINTS + 1, "prismatic"))
+    text = path.read_text().replace("x_joint", "j1").replace("z_joint", f"j{MAX_MOVING_JOINTS}")
+    path.write_text(text.replace("quill", f"l{MAX_MOVING_JOINTS}").replace("table", "l0"))
     machine = Machine.load(path)
     assert Kinematics(machine).forward([[100.0, -50.0]]).point_mm[0] == pytest.approx([50.0, 0.0, 0.0])
 

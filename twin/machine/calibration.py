@@ -249,7 +249,7 @@ class Calibration:
         if not self.settled:
             raise InputError(
                 "the estimate this calibration comes from did not settle",
-                expected="a settled estimate: identify again with more readings, other poses, or known positions of targets and stations",
+                expected="a settled estimate: identify again with more readings, other poses, or known target and station positions",
                 file=self.path,
                 value="settled: false",
             )

@@ -28,8 +28,8 @@ import pinocchio as pin
 
 from twin._common.errors import InputError, nearest
 from twin.machine.effects import Empirical, Frame
-from twin.machine.effects.base import at_rest
-from twin.machine.effects.empirical import Turning, state_name
+from twin.machine.effects.base import rest_orientation
+from twin.machine.effects.empirical import FrameRotation, state_name
 from twin.machine.effects.waves import APPROACH, Kind, Waves
 from twin.machine.machine import ErrorFrame, Machine
 
@@ -40,8 +40,8 @@ NOTE: Final = (
     "half_waves k: cos(k pi (value - low)/(high - low)); whole_turns ck, sk: cos, sin of k times the angle; direction: +1 or -1."
 )
 """Explanation for readers of the file; not evaluated."""
-LARGEST_UM: Final = 20_000.0
-MOST_ORDERS: Final = 64
+MAX_COEFFICIENT_UM: Final = 20_000.0
+MAX_ORDER: Final = 64
 """Largest coefficient and highest order accepted in a file."""
 Along = Literal["base", "tool", "work"]
 
@@ -98,8 +98,8 @@ def empirical_named(
             raise InputError(
                 f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=nearest(name, known)
             )
-        if abs(value) > LARGEST_UM:
-            expected = f"at most {LARGEST_UM:g} µm"
+        if abs(value) > MAX_COEFFICIENT_UM:
+            expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
             raise InputError(f"{name} of {NAME} {where} is no error of a machine", expected=expected, value=value)
     if not numbers:
         raise InputError(f"{NAME} {where} has no parameters", expected=f"some of {known[0]} … {known[-1]}")
@@ -107,7 +107,7 @@ def empirical_named(
     return Empirical(where, along, waves, numbers, frame, turning)
 
 
-def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Turning]:
+def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, FrameRotation]:
     """Return the error frame in which a shift of one side acts, and the rotation to it from the axes along which the shift is given.
 
     Args:
@@ -133,14 +133,14 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Turn
                 expected="a machine whose base directions are fixed on both sides",
             )
         none = np.zeros((3, 3))
-        return Frame(first.axis, first.role), Turning(at_rest(machine, first.joint).T, None, none, none)
+        return Frame(first.axis, first.role), FrameRotation(rest_orientation(machine, first.joint).T, None, none, none)
     last = frames[int(np.argmax(order))]
     axis = machine.by_name[last.axis]
     start, half, quarter = (_seen_from(machine, last, target, angle) for angle in (0.0, pi, pi / 2.0))
     constant = 0.5 * (start + half)
     if axis.linear:
-        return Frame(last.axis, last.role), Turning(start, None, np.zeros((3, 3)), np.zeros((3, 3)))
-    return Frame(last.axis, last.role), Turning(constant, axis.name, 0.5 * (start - half), quarter - constant)
+        return Frame(last.axis, last.role), FrameRotation(start, None, np.zeros((3, 3)), np.zeros((3, 3)))
+    return Frame(last.axis, last.role), FrameRotation(constant, axis.name, 0.5 * (start - half), quarter - constant)
 
 
 def where_of(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
@@ -216,8 +216,8 @@ def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
                 f"{what} is a direction", expected="neither order nor range", value=given.order or given.range
             )
         return Waves(name, "direction", 1)
-    if given.order is None or not 1 <= given.order <= MOST_ORDERS:
-        raise InputError(f"order of {what}", expected=f"1 to {MOST_ORDERS}", value=given.order)
+    if given.order is None or not 1 <= given.order <= MAX_ORDER:
+        raise InputError(f"order of {what}", expected=f"1 to {MAX_ORDER}", value=given.order)
     if given.functions == "whole_turns":
         if given.range is not None:
             raise InputError(f"{what} is periodic", expected="no range", value=list(given.range))

@@ -87,12 +87,12 @@ class Scope:
     Attributes:
         classes: basic classes, corrected at the functional point.
         orientation: whether the functional orientation is corrected too (``FOR``).
-        asked: whether the user chose the scope; otherwise it is the default.
+        explicit: whether the user chose the scope; otherwise it is the default.
     """
 
     classes: frozenset[str]
     orientation: bool
-    asked: bool
+    explicit: bool
 
     @classmethod
     def parse(cls, names: Iterable[str]) -> Scope:
@@ -114,12 +114,12 @@ class Scope:
             found.update(COMBINED.get(upper, (upper,)))
         if not found:
             raise InputError("an empty scope", expected=f"some of {' '.join(NAMES)}")
-        return cls(frozenset(found - {"FOR"}), "FOR" in found, asked=True)
+        return cls(frozenset(found - {"FOR"}), "FOR" in found, explicit=True)
 
     @classmethod
     def everything(cls, *, orientation: bool) -> Scope:
         """Return the default scope: all classes, and the orientation if the program moves rotary axes."""
-        return cls(frozenset(BASIC), orientation, asked=False)
+        return cls(frozenset(BASIC), orientation, explicit=False)
 
     def at_point(self, name: str, machine: Machine) -> bool:
         """Return whether an error is corrected at the functional point."""
@@ -152,7 +152,7 @@ class Scope:
             ("at the functional point", ", ".join(name for name in BASIC if name in self.classes) or "none"),
             ("functional orientation", "corrected by the rotary axes (FOR)" if self.orientation else "not corrected"),
         ]
-        return card(f"Scope {self}", pairs(rows), small="chosen" if self.asked else "the default").text
+        return card(f"Scope {self}", pairs(rows), small="chosen" if self.explicit else "the default").text
 
     def __str__(self) -> str:
         parts: list[str] = [name for name in BASIC if name in self.classes]

@@ -142,12 +142,12 @@ class Machine:
         entries, lines = load_yaml(path, MachineFile, SCHEMA)
         self.name = entries.name
         self.path = path
-        self.urdf = _beside(path, entries.urdf)
+        self.urdf = _relative_to(path, entries.urdf)
         self.tool_length_mm = entries.programs.tool_length
         self._plausible = entries.plausible
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
-        self.default_calibration = None if entries.calibration is None else _beside(path, entries.calibration)
+        self.default_calibration = None if entries.calibration is None else _relative_to(path, entries.calibration)
         if not _is_file(self.urdf):
             raise InputError(
                 "no such URDF",
@@ -395,7 +395,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _beside(path: Path, name: str) -> Path:
+def _relative_to(path: Path, name: str) -> Path:
     """Return the path of a file named in another file, relative to that file; unchanged if it cannot be resolved."""
     try:
         return (path.parent / name).resolve()

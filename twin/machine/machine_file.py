@@ -16,16 +16,16 @@ from twin._common.yaml_files import Place, line_of
 from twin.machine.urdf_file import read_urdf
 
 SCHEMA = "twin.machine/1"
-MOST_AXES: Final = 16
+MAX_AXES: Final = 16
 """Largest number of axes. An axis has up to twelve error components, and Pinocchio's data grow with the cube of their total number."""
-FARTHEST: Final = 1e6
+MAX_POSITION: Final = 1e6
 """Largest position of an axis, mm or degrees: a kilometre."""
 LONGEST_TOOL_MM: Final = 5_000.0
 """Largest tool length: twice that of long boring bars. A larger value is a wrong unit or a misplaced decimal point."""
-UPRIGHT: Final = 0.7071
+MIN_ALIGNMENT: Final = 0.7071
 """Cosine of the largest angle, 45° (rounded), between a direction of a linear axis's error frame and that of the base frame."""
 
-_Position = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+_Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 
 
 @final
@@ -37,7 +37,7 @@ class AxisEntry(BaseModel):
     joint: str
     kind: Literal["linear", "rotary"]
     range: tuple[_Position, _Position] | Literal["unlimited"]
-    increment: Annotated[float, Field(gt=0, le=FARTHEST)]
+    increment: Annotated[float, Field(gt=0, le=MAX_POSITION)]
     error_frame_rpy_deg: tuple[_Position, _Position, _Position] = (0.0, 0.0, 0.0)
 
 
@@ -86,7 +86,7 @@ class MachineFile(BaseModel):
     name: str
     urdf: str
     calibration: str | None = None
-    axes: Annotated[tuple[AxisEntry, ...], Field(min_length=1, max_length=MOST_AXES)]
+    axes: Annotated[tuple[AxisEntry, ...], Field(min_length=1, max_length=MAX_AXES)]
     frames: Frames
     programs: Programs = Programs()
     plausible: Plausible = Plausible()
@@ -188,7 +188,7 @@ def turns_in_machine_frame(
     linear = [entry.name for entry in entries.axes if entry.kind == "linear"]
     for reference in (*(turns[name] for name in linear[:1]), np.eye(3)):
         found = {name: reference.T @ turn for name, turn in turns.items()}
-        turned = [name for name in linear if np.min(np.diag(found[name])) < UPRIGHT]
+        turned = [name for name in linear if np.min(np.diag(found[name])) < MIN_ALIGNMENT]
         if not turned:
             return found
     angles = np.round(pin.rpy.matrixToRpy(joints[turned[0]].T) / DEG, 4) + 0.0

@@ -18,19 +18,19 @@ from xml.parsers import expat
 from twin._common.errors import InputError, nearest
 from twin._common.files import read_text
 
-MOST_BYTES: Final = 4_000_000
+MAX_BYTES: Final = 4_000_000
 """Largest file accepted. The files that come with twin have 20 kB."""
-MOST_LINKS: Final = 1_000
+MAX_LINKS: Final = 1_000
 """Largest number of links. Pinocchio's reader recurses along the chain and ends the process at some 10,000."""
-MOST_MOVING: Final = 50
+MAX_MOVING_JOINTS: Final = 50
 """Largest number of moving joints. The memory of Pinocchio's data grows with the cube of it: 64 MB per table at 200."""
-MOST_NESTED: Final = 100
+MAX_NESTING: Final = 100
 """Deepest nesting of XML elements; a URDF needs six."""
-FARTHEST_M: Final = 1e3
+MAX_COORDINATE_M: Final = 1e3
 """Largest coordinate and size, m. Beyond it, double precision does not resolve a picometre."""
-FARTHEST_MASS: Final = 5.0
+MAX_MASS_DISTANCE: Final = 5.0
 """Largest distance of a centre of mass from its link, as a multiple of the total length of all joints (at least 1 m)."""
-SHORTEST_AXIS: Final = 1e-6
+MIN_AXIS_LENGTH: Final = 1e-6
 """Shortest axis vector accepted; Pinocchio scales it to length one."""
 MOVING: Final = ("prismatic", "revolute", "continuous")
 TYPES: Final = (*MOVING, "fixed")
@@ -130,8 +130,8 @@ def _text(path: Path) -> str:
         size = path.stat().st_size
     except OSError as error:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
-    if size > MOST_BYTES:
-        raise InputError("too large for a URDF", expected=f"at most {MOST_BYTES:,} bytes", file=path, value=f"{size:,}")
+    if size > MAX_BYTES:
+        raise InputError("too large for a URDF", expected=f"at most {MAX_BYTES:,} bytes", file=path, value=f"{size:,}")
     return read_text(path)
 
 
@@ -144,8 +144,8 @@ def _parsed(text: str, path: Path) -> Element:
         return InputError(what, expected=expected, file=path, line=parser.CurrentLineNumber)
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        if len(stack) > MOST_NESTED:
-            raise refuse("elements nested too deeply", f"at most {MOST_NESTED} levels")
+        if len(stack) > MAX_NESTING:
+            raise refuse("elements nested too deeply", f"at most {MAX_NESTING} levels")
         element = Element(name, attributes, parser.CurrentLineNumber)
         stack[-1].children.append(element)
         stack.append(element)
@@ -196,11 +196,11 @@ def _check_number(one: Element, name: str, text: str, count: int, path: Path) ->
     values = [float(word) for word in words]
     if not all(map(math.isfinite, values)):
         raise refuse("finite numbers")
-    if (one.name, name) in _LENGTHS and max(map(abs, values)) > FARTHEST_M:
-        raise refuse(f"metres, at most {FARTHEST_M:g}")
+    if (one.name, name) in _LENGTHS and max(map(abs, values)) > MAX_COORDINATE_M:
+        raise refuse(f"metres, at most {MAX_COORDINATE_M:g}")
     if (one.name, name) in _NOT_NEGATIVE and min(values) < 0.0:
         raise refuse("zero or more")
-    if one.name == "axis" and not SHORTEST_AXIS <= math.hypot(*values) <= 1.0 / SHORTEST_AXIS:
+    if one.name == "axis" and not MIN_AXIS_LENGTH <= math.hypot(*values) <= 1.0 / MIN_AXIS_LENGTH:
         raise refuse('a unit vector, such as "1 0 0"')
 
 
@@ -209,13 +209,13 @@ def _check_tree(robot: Element, path: Path) -> None:
     links, joints = robot.each("link"), robot.each("joint")
     if not links:
         raise InputError("no links", expected="a robot of links and joints", file=path, line=robot.line)
-    if len(links) > MOST_LINKS or len(joints) > MOST_LINKS:
+    if len(links) > MAX_LINKS or len(joints) > MAX_LINKS:
         raise InputError(
-            "too many links", expected=f"at most {MOST_LINKS:,}", file=path, value=max(len(links), len(joints))
+            "too many links", expected=f"at most {MAX_LINKS:,}", file=path, value=max(len(links), len(joints))
         )
     moving = sum(joint.attributes.get("type") in MOVING for joint in joints)
-    if moving > MOST_MOVING:
-        raise InputError("too many moving joints", expected=f"at most {MOST_MOVING}", file=path, value=moving)
+    if moving > MAX_MOVING_JOINTS:
+        raise InputError("too many moving joints", expected=f"at most {MAX_MOVING_JOINTS}", file=path, value=moving)
     for kind, parts in (("link", links), ("joint", joints)):
         seen: Counter[str] = Counter()
         for part in parts:
@@ -254,14 +254,14 @@ def _check_masses(robot: Element, path: Path) -> None:
         if joint.attributes.get("type") == "prismatic"
         for limit in joint.each("limit")
     ]
-    farthest = FARTHEST_MASS * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
+    farthest = MAX_MASS_DISTANCE * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
     for link in robot.each("link"):
         for origin in (origin for inertial in link.each("inertial") for origin in inertial.each("origin")):
             away = math.hypot(*_numbers(origin, "xyz"))
             if away > farthest:
                 raise InputError(
                     f"the centre of mass of {link.attributes['name']} is {away:g} m away",
-                    expected=f"metres, within {farthest:.3g} m of the link, {FARTHEST_MASS:g} times the length of all joints",
+                    expected=f"metres, within {farthest:.3g} m of the link, {MAX_MASS_DISTANCE:g} times the length of all joints",
                     file=path,
                     line=origin.line,
                     value=origin.attributes["xyz"],

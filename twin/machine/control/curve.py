@@ -26,7 +26,7 @@ class ControlCurve:
     """Values at positions of one axis, with linear interpolation and constant continuation beyond the ends.
 
     Attributes:
-        of: the axis it is a function of.
+        argument: name of the axis of which it is a function.
         at: nodes, mm or degrees, increasing; at least one.
         values: values at the nodes.
         period: period of an unlimited rotary axis, into which positions are wrapped from the first node on; None for no wrapping.
@@ -34,7 +34,7 @@ class ControlCurve:
             directions have weight one half.
     """
 
-    of: str
+    argument: str
     at: tuple[float, ...]
     values: tuple[float, ...]
     period: float | None = None
@@ -42,10 +42,10 @@ class ControlCurve:
 
     def __call__(self, positions: Mapping[str, Any]) -> Any:
         """Return the value at positions of the machine; see `Correction.shift`."""
-        value = self.along(positions[self.of])
+        value = self.along(positions[self.argument])
         if self.direction == 0:
             return value
-        name = f"approach_{self.of}"
+        name = f"approach_{self.argument}"
         side = positions[name] if name in positions else 0.0
         return 0.5 * (1.0 + self.direction * side) * value
 
@@ -107,14 +107,16 @@ class ControlTerm:
     @property
     def key(self) -> tuple[object, ...]:
         """Identity of the table: the axis moved, and axis and direction of every factor."""
-        return (self.axis, *((curve.of, curve.direction) for curve in self.factors))
+        return (self.axis, *((curve.argument, curve.direction) for curve in self.factors))
 
     @property
     def name(self) -> str:
         """``Y by X``, ``X by X times Z``, ``X by X, X moving up``."""
         first = self.factors[0]
-        side = {0: "", 1: f", {first.of} moving up", -1: f", {first.of} moving down"}[first.direction]
-        return f"{self.axis} by {first.of}{''.join(f' times {other.of}' for other in self.factors[1:])}{side}"
+        side = {0: "", 1: f", {first.argument} moving up", -1: f", {first.argument} moving down"}[first.direction]
+        return (
+            f"{self.axis} by {first.argument}{''.join(f' times {other.argument}' for other in self.factors[1:])}{side}"
+        )
 
 
 @final
@@ -154,7 +156,9 @@ class Terms(Correction):
         singles: dict[tuple[str, str], list[ControlTerm]] = {}
         products: list[ControlTerm] = []
         for term in (*old.terms, *self.terms):
-            alike = singles.setdefault((term.axis, term.factors[0].of), []) if len(term.factors) == 1 else products
+            alike = (
+                singles.setdefault((term.axis, term.factors[0].argument), []) if len(term.factors) == 1 else products
+            )
             alike.append(term)
         found: list[ControlTerm] = []
         for terms in singles.values():

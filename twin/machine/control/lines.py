@@ -68,7 +68,7 @@ class TableLine:
         return machine.by_name[name]
 
 
-def numbered(path: Path) -> list[TableLine]:
+def table_lines(path: Path) -> list[TableLine]:
     """Return all lines of a file.
 
     Raises:
@@ -77,14 +77,14 @@ def numbered(path: Path) -> list[TableLine]:
     return [TableLine(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
-def check_rising(at: Sequence[float], lines: Sequence[TableLine]) -> None:
+def check_increasing(at: Sequence[float], lines: Sequence[TableLine]) -> None:
     """Raise `InputError` unless positions increase from line to line."""
     for before, after, line in zip(at, at[1:], lines[1:], strict=False):
         if after <= before:
             raise line.error("positions do not increase", f"more than {before:g}", f"{after:g}")
 
 
-def the_one(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
+def single_file(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
     """Return the only file with a suffix.
 
     Raises:
@@ -110,6 +110,6 @@ def unit_of(axis: Axis) -> float:
     return UM_IN_MM if axis.linear else URAD_IN_DEG
 
 
-def plain(value: float, digits: int) -> str:
+def fixed_decimals(value: float, digits: int) -> str:
     """Return a number with ``digits`` decimals, without a minus sign before zero."""
     return f"{round(value, digits) + 0.0:.{digits}f}"

@@ -19,7 +19,7 @@ from twin.machine.control.correction import Content, Correction
 from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
-CONSTANT: Final = 1e-12
+DIRECTION_TOLERANCE: Final = 1e-12
 _SIGN: Final = {"tool": 1.0, "work": -1.0, "both": 0.0}
 """Sign of the motion of the tool relative to the workpiece, by the side that moves."""
 
@@ -73,7 +73,7 @@ def at_rest(machine: Machine) -> RestGeometry:
 
 @lru_cache(maxsize=16)
 def _poses(machine: Machine) -> ca.Function:
-    """Return the function q (axes,), m and rad → rotation and origin (m) of every axis's error frame and the tool frame, in the base."""
+    """Return the function q (axes,), m and rad → rotation and origin (m), in the base, of all axes' error frames and the tool frame."""
     q = ca.SX.sym("q", len(machine.axes))
     joints = {frame.axis: frame.joint for frame in machine.frames if frame.role == "motion"}
     poses = [joint_in_base(machine, joints[axis.name], q, None) for axis in machine.axes]
@@ -92,7 +92,7 @@ def check_linear(machine: Machine) -> np.ndarray:
     rng = np.random.default_rng(0)
     for _ in range(3):
         there = np.array([rng.uniform(*axis.domain) for axis in machine.axes]) * machine.scale
-        if np.abs(_directions(machine, there) @ inverse - np.eye(3)).max() > CONSTANT:
+        if np.abs(_directions(machine, there) @ inverse - np.eye(3)).max() > DIRECTION_TOLERANCE:
             raise InputError(
                 f"{machine.name}: the direction of a linear axis changes when another axis moves",
                 expected="linear axes that keep their direction",
@@ -106,7 +106,7 @@ def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
     turns = _poses(machine)(q)[::2]
     axes = [machine.axes[i] for i in machine.linear]
     columns = [_SIGN[machine.axes[i].side] * np.array(turns[i]) @ machine.axes[i].direction for i in machine.linear]
-    if len(axes) != 3 or abs(np.linalg.det(np.array(columns))) < CONSTANT:
+    if len(axes) != 3 or abs(np.linalg.det(np.array(columns))) < DIRECTION_TOLERANCE:
         raise InputError(
             f"{machine.name} does not have three independent linear axes",
             expected="three linear axes, or a format with tables of single axes (linuxcnc, heidenhain, siemens)",
@@ -116,7 +116,7 @@ def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _undone(machine: Machine) -> tuple[ca.Function, BatchFunction]:
+def _correction_function(machine: Machine) -> tuple[ca.Function, BatchFunction]:
     """Return the function of the linear axes' correction: (q m and rad, errors (6, axes) µm and µrad, length m) → (3,) µm.
 
     Errors of an axis are a shift of the point `RestGeometry.centre` that moves with it and a rotation, along the directions of the base
@@ -176,7 +176,7 @@ class Volumetric(Correction):
         errors = [
             curves[name][i](positions) if i in curves.get(name, {}) else 0.0 for name in machine.names for i in range(6)
         ]
-        (expression, batch), row = _undone(machine), self.axes.index(axis)
+        (expression, batch), row = _correction_function(machine), self.axes.index(axis)
         if any(isinstance(one, ca.SX) for one in q):
             return expression(ca.vertcat(*q), ca.reshape(ca.vertcat(*errors), 6, -1), length)[row]
         rows = np.stack(np.broadcast_arrays(*q, *errors), axis=-1)

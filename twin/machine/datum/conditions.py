@@ -37,7 +37,7 @@ MEANING: Final[Mapping[Datum, str]] = {
     "comparing numbers (twin doc datum)",
 }
 """Explanation of each datum, for the note below a table of errors."""
-LAST: Final = 6
+LAST_AXES: Final = 6
 """Group of the amounts that stay in the last axes."""
 Weights = tuple[tuple[int, int, np.ndarray], ...]
 """Link, component and (n,) weights at its nodes: a sum of curve values, µm or µrad."""
@@ -74,7 +74,7 @@ def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, 
         for c, letter in enumerate(DIRECTIONS):
             curve, mean = f"E_{letter}{name}", link.weights
             if c >= 3:
-                found.append(Condition(curve, "mean", LAST if link.last else 1, ((i, c, mean),)))
+                found.append(Condition(curve, "mean", LAST_AXES if link.last else 1, ((i, c, mean),)))
             elif along(link.axis, letter):
                 found.append(Condition(curve, "mean", 5, ((i, c, mean),)))
             else:
@@ -108,7 +108,7 @@ def along(axis: Axis, letter: str) -> bool:
 
 def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
     name = link.axis.name
-    shift, tilt = (LAST, LAST) if link.last else (3, 1)
+    shift, tilt = (LAST_AXES, LAST_AXES) if link.last else (3, 1)
     found = []
     for c, letter in enumerate(DIRECTIONS):
         own = along(link.axis, DIRECTIONS[c % 3])

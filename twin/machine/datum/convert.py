@@ -16,25 +16,25 @@ from twin.machine.datum.conditions import (
     AS_GIVEN,
     DATUMS,
     END_POINTS,
-    LAST,
+    LAST_AXES,
     MEAN_LINES,
     Condition,
     Datum,
     conditions_of,
 )
-from twin.machine.datum.fit import FITTED, fit, fitted, functions
+from twin.machine.datum.fit import FIT_TOLERANCE, fit, functions, with_values
 from twin.machine.datum.links import DatumLink, Numbers, links_of
 from twin.machine.effects import split_name
 from twin.machine.machine import DIRECTIONS
 from twin.machine.motion_curve import conversion_of
 from twin.numerics.covariance import Covariance
 
-KEPT: Final = 1e-3
+DATUM_TOLERANCE: Final = 1e-3
 """Tolerance for rounded coefficients when a file's stated datum is checked, µm or µrad."""
-SETTLED: Final = 1e-7
+STEP_TOLERANCE: Final = 1e-7
 """The iteration ends at a step of this size, µm or µrad."""
 STEPS: Final = 20
-RANK: Final = 1e-9
+RANK_TOLERANCE: Final = 1e-9
 """Singular values below this fraction of the largest count as zero."""
 
 
@@ -71,7 +71,7 @@ class Converted:
             if name in index:
                 through[: len(self.names), index[name]] = self.matrix[:, column]
             else:
-                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK
+                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK_TOLERANCE
         entity = np.array([name.partition("[")[0] for name in names])
         without = set(entity[open_]) | set(entity) - {name.partition("[")[0] for name in (*self.old, *others)}
         keep = [i for i, name in enumerate(entity) if name not in without]
@@ -92,7 +92,7 @@ def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
         return None
     gauge = _Gauge(numbers, datum)
     change = gauge.change(gauge.amounts(numbers))
-    if not len(change) or np.abs(change).max() <= KEPT:
+    if not len(change) or np.abs(change).max() <= DATUM_TOLERANCE:
         return None
     worst = int(np.argmax(np.abs(change)))
     condition = gauge.conditions[worst]
@@ -125,7 +125,7 @@ def _iterate(gauge: _Gauge, numbers: Numbers) -> Numbers:
     constants = gauge.constants(numbers)
     for _ in range(STEPS):
         step = gauge.step @ np.concatenate([gauge.measured(values), constants])
-        if np.abs(step).max(initial=0.0) <= SETTLED:
+        if np.abs(step).max(initial=0.0) <= STEP_TOLERANCE:
             break
         inserted, changed = step[: 6 * gauge.gaps], constants + step[6 * gauge.gaps :]
         values = [
@@ -145,7 +145,7 @@ def _iterate(gauge: _Gauge, numbers: Numbers) -> Numbers:
             name = f"E_{letter}{link.axis.name}"
             difference = after[c] - before[c]
             if np.any(difference) and gauge.may_change(name):
-                curve = fitted(numbers.curves.get(name), name, link, difference, numbers)
+                curve = with_values(numbers.curves.get(name), name, link, difference, numbers)
                 if curve is not None:
                     curves[name] = curve
     ordered = {name: curves[name] for name in sorted(curves, key=numbers.machine.motion_names.index)}
@@ -156,7 +156,7 @@ def _iterate(gauge: _Gauge, numbers: Numbers) -> Numbers:
         (numbers.location, numbers.machine.location_names),
     ):
         kept = {name: named.get(name, given.get(name, 0.0)) for name in allowed}
-        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FITTED})
+        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FIT_TOLERANCE})
     return Numbers(numbers.machine, MappingProxyType(ordered), *(MappingProxyType(group) for group in groups))
 
 
@@ -258,7 +258,7 @@ class _Gauge:
         if not fixed:
             return np.eye(size)
         _, values, right = np.linalg.svd(np.array(fixed), full_matrices=True)
-        return np.asarray(right[int(np.count_nonzero(values > RANK * max(values[0], 1e-3))) :].T)
+        return np.asarray(right[int(np.count_nonzero(values > RANK_TOLERANCE * max(values[0], 1e-3))) :].T)
 
     @cached_property
     def weights(self) -> list[np.ndarray]:
@@ -295,14 +295,16 @@ class _Gauge:
         """Matrix (unknowns, conditions + constants) from the amounts to the change that removes them, group by group."""
         size, count = self.derivative.shape[1], len(self.conditions)
         amounts = np.eye(count + len(self.names))
-        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST + 1)]
+        groups = [
+            [k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST_AXES + 1)
+        ]
         whole = np.concatenate([self.derivative, np.eye(size)[6 * self.gaps :]])
         step, free = np.zeros((size, count + len(self.names))), self.free
         for rows in (*groups, list(range(count, count + len(self.names)))):
             if not rows or not free.shape[1]:
                 continue
             left, values, right = np.linalg.svd(whole[rows] @ free, full_matrices=True)
-            rank = int(np.count_nonzero(values > RANK * max(values.max(initial=0.0), 1e-3)))
+            rank = int(np.count_nonzero(values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-3)))
             want = amounts[rows] + whole[rows] @ step
             step = step - free @ (right[:rank].T / values[:rank]) @ left[:, :rank].T @ want
             free = free @ right[rank:].T

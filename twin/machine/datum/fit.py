@@ -13,20 +13,22 @@ from twin.machine.effects import unit_of
 from twin.machine.motion_curve import Curve, conversion_of
 from twin.numerics.curves import Basis, bases_for, of_legendre
 
-FITTED: Final = 3e-5
+FIT_TOLERANCE: Final = 3e-5
 """Largest difference of a converted curve from the converted values, µm or µrad: 0.03 nm."""
-MOST: Final = 60
+MAX_COEFFICIENTS: Final = 60
 """Largest number of coefficients of a converted curve."""
 
 
-def fitted(curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers) -> Curve | None:
+def with_values(
+    curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers
+) -> Curve | None:
     """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero.
 
     Raises:
         InputError: no number of coefficients can represent them.
     """
     if curve is None:
-        if np.abs(difference).max() <= FITTED:
+        if np.abs(difference).max() <= FIT_TOLERANCE:
             return None
         basis = bases_for(rotary=not link.axis.linear, endless=link.axis.lower is None)[0]
         illustrative = any(known.illustrative for known in numbers.curves.values())
@@ -36,11 +38,11 @@ def fitted(curve: Curve | None, name: str, link: DatumLink, difference: np.ndarr
     if curve.domain != link.domain and link.axis.lower is not None:
         curve = _over(curve, link)
     basis, own = curve.family, len(curve.coefficients)
-    for count in range(own, max(MOST, own) + 1):
+    for count in range(own, max(MAX_COEFFICIENTS, own) + 1):
         if basis.misfit(count, rotary=not link.axis.linear) is not None:
             continue
         added = fit(basis, curve.domain, link, count) @ difference
-        if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
+        if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FIT_TOLERANCE:
             total = conversion_of(name, basis, basis, own, count) @ curve.coefficients + added
             return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
     raise InputError(

@@ -136,7 +136,7 @@ def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions:
     return total
 
 
-def at_rest(machine: Machine, joint: int) -> np.ndarray:
+def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
     """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
     data = machine.model.createData()
     pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))

@@ -12,7 +12,7 @@ from twin.machine.effects.base import Effect, Frame, Parameter, along
 from twin.machine.machine import Axis
 
 PREFIX: Final = "control:"
-PLACES: Final = 401
+SAMPLES: Final = 401
 """Number of positions at which the two directions of a table are compared."""
 
 
@@ -63,8 +63,8 @@ class ControlCorrection(Effect):
         Args:
             ranges: range of every axis, mm or degrees; the other axes are held at the middle of theirs.
         """
-        middle = {name: np.full(PLACES, 0.5 * (low + high)) for name, (low, high) in ranges.items()}
-        state: dict[str, Any] = middle | {self.axis.name: np.linspace(*ranges[self.axis.name], PLACES)}
-        sides = [state | {f"approach_{name}": np.full(PLACES, side) for name in ranges} for side in (1.0, -1.0)]
-        up, down = (np.broadcast_to(self.correction.shift(self.axis.name, side), PLACES) for side in sides)
+        middle = {name: np.full(SAMPLES, 0.5 * (low + high)) for name, (low, high) in ranges.items()}
+        state: dict[str, Any] = middle | {self.axis.name: np.linspace(*ranges[self.axis.name], SAMPLES)}
+        sides = [state | {f"approach_{name}": np.full(SAMPLES, side) for name in ranges} for side in (1.0, -1.0)]
+        up, down = (np.broadcast_to(self.correction.shift(self.axis.name, side), SAMPLES) for side in sides)
         return float(np.min(up - down)), float(np.max(up - down))

@@ -16,13 +16,13 @@ from twin.machine.effects.waves import APPROACH, Waves, label, terms
 from twin.numerics.elementary import cos, sin
 
 DIRECTIONS: Final = "xyz"
-SEEN: Final = 1e-12
+ROTATION_ROUNDING: Final = 1e-12
 """Elements of a rotation matrix below this are rounding errors."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Turning:
+class FrameRotation:
     """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ.
 
     Attributes:
@@ -39,7 +39,7 @@ class Turning:
     def column(self, positions: Mapping[str, Any], direction: int) -> dict[int, Any]:
         """Return one direction in the error frame, by component; components that are always zero are omitted."""
         constant, cosine, sine = (
-            np.where(np.abs(part[:, direction]) > SEEN, part[:, direction], 0.0)
+            np.where(np.abs(part[:, direction]) > ROTATION_ROUNDING, part[:, direction], 0.0)
             for part in (self.constant, self.cosine, self.sine)
         )
         if self.axis is None:
@@ -76,7 +76,7 @@ class Empirical(Effect):
         columns: Sequence[Waves],
         coefficients: Mapping[str, float],
         frame: Frame,
-        turning: Turning,
+        turning: FrameRotation,
     ) -> None:
         self.name = f"empirical:{where}"
         self.where = where

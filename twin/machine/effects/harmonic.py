@@ -17,11 +17,11 @@ from twin.numerics.elementary import cos, sin
 from twin.numerics.functions import Functions, once
 from twin.numerics.waves import highest_order, waves
 
-ORDERS: Final = 30
+MAX_ORDER: Final = 30
 """Highest order tried for an error motion."""
-TEETH: Final = 200
+MAX_ANGLE_ORDER: Final = 200
 """Highest order tried for the axis's own angle error (gears, encoders), if the measured positions separate it from lower orders."""
-FEWEST: Final = 4
+MIN_ANGLES: Final = 4
 """Minimum number of angles for any harmonic to be tried."""
 
 
@@ -79,14 +79,14 @@ def _angles(state: State, axis: str) -> np.ndarray:
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    return [where for where in _places(machine) if len(_angles(state, where[3:])) >= FEWEST], []
+    return [where for where in _places(machine) if len(_angles(state, where[3:])) >= MIN_ANGLES], []
 
 
 def _turns(state: State, name: str) -> tuple[int, int, Functions]:
     """Return the highest order tried for any error motion, that for the axis's own angle, and their functions."""
     distinct = _angles(state, name)
-    most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 2 * ORDERS else ORDERS)
-    teeth = max(highest_order(distinct, TEETH), most)
+    most = min(MAX_ORDER, (len(distinct) - 1) // 2 if len(distinct) < 2 * MAX_ORDER else MAX_ORDER)
+    teeth = max(highest_order(distinct, MAX_ANGLE_ORDER), most)
     return most, teeth, waves(np.radians(state[name]), 1.0, 1.0, teeth)
 
 

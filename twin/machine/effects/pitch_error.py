@@ -28,7 +28,7 @@ from twin.numerics.waves import highest_frequency, waves
 
 LONGEST_PERIOD: Final = 0.5
 """Longest period tried, as a fraction of the measured travel: fewer than two periods cannot be distinguished from a smooth curve."""
-SHORTER: Final = 0.3
+MIN_PERIOD_RATIO: Final = 0.3
 """Smallest fraction to which one step of a fit may shorten a period."""
 
 
@@ -129,7 +129,7 @@ def _constrain(effect: PitchError, values: Sequence[float], longest: float) -> P
     amplitude, period, phase = values
     if amplitude < 0.0:
         amplitude, phase = -amplitude, phase + np.pi
-    period = min(max(period, SHORTER * effect.period), longest)
+    period = min(max(period, MIN_PERIOD_RATIO * effect.period), longest)
     return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
 
 

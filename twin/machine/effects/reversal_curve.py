@@ -25,9 +25,9 @@ from twin.machine.machine import Axis, Machine
 from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.functions import Functions, Rows
 
-DEGREES: Final = 4
+MAX_DEGREE: Final = 4
 """Highest degree of polynomial tried."""
-PLACES: Final = 201
+SAMPLES: Final = 201
 """Number of positions at which the extremes of a curve are searched."""
 
 
@@ -64,8 +64,8 @@ class ReversalCurve(AlongAxis):
 
     def reversal_range(self) -> tuple[float, float]:
         """Return the smallest and largest reversal value over the axis's range, µm or µrad."""
-        q = np.linspace(*self.axis.domain, PLACES)
-        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), PLACES)
+        q = np.linspace(*self.axis.domain, SAMPLES)
+        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), SAMPLES)
         return float(sizes.min()), float(sizes.max())
 
 
@@ -88,7 +88,7 @@ def _degrees(state: State, where: str) -> int:
     if side is None:
         return 0
     places = [np.unique(np.round(state[where][side == sign], 3)) for sign in (1.0, -1.0)]
-    return min(DEGREES, min(len(positions) for positions in places) - 2)
+    return min(MAX_DEGREE, min(len(positions) for positions in places) - 2)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:

@@ -11,7 +11,7 @@ import numpy as np
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.machine.effects.thermal_drift import REACH, constants
+from twin.machine.effects.thermal_drift import STEP_FACTORS, constants
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
 from twin.machine.machine import Machine
 
@@ -21,7 +21,7 @@ EXPONENTS: Final = (1.0, 1.5, 2.0)
 """Exponents tried: the friction of a greased bearing grows with the speed, churning losses with its square."""
 LEAST_EXPONENT: Final = 0.5
 LARGEST_EXPONENT: Final = 3.0
-SPARSE: Final = 3
+TIME_CONSTANT_STRIDE: Final = 3
 """Every n-th of the time constants of a drift is tried."""
 
 
@@ -136,7 +136,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         numbers = {"amplitude": value, **fixed, "highest_rpm": highest}
         return (_make(machine, where, numbers, ()),)
 
-    tried = product(EXPONENTS, constants(state[TIME])[::SPARSE])
+    tried = product(EXPONENTS, constants(state[TIME])[::TIME_CONSTANT_STRIDE])
     trials = tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried)
     return Forms(
         (("amplitude", "um"),),
@@ -149,7 +149,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _constrain(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
     exponent = min(max(values[1], LEAST_EXPONENT), LARGEST_EXPONENT)
-    least, most = (share * effect.time_constant for share in REACH)
+    least, most = (share * effect.time_constant for share in STEP_FACTORS)
     return effect.changed(values[0], exponent, min(max(values[2], least), most, longest))
 
 

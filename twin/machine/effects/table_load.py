@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.effects import places
-from twin.machine.effects.base import Effect, Frame, Parameter, Vector, at_rest, base_vector, motion_joint
+from twin.machine.effects.base import Effect, Frame, Parameter, Vector, base_vector, motion_joint, rest_orientation
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Specification, State
 from twin.machine.machine import Machine
@@ -44,7 +44,7 @@ class TableLoad(Effect):
 
 
 def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> TableLoad:
-    return TableLoad(where, base_vector(at_rest(machine, motion_joint(machine, where)), "X"), numbers["tilt"])
+    return TableLoad(where, base_vector(rest_orientation(machine, motion_joint(machine, where)), "X"), numbers["tilt"])
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
@@ -52,7 +52,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
     found = []
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
-            upright = at_rest(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
+            upright = rest_orientation(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
             if abs(float(upright[2])) < 1.0 - 1e-9:
                 found.append(axis.name)
     return found, []

@@ -14,13 +14,13 @@ from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, 
 from twin.machine.machine import Machine
 from twin.numerics.elementary import exp
 
-STEADY: Final = ("rate",)
+STEADY_PARAMETERS: Final = ("rate",)
 """Parameter of a linear drift, µm/h: its time constant is longer than the record in which it was found."""
 TIME_CONSTANTS: Final = 36
 """Number of time constants tried."""
 SHORTEST: Final = 1.0 / 40.0
 """Shortest time constant tried, as a fraction of the record."""
-REACH: Final = (0.3, 3.0)
+STEP_FACTORS: Final = (0.3, 3.0)
 """Smallest and largest factor by which one step of a fit may change a time constant."""
 
 
@@ -109,7 +109,7 @@ def _make(
     machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]
 ) -> ThermalDrift | SteadyDrift:
     side, values = _side(machine, where), numbers.values()
-    return SteadyDrift(side, *values) if set(numbers) == set(STEADY) else ThermalDrift(side, *values)
+    return SteadyDrift(side, *values) if set(numbers) == set(STEADY_PARAMETERS) else ThermalDrift(side, *values)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
@@ -131,7 +131,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 
 def _constrain(effect: ThermalDrift, values: Sequence[float], longest: float) -> ThermalDrift:
-    least, most = (share * effect.time_constant for share in REACH)
+    least, most = (share * effect.time_constant for share in STEP_FACTORS)
     return effect.changed(values[0], min(max(values[1], least), most, longest))
 
 
@@ -147,7 +147,9 @@ THERMAL_DRIFT: Final = Specification(
     ),
     evidence=lambda fit: f"the tool side drifts along {fit.where} as the machine warms up{course(fit)}",
     parameters=("amplitude", "time_constant"),
-    required=lambda names: STEADY if set(names) == set(STEADY) else ("amplitude", "time_constant"),
+    required=lambda names: (
+        STEADY_PARAMETERS if set(names) == set(STEADY_PARAMETERS) else ("amplitude", "time_constant")
+    ),
     places=directions,
     expected=lambda machine: "X, Y or Z of the base frame",
     channels=lambda where: ("time_s",),

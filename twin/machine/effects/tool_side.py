@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.machine.effects.base import Effect, Frame, Vector, at_rest, base_vector
+from twin.machine.effects.base import Effect, Frame, Vector, base_vector, rest_orientation
 from twin.machine.machine import Machine
 
 
@@ -62,4 +62,4 @@ def _first(machine: Machine) -> tuple[Frame, np.ndarray] | None:
     if not sides:
         return None
     first = min(sides, key=lambda frame: supports.index(frame.joint))
-    return Frame(first.axis, first.role), at_rest(machine, first.joint)
+    return Frame(first.axis, first.role), rest_orientation(machine, first.joint)

@@ -18,7 +18,7 @@ import numpy as np
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, plain
+from twin.machine.control.lines import TableLine, fixed_decimals
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.machine import Machine
 
@@ -48,7 +48,7 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         sign = "correction: the value is ADDED to the command of the axis; the error is its negative"
         lines = [*(f"# {note}" for note in (sign, *notes)), ",".join(_columns(correction.axes))]
         for q, values in zip(product(*correction.at), correction.values.reshape(-1, 3), strict=True):
-            lines.append(",".join(plain(value, _DIGITS) for value in (*q, *values)))
+            lines.append(",".join(fixed_decimals(value, _DIGITS) for value in (*q, *values)))
         return {FILE: "\n".join(lines) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> CorrectionGrid:

@@ -29,7 +29,15 @@ from twin._common.errors import InputError
 from twin._common.units import TURN
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms, period_of
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import (
+    TableLine,
+    check_increasing,
+    check_letters,
+    fixed_decimals,
+    single_file,
+    table_lines,
+    unit_of,
+)
 from twin.machine.machine import Axis, Machine
 
 CMA: Final = "CONFIG.CMA"
@@ -75,12 +83,12 @@ class HeidenhainTables(TableFormat[Terms]):
             InputError: an axis is not one of X Y Z A B C U V W, or such tables cannot represent the correction.
         """
         machine, terms = correction.machine, correction.terms
-        check_letters([name for term in terms for name in (term.axis, term.factors[0].of)], self.title)
+        check_letters([name for term in terms for name in (term.axis, term.factors[0].argument)], self.title)
         files: dict[str, str] = {}
-        inputs = [axis for axis in machine.axes if any(term.factors[0].of == axis.name for term in terms)]
+        inputs = [axis for axis in machine.axes if any(term.factors[0].argument == axis.name for term in terms)]
         for axis in inputs:
             name = f"{axis.name}_CORR.COM"
-            columns = self._columns([term for term in terms if term.factors[0].of == axis.name], axis)
+            columns = self._columns([term for term in terms if term.factors[0].argument == axis.name], axis)
             moved = {key: machine.by_name[axis.name if key == "BACKLASH" else key] for key in columns}
             rows = [["NR", "AXISPOS", *columns]]
             for i, q in enumerate(next(iter(columns.values())).at):
@@ -124,7 +132,7 @@ class HeidenhainTables(TableFormat[Terms]):
             InputError: there is no ``.CMA``, not exactly one active line, a missing or an additional table, or a table is invalid.
         """
         what = "HEIDENHAIN tables are read together with the .CMA that assigns them"
-        cma = _Rows(the_one(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
+        cma = _Rows(single_file(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
         given = {file.stem.upper(): file for file in files if file is not cma.path}
         active = [(line, row) for line, row in cma.rows if row.get("ACTIVE") == "*"]
         if len(active) != 1:
@@ -156,7 +164,7 @@ class HeidenhainTables(TableFormat[Terms]):
         if len(table.rows) > self.points:
             raise InputError("too many points", expected=f"at most {self.points}", file=path, value=len(table.rows))
         at, lines = table.column("AXISPOS"), [line for line, _ in table.rows]
-        check_rising(at, lines)
+        check_increasing(at, lines)
         period = period_of(axis)
         if period is not None and at[-1] - at[0] > TURN:
             raise lines[-1].error("more than one turn", "positions from 0 to 360", at[-1])
@@ -193,7 +201,7 @@ def _table(name: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> st
 
 
 def _signed(value: float, digits: int) -> str:
-    text = plain(value, digits)
+    text = fixed_decimals(value, digits)
     return text if text.startswith("-") else f"+{text}"
 
 
@@ -203,7 +211,7 @@ class _Rows:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        lines = [line for line in numbered(path) if line.text and not line.text.startswith((_COMMENT, "#"))]
+        lines = [line for line in table_lines(path) if line.text and not line.text.startswith((_COMMENT, "#"))]
         first = lines[0] if lines else TableLine(path, None, "")
         if not first.text.upper().startswith("BEGIN "):
             raise first.error("not a table", "BEGIN … as the first line")

@@ -34,7 +34,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.machine.control.curve import ControlCurve, period_of
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, check_rising, numbered, plain
+from twin.machine.control.lines import TableLine, check_increasing, fixed_decimals, table_lines
 from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
@@ -93,15 +93,15 @@ class Isg(TableFormat[Volumetric]):
             f"// twin: tool length {correction.tool_length_mm:g} mm (the control uses the length of the active tool)",
             "// the machine: spindle nose, tool direction, centres and directions of the rotary axes, all axes at zero",
             "  ".join(named),
-            "  ".join(plain(value, 6) for value in named.values()),
+            "  ".join(fixed_decimals(value, 6) for value in named.values()),
         ]
         for one in correction.errors:
             components = sorted(one.curves)
             lines += ["#", f"// component errors of {one.axis}: mm, rad"]
             lines.append("  ".join([one.axis, *(f"E{DIRECTIONS[i]}{one.axis}" for i in components)]))
             for n, q in enumerate(one.curves[components[0]].at):
-                cells = [plain(one.curves[i].values[n] / _UNITS[i], _DIGITS[i // 3]) for i in components]
-                lines.append("  ".join([plain(q, 4), *cells]))
+                cells = [fixed_decimals(one.curves[i].values[n] / _UNITS[i], _DIGITS[i // 3]) for i in components]
+                lines.append("  ".join([fixed_decimals(q, 4), *cells]))
         return {FILE: "\n".join(lines) + "\n", LIST: "".join(f"# {note}\n" for note in notes) + _list(machine)}
 
     def read(self, files: Sequence[Path], machine: Machine) -> Volumetric:
@@ -116,7 +116,7 @@ class Isg(TableFormat[Volumetric]):
         blocks: list[_Block] = []
         for path in files:
             if path.suffix.lower() != ".lis":
-                lines = numbered(path)
+                lines = table_lines(path)
                 for line in lines:
                     match = _LENGTH.search(line.text)
                     length = length if match is None else line.decimal("a tool length", match[1])
@@ -227,7 +227,7 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
     """Return the curves of the block of an axis, by component."""
     place = block.names.index(axis.name)
     at = tuple(row[place] for _, row in block.rows)
-    check_rising(at, [line for line, _ in block.rows])
+    check_increasing(at, [line for line, _ in block.rows])
     found = {}
     for column, name in enumerate(block.names):
         if column == place:
@@ -260,4 +260,4 @@ def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, Cont
         component, own = DIRECTIONS.index(name[0]), curves[axis.name]
         old = own.get(component, ControlCurve(axis.name, (axis.domain[0],), (0.0,)))
         values = tuple(before + value * _UNITS[component] for before in old.values)
-        own[component] = ControlCurve(old.of, old.at, values, old.period)
+        own[component] = ControlCurve(old.argument, old.at, values, old.period)

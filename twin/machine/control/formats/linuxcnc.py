@@ -26,7 +26,15 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import (
+    TableLine,
+    check_increasing,
+    check_letters,
+    fixed_decimals,
+    single_file,
+    table_lines,
+    unit_of,
+)
 from twin.machine.machine import Axis, Machine
 
 INI: Final = "joints.ini"
@@ -81,7 +89,7 @@ class LinuxCnc(TableFormat[Terms]):
             up, down = self._both(own, axis)
             scale, name = unit_of(axis), f"{axis.name}.comp"
             rows = [
-                " ".join(plain(value, _DIGITS) for value in (q, q - a * scale, q - b * scale))
+                " ".join(fixed_decimals(value, _DIGITS) for value in (q, q - a * scale, q - b * scale))
                 for q, a, b in zip(up.at, up.values, down.values, strict=True)
             ]
             files[name] = "\n".join([*rows, *comments]) + "\n"
@@ -99,11 +107,18 @@ class LinuxCnc(TableFormat[Terms]):
         by = {curve.direction: curve for curve in curves}
         up, down = by.get(UP, by.get(BOTH)), by.get(DOWN, by.get(BOTH))
         whole = len(own) == (1 if BOTH in by else 2) and all(len(term.factors) == 1 for term in own)
-        if up is None or down is None or not whole or up.at != down.at or {up.of, down.of} != {axis.name} or up.period:
+        if (
+            up is None
+            or down is None
+            or not whole
+            or up.at != down.at
+            or {up.argument, down.argument} != {axis.name}
+            or up.period
+        ):
             raise InputError(
                 f"not possible as a joint compensation of LinuxCNC: {axis.name}",
                 expected="one table of the axis over itself, or one per direction with the same nodes; positions not wrapped",
-                value=[f"over {curve.of}, direction {curve.direction}" for curve in curves],
+                value=[f"over {curve.argument}, direction {curve.direction}" for curve in curves],
             )
         if len(up.at) > self.points:
             raise InputError(
@@ -119,7 +134,7 @@ class LinuxCnc(TableFormat[Terms]):
                 refuse a file or not read all of it.
         """
         ini = _Ini(
-            the_one(
+            single_file(
                 files,
                 ".ini",
                 "LinuxCNC tables are read together with the INI file that names them",
@@ -156,7 +171,7 @@ class LinuxCnc(TableFormat[Terms]):
         rows: list[tuple[float, float, float]] = []
         lines: list[TableLine] = []
         stopped: TableLine | None = None
-        for line in numbered(path):
+        for line in table_lines(path):
             words = line.text.split()
             if not (len(words) >= 3 and all(re.match(r"[-+]?(\d|\.\d)", word) for word in words[:3])):
                 stopped = stopped or line
@@ -175,7 +190,7 @@ class LinuxCnc(TableFormat[Terms]):
         if len(rows) > self.points:
             raise lines[self.points].error("too many points", f"at most {self.points}", len(rows))
         at = tuple(row[0] for row in rows)
-        check_rising(at, lines)
+        check_increasing(at, lines)
         ups, downs = (tuple(row[i] / unit_of(axis) for row in rows) for i in (1, 2))
         sides = [(ups, BOTH)] if ups == downs else [(ups, UP), (downs, DOWN)]
         return [
@@ -211,7 +226,7 @@ class _Ini:
         self.path = path
         self._found: dict[tuple[str, str], TableLine] = {}
         section = ""
-        for line in numbered(path):
+        for line in table_lines(path):
             if line.text.startswith("["):
                 section = line.text.strip("[] ").upper()
             elif "=" in line.text and line.text[0] not in "#;":

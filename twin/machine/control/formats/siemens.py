@@ -29,12 +29,12 @@ from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
-from twin.machine.control.lines import URAD_IN_DEG, TableLine, plain, unit_of
+from twin.machine.control.lines import URAD_IN_DEG, TableLine, fixed_decimals, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "cec.mpf"
 _FACTOR_DIGITS: Final = 9
-_ROOM: Final = 1.2
+_LIMIT_FACTOR: Final = 1.2
 """Recommended limit in the control as a multiple of the largest correction, to stop a table that is interpreted differently."""
 _FIELD: Final = re.compile(
     r"^\$AN_CEC(?:_(?P<name>STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
@@ -136,9 +136,9 @@ class Siemens(TableFormat[Terms]):
         machine = correction.machine
         counts = [len(factor.at) for term in correction.terms for factor in term.factors]
         limits = ", ".join(
-            f"{name} {math.ceil(_ROOM * peak) * 1e-3:.3f} mm"
+            f"{name} {math.ceil(_LIMIT_FACTOR * peak) * 1e-3:.3f} mm"
             if machine.by_name[name].linear
-            else f"{name} {_ROOM * peak * URAD_IN_DEG:.5f} deg"
+            else f"{name} {_LIMIT_FACTOR * peak * URAD_IN_DEG:.5f} deg"
             for name, peak in largest.items()
         )
         moved = ", ".join(largest)
@@ -168,21 +168,23 @@ def _block(index: int, moved: str, curve: ControlCurve, digits: int, machine: Ma
     step = step_of(curve)
     if step is None:
         raise InputError(
-            "nodes of a CEC table", expected="two or more equidistant nodes", value=f"{moved} over {curve.of}"
+            "nodes of a CEC table", expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}"
         )
-    side = {0: "both directions", 1: f"{curve.of} moving up", -1: f"{curve.of} moving down"}[curve.direction]
+    side = {0: "both directions", 1: f"{curve.argument} moving up", -1: f"{curve.argument} moving down"}[
+        curve.direction
+    ]
     fields = {
-        "INPUT_AXIS": f"(AX{machine.names.index(curve.of) + 1})",
+        "INPUT_AXIS": f"(AX{machine.names.index(curve.argument) + 1})",
         "OUTPUT_AXIS": f"(AX{machine.names.index(moved) + 1})",
-        "STEP": plain(step, DIGITS),
-        "MIN": plain(curve.at[0], DIGITS),
-        "MAX": plain(curve.at[-1], DIGITS),
+        "STEP": fixed_decimals(step, DIGITS),
+        "MIN": fixed_decimals(curve.at[0], DIGITS),
+        "MAX": fixed_decimals(curve.at[-1], DIGITS),
         "DIRECTION": curve.direction,
         "MULT_BY_TABLE": by,
         "IS_MODULO": int(curve.period is not None),
     }
-    lines = [f"; table {index + 1}: {moved} by {curve.of}, {side}{f', times table {by}' if by else ''}"]
-    lines += [f"$AN_CEC[{index},{n}]={plain(value, digits)}" for n, value in enumerate(curve.values)]
+    lines = [f"; table {index + 1}: {moved} by {curve.argument}, {side}{f', times table {by}' if by else ''}"]
+    lines += [f"$AN_CEC[{index},{n}]={fixed_decimals(value, digits)}" for n, value in enumerate(curve.values)]
     lines += [f"$AN_CEC_{name}[{index}]={value}" for name, value in fields.items()]
     return "\n".join(lines)
 

@@ -31,7 +31,7 @@ from twin._common.errors import InputError
 from twin.machine.control.curve import ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, axis_numbers, axis_of, entries, step_of, table_of
-from twin.machine.control.lines import plain, unit_of
+from twin.machine.control.lines import fixed_decimals, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "eec.mpf"
@@ -76,10 +76,10 @@ class SiemensEec(TableFormat[Terms]):
             own = [term for term in correction.terms if term.axis == axis.name]
             if own:
                 curve, step = self._only(own, axis)
-                values = [plain(-value * unit_of(axis), DIGITS) for value in curve.values]
+                values = [fixed_decimals(-value * unit_of(axis), DIGITS) for value in curve.values]
                 lines += [f"; {axis.name}", *(f"$AA_ENC_COMP[0,{n},AX{index}]={text}" for n, text in enumerate(values))]
                 for name, value in (("STEP", step), ("MIN", curve.at[0]), ("MAX", curve.at[-1])):
-                    lines.append(f"$AA_ENC_COMP_{name}[0,AX{index}]={plain(value, DIGITS)}")
+                    lines.append(f"$AA_ENC_COMP_{name}[0,AX{index}]={fixed_decimals(value, DIGITS)}")
                 lines.append(f"$AA_ENC_COMP_IS_MODULO[0,AX{index}]={int(curve.period is not None)}")
         return {FILE: "\n".join([*lines, "M30"]) + "\n"}
 

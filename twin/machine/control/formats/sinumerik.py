@@ -11,7 +11,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.machine.control.curve import ControlCurve
-from twin.machine.control.lines import TableLine, numbered
+from twin.machine.control.lines import TableLine, table_lines
 from twin.machine.machine import Axis, Machine
 
 _OTHER: Final = re.compile(r"%.*|N?\d*\s*(M17|M30|M02|M2|RET|CHANDATA\(\d+\))", re.IGNORECASE)
@@ -42,7 +42,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
     """
     found: dict[str, Entry] = {}
     for path in files:
-        for whole in numbered(path):
+        for whole in table_lines(path):
             line = TableLine(path, whole.number, whole.text.partition(";")[0].strip())
             if not line.text or _OTHER.fullmatch(line.text):
                 continue
