@@ -35,7 +35,7 @@ twelve powers over half a turn. Curves of one axis with different domains are co
 Method: between two neighbouring axes any small, fixed motion G can be inserted together with its inverse. The error frame of one
 neighbour absorbs G, that of the other the inverse. The motions, the squareness errors and the locations are chosen so that the
 conditions of the datum hold, in the order of `twin.machine.datum.conditions`; the error frames are then computed without
-approximation (`twin.machine.datum.links`), and the curves are with_values to them (`twin.machine.datum.convert`).
+approximation (`twin.machine.datum.links`), and the curves are fitted to them (`twin.machine.datum.convert`).
 """
 
 from twin.machine.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, MEANING, Datum
