@@ -373,7 +373,7 @@ class Calibration:
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
-        """(n, axes) where positions (mm, degrees) leave the domain of a curve or the range of an empirical effect, not by rounding."""
+        """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range by more than rounding."""
         found = self.outside_domains(positions)
         for effect in self.empirical:
             for column, outside in effect.outside(self.state(positions)).items():
@@ -444,7 +444,7 @@ class _Check:
             curve, what, amount = found
             unit = "µm" if split_name(curve)[0] < 3 else "µrad"
             wrong = f"the numbers contradict the datum '{known}': {curve} has a {what}"
-            expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
+            expected = "none; remove the entry `datum:` and convert the file with `twin info` (twin doc datum)"
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
     def curve(self, name: str, entry: CurveEntry) -> Curve:

@@ -17,8 +17,8 @@ BAD = [
     ("volcomp.csv", "EYX", "EYY", 4, "unknown column in the block"),
     ("volcomp.csv", "100 0.002", "100", 6, "cells"),
     ("volcomp.csv", "100 0.002", "0 0.002", 6, "do not increase"),
-    ("volcomp.csv", "0 0 0\n", "0 0 12\n", 2, "P0Z is not"),
-    ("volcomp.csv", "P0X P0Y", "C0Y P0Y", 1, "not read"),
+    ("volcomp.csv", "0 0 0\n", "0 0 12\n", 2, "P0Z differs"),
+    ("volcomp.csv", "P0X P0Y", "C0Y P0Y", 1, "unknown parameter"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

@@ -87,7 +87,7 @@ CROSS_AXIS: Final = Specification(
     advice=Advice(
         "Service: preload and wear of the guideways of both axes, levelling, overhang at the ends of the travel.",
         f"{EXTENDED}.",
-        "Do not correct one axis by itself: the correction would hold at one position of the other axis only.",
+        "Do not correct one axis by itself: the correction would be right at only one position of the other axis.",
     ),
     evidence=lambda fit: f"{fit.where}: the error of one axis grows with the position of another",
     parameters=("coefficient",),

@@ -135,8 +135,8 @@ def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] 
 GRAVITY_COMPLIANCE: Final = Specification(
     name="gravity_compliance",
     kind="machine",
-    title=lambda where: f"deflection of {where} under weight",
-    family="deflection under weight",
+    title=lambda where: f"deflection of {where} under gravity",
+    family="deflection under gravity",
     advice=Advice(
         "Service: clamp, drive and bearings of {axis}; the load it carries.",
         f"{EXTENDED}, with this load only.",
@@ -156,14 +156,14 @@ GRAVITY_COMPLIANCE: Final = Specification(
 PAYLOAD: Final = Specification(
     name="payload",
     kind="machine",
-    title=lambda where: f"load on the {where} side that the machine description lacks",
-    family="loads that the machine description lacks",
+    title=lambda where: f"load on the {where} side that is missing from the machine description",
+    family="loads missing from the machine description",
     advice=Advice(
         "Set-up: what was mounted on the {where} side during the measurement; weigh it.",
         f"{EXTENDED}, with this load only.",
         "Do not use that calibration with another load.",
     ),
-    evidence=lambda fit: f"the {fit.where} side carries a mass that the URDF lacks; joints deflect under it",
+    evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
     parameters=("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",

@@ -1,4 +1,4 @@
-"""A mass that the machine description lacks; it acts through the compliances of the joints that carry it."""
+"""A mass that is missing from the machine description; it acts through the compliances of the joints that carry it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SOUGHT_MM: Final = 500.0
 @final
 @dataclass(frozen=True)
 class Payload:
-    """A mass that the URDF lacks, fixed to the tool frame (spindle nose, flange) or to the work frame.
+    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame.
 
     Attributes:
         side: ``tool`` or ``work``.

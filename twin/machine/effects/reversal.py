@@ -41,11 +41,11 @@ REVERSAL: Final = Specification(
     family="backlash",
     advice=Advice(
         "Service: screw nut and preload of {axis} (rotary axis: worm or gear), thrust bearing, coupling, mounting of the scale.",
-        f"{EXTENDED}: it corrects by direction of approach of {{axis}}. Or enter the value as backlash in the control.",
+        f"{EXTENDED}: it takes the direction of approach of {{axis}} into account. Or enter the value as backlash in the control.",
         f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error but does not reduce it.",
     ),
     evidence=lambda fit: (
-        f"{fit.where} has {abs(fit.size):.3g} {fit.unit} of backlash: where it stops depends on the direction of approach"
+        f"{fit.where} has {abs(fit.size):.3g} {fit.unit} of backlash: its position depends on the direction of approach"
     ),
     parameters=("size",),
     limits={"um": 1000.0, "urad": 5000.0},

@@ -126,7 +126,7 @@ REVERSAL_CURVE: Final = Specification(
     family="backlash that varies along the travel",
     advice=Advice(
         "Service: wear of the screw and nut of {axis} where it is used most, tension of the screw, friction of the guideway.",
-        f"{EXTENDED}: it corrects by direction of approach and position of {{axis}}.",
+        f"{EXTENDED}: it takes direction of approach and position of {{axis}} into account.",
         f"{NOT_TWICE} Do not enter a single backlash value in the control: it would be right at one position only.",
     ),
     evidence=_evidence,

@@ -27,7 +27,7 @@ Varies = Literal["never", "with time", "with the frame"]
 State = Mapping[str, np.ndarray]
 EXTENDED: Final = "Compensate with the extended calibration"
 EXTENDING: Final = "compensate with the extended calibration"
-NOT_TWICE: Final = "Do not enter it in both the control and the calibration: it would be corrected twice."
+NOT_TWICE: Final = "Do not correct this error both in the control and in the calibration: it would be corrected twice."
 NOTHING: Final = "Do not compensate or repair the machine because of this."
 REST: Final = "Use the other results: this error has been removed from the data."
 
@@ -76,7 +76,7 @@ class Found:
 @final
 @dataclass(frozen=True)
 class Drawing:
-    """Plot of a cause.
+    """Description of the plot of a cause.
 
     Attributes:
         columns: place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place.
@@ -110,10 +110,10 @@ class SharedColumns:
     """Columns of all trials, computed together.
 
     Attributes:
-        functions: of the state.
-        columns: of each trial, which of the functions its columns are.
-        frame: the frame they act in.
-        parts: the error components of it that they act in, with the share of each.
+        functions: functions of the state.
+        columns: for each trial the indices of the functions that are its columns.
+        frame: frame in which they act.
+        parts: error components of the frame in which they act, each with its factor.
     """
 
     functions: Functions
@@ -182,7 +182,7 @@ class Specification:
         variant_of: the simpler effect of which it is a variant with more parameters; it must predict better than that effect.
         constant: whether it is a constant of the machine.
         rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
-        all_or_nothing: whether its parameter can only be 0 or 1.
+        all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
         flexible: whether its many parameters can absorb a part of any other effect.
         plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
         drawing: how it is plotted.

@@ -48,7 +48,7 @@ THERMAL_EXPANSION: Final = Specification(
         f"{EXTENDED} and give the temperature of {{axis}}.",
         "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
     ),
-    evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} as it warms",
+    evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} when it warms",
     parameters=("coefficient",),
     limits={"um/(m.K)": 100.0},
     places=places.linear,

@@ -131,7 +131,7 @@ class HeidenhainTables(TableFormat[Terms]):
         Raises:
             InputError: there is no ``.CMA``, not exactly one active line, a missing or an additional table, or a table is invalid.
         """
-        what = "HEIDENHAIN tables are read together with the .CMA that assigns them"
+        what = "HEIDENHAIN tables are read with the .CMA that assigns them"
         cma = _Rows(single_file(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
         given = {file.stem.upper(): file for file in files if file is not cma.path}
         active = [(line, row) for line, row in cma.rows if row.get("ACTIVE") == "*"]

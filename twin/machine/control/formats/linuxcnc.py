@@ -137,7 +137,7 @@ class LinuxCnc(TableFormat[Terms]):
             single_file(
                 files,
                 ".ini",
-                "LinuxCNC tables are read together with the INI file that names them",
+                "LinuxCNC tables are read with the INI file that names them",
                 f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files",
             )
         )
