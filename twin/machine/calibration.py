@@ -373,7 +373,7 @@ class Calibration:
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
-        """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range by more than rounding."""
+        """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""
         found = self.outside_domains(positions)
         for effect in self.empirical:
             for column, outside in effect.outside(self.state(positions)).items():
