@@ -358,7 +358,7 @@ def test_a_code_with_thousands_of_digits_in_plain_language(dmu50: Machine, block
 )
 def test_an_index_with_thousands_of_digits_in_a_table(dmu50: Machine, tmp_path: Path, text: str, line: int) -> None:
     (tmp_path / "cec.mpf").write_text(text)
-    with pytest.raises(InputError, match="no line of a compensation table") as refused:
+    with pytest.raises(InputError, match="not a line of a compensation table") as refused:
         read_tables("siemens", [tmp_path / "cec.mpf"], dmu50)
     assert refused.value.line == line
 
@@ -368,6 +368,6 @@ def test_a_table_without_a_name_in_an_ini_file(dmu50: Machine, tmp_path: Path) -
     ini.write_text(
         "[TRAJ]\nCOORDINATES = X Y Z B C\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\n[JOINT_0]\nCOMP_FILE =\n"
     )
-    with pytest.raises(InputError, match="COMP_FILE names no file") as refused:
+    with pytest.raises(InputError, match="COMP_FILE is empty") as refused:
         read_tables("linuxcnc", [ini], dmu50)
     assert refused.value.line == 6 and refused.value.expected

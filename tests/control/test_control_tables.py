@@ -128,7 +128,7 @@ def test_over_the_volume(
 
 @pytest.mark.parametrize("kind", ["isg", "siemens"])
 def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, tmp_path: Path) -> None:
-    """ISG's control counts the active tool in, tables of axes do not: the model under either has to say where the point then is."""
+    """ISG's control uses the length of the active tool, tables of axes do not: the model must predict the point with either."""
     calibration = drawn(dmu50, 5, rotary=kind == "isg")
     calibration.save(tmp_path / "errors.yaml")
     made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
@@ -155,7 +155,11 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     )
     report = compensate("cone_frustum.nc", dmu50, calibration.with_control(left)).report
     assert report.control is not None
-    assert ("for that length alone" in report.control.sentence) == (kind == "isg") == ("active" in report.to_text())
+    assert (
+        ("valid only for the tool length" in report.control.sentence)
+        == (kind == "isg")
+        == ("active" in report.to_text())
+    )
 
 
 @pytest.mark.parametrize("kind", [slow("linuxcnc"), "heidenhain"])

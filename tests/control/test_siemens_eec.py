@@ -67,7 +67,7 @@ def test_other_tables_are_refused() -> None:
         ControlTerm("X", (replace(curve, direction=1),)),
         ControlTerm("X", (replace(curve, at=(0.0, 100.0, 500.0)),)),
     ):
-        with pytest.raises(InputError, match="no leadscrew error compensation"):
+        with pytest.raises(InputError, match="not possible as leadscrew error compensation"):
             SiemensEec().write(Terms((term,), MACHINE))
 
 

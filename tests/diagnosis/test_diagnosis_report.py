@@ -139,12 +139,12 @@ def test_the_argument_has_its_order(pages: Mapping[str, str]) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("lost motion", ["The machine has an error", "Lost motion of Y", "µm", "At the tool", "Service", "Beware"]),
+        ("lost motion", ["The machine has an error", "Backlash of Y", "µm", "At the tool", "Service", "Beware"]),
         ("two alike", ["leave open which", "changes with", "Or else", "either will do", "Order no repair"]),
         ("nothing", ["Nothing is wrong that these readings could show", "as it is", "What they cannot"]),
         (
             "re-aligned",
-            ["The measurement was disturbed", "re-aligned from round 2", "Compensate nothing and repair nothing"],
+            ["The measurement was disturbed", "re-aligned from round 2", "Do not compensate or repair the machine"],
         ),
         ("part of it", ["does not explain all", "30 %", "X and Z", "is not enough"]),
     ],

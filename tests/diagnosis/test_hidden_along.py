@@ -108,7 +108,7 @@ def test_a_program_is_compensated_for_it(dmu50: Machine, tmp_path: Path, sign: f
 def test_it_is_read_and_refused(dmu50: Machine) -> None:
     effect = effect_named("reversal_curve", "Y", {"c0": 1.0, "c1": 2.0, "c2": 3.0}, dmu50)
     assert [one.name for one in effect.parameters] == [f"reversal_curve:Y.c{k}" for k in range(3)]
-    with pytest.raises(InputError, match="an axis of limited range"):
+    with pytest.raises(InputError, match="an axis with a limited range"):
         effect_named("reversal_curve", "C", {"c0": 1.0}, dmu50)
     with pytest.raises(InputError, match="parameters of reversal_curve Y"):
         effect_named("reversal_curve", "Y", {"c0": 1.0, "c2": 2.0}, dmu50)

@@ -243,7 +243,7 @@ def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path:
         (
             "- {effect: payload, where: tool, " + FOUR,
             7,
-            "acts on nothing",
+            "loads no joint",
         ),
         (
             "- {effect: payload, where: flange, " + FOUR,

@@ -1,4 +1,4 @@
-"""Calibrations drawn at random for tests: every curve, squareness and location of a machine, up to a stated size."""
+"""Random calibrations for tests: every curve, squareness and location of a machine, up to a given size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.machine.motion_curve import Curve
 
 
 def random_calibration(machine: Machine, rng: np.random.Generator, size: float = 1000.0) -> Calibration:
-    """Curves whose values reach at most ``size`` µm or µrad, squareness and locations a tenth of it."""
+    """Return a calibration with curves of at most ``size`` µm or µrad, and squareness and locations of a tenth of it."""
     curves = {}
     for name in machine.motion_names:
         axis = machine.by_name[name[3:]]

@@ -1,4 +1,4 @@
-"""Calibration files: what they say, round trip, and every way to get one wrong."""
+"""Calibration files: contents, round trip, and refusal of invalid files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_default_calibration_gives_the_published_figure(dmu50: Machine) -> None:
     assert {"E_XX", "E_YX", "E_ZX"} == {c.name for c in calibration.curves.values() if not c.illustrative}
 
 
-def test_default_calibration_is_what_its_script_makes(dmu50: Machine, calibration: Calibration) -> None:
+def test_default_calibration_equals_the_output_of_its_script(dmu50: Machine, calibration: Calibration) -> None:
     made = dmu50_calibration.calibration(dmu50)
     assert set(made.curves) == set(calibration.curves) == set(dmu50.motion_names)
     for name, curve in made.curves.items():
@@ -102,7 +102,9 @@ CURVE = "curves:\n  E_XX:\n    unit: um\n    domain: [0, 500]\n    basis: power\
         (HEAD + "curves: [1, 2\n", 5, "YAML"),
     ],
 )
-def test_bad_files_say_where_and_what(dmu50: Machine, tmp_path: Path, text: str, line: int | None, words: str) -> None:
+def test_invalid_files_are_refused_with_file_line_and_reason(
+    dmu50: Machine, tmp_path: Path, text: str, line: int | None, words: str
+) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -175,7 +177,7 @@ def test_bad_joint_covariance_is_refused(dmu50: Machine, tmp_path: Path, old: st
 
 
 def test_derivatives_are_those_of_the_components(dmu50: Machine) -> None:
-    """Every effect is linear in its parameters: its components are the sum of derivative times value."""
+    """These effects are linear in their parameters: components are the sum of derivative times value."""
     drawn = random_calibration(dmu50, np.random.default_rng(33))
     drawn_q = np.random.default_rng(34).uniform([0, 0, -400, 0, -500], [500, 450, 0, 180, 500], (50, 5))
     q = dict(zip(dmu50.names, drawn_q.T, strict=True))

@@ -1,4 +1,4 @@
-"""The datum of a calibration: the same machine in other numbers, and files that say which numbers they hold."""
+"""The datum of a calibration: conversions of the numbers, and the datum entry of files."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from twin.numerics.covariance import Covariance
 from twin.samples import dmu50_calibration
 
 NM, NRAD = 1e-6, 1e-9
-"""What two descriptions of one machine may differ at the tool: mm and radians. Reached: 0.03 nm, 0.03 nrad."""
+"""Largest difference of two descriptions of one machine at the tool: mm and radians. Achieved: 0.03 nm, 0.03 nrad."""
 STATEMENTS = (MEAN_LINES, END_POINTS)
 
 
 def tools(calibration: twin.Calibration, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points and rotations of the tool over the whole range of a machine, with two lengths."""
+    """Return points and rotations of the tool over the whole range of a machine, for two tool lengths."""
     machine = calibration.machine
     ranges = np.array([axis.domain for axis in machine.axes])
     q = np.random.default_rng(seed).uniform(ranges[:, 0], ranges[:, 1], (200, len(ranges)))
@@ -51,14 +51,14 @@ def assert_same_tool(one: twin.Calibration, two: twin.Calibration, scale: float 
 
 
 def line_of(curve: Curve) -> tuple[float, float]:
-    """Mean and least-squares slope over half the range of a curve, by a fit that shares nothing with the conversion."""
+    """Return mean and least-squares slope over half the range of a curve, by code independent of the conversion."""
     u = np.linspace(-1.0, 1.0, 20001)
     values = curve(np.linspace(*curve.domain, len(u)))
     return float(np.trapezoid(values, u)) / 2.0, 1.5 * float(np.trapezoid(values * u, u))
 
 
 def linear_machine(folder: Path) -> Machine:
-    """Three linear axes on the tool side and no rotary one: nothing takes over a turn of the whole or the zeros of the scales."""
+    """Return a machine with three linear axes on the tool side: no rotary axis absorbs a common rotation or the zeros of the scales."""
     source = Machine.load("dmu50").path
     text = source.read_text().replace("calibration: dmu50.calibration.yaml\n", "")
     head, _, rest = text.partition("axes:\n")
@@ -98,7 +98,7 @@ def test_three_linear_axes(datum: Datum, tmp_path: Path) -> None:
     found = given_.in_datum(datum)
     assert found.datum == datum
     assert_same_tool(given_, found)
-    # The direction of the frame stays as a common turn of all lines: it is in no squareness.
+    # The direction of the frame remains as a common rotation of all lines and is not in a squareness.
     if datum == MEAN_LINES:
         slopes = {
             name: line_of(found.curves[name])[1] / (np.ptp(found.curves[name].domain) / 2e3)
@@ -143,7 +143,7 @@ def test_every_basis_and_a_curve_over_part_of_the_range(dmu50: Machine) -> None:
 
 
 def test_effects_keep_their_numbers(dmu50: Machine) -> None:
-    """The pose stays but for the product of the effect and the angle moved: 20 µm times some 100 µrad, 2 nm."""
+    """The pose changes only by the product of the effect and the transferred angle: 20 µm times some 100 µrad, 2 nm."""
     extra = (
         effect_named("pitch_error", "X", {"amplitude": 20.0, "period": 10.0, "phase": 0.3}, dmu50),
         effect_named("zero_offset", "Y", {"offset": 20.0}, dmu50),
@@ -172,7 +172,7 @@ def with_covariance(found: twin.Calibration, seed: int) -> twin.Calibration:
 
 
 def shifted(calibration: twin.Calibration, off: Mapping[str, float]) -> twin.Calibration:
-    """The calibration with every parameter moved."""
+    """Return the calibration with every parameter changed."""
     curves = {
         name: replace(c, coefficients=tuple(v + off[f"{name}[{k}]"] for k, v in enumerate(c.coefficients)))
         for name, c in calibration.curves.items()
@@ -207,13 +207,13 @@ def test_covariance_follows_the_exact_conversion(name: str, datum: Datum) -> Non
         rate = np.array([(up[one] - down[one]) / 2.0 for one in common])
         # Curves and angles of 30 µm and µrad: products of two make 1e-3 µm; coefficients of high powers are ten times the curve.
         assert np.abs(found.of(common).matrix - np.outer(rate, rate)).max() <= 1e-3 * np.abs(rate).max() ** 2
-        # And it is another one than before: squareness and locations take over what the curves had.
+        # And it differs from before: squareness and locations absorb amounts of the curves.
         rate_of = dict(zip(common, rate, strict=True))
         assert max(abs(rate_of[one] - step[one]) for one in (*drawn.squareness, *drawn.location)) > 0.5
 
 
 def test_a_curve_at_the_tool_keeps_its_uncertainty(dmu50: Machine) -> None:
-    """What the covariance says of the tool point does not depend on the datum."""
+    """The covariance of the tool point does not depend on the datum."""
     given_ = with_covariance(random_calibration(dmu50, np.random.default_rng(13), 30.0), 14)
     q = np.array([[120.0, 300.0, -80.0, 40.0, 200.0], [450.0, 30.0, -350.0, 110.0, 10.0]])
     one, two = (
@@ -255,13 +255,13 @@ def test_a_wrong_statement_is_refused(dmu50: Machine, tmp_path: Path) -> None:
         twin.Calibration.load(path, dmu50)
 
 
-def test_the_bundled_machine_is_the_one_that_was_drawn(dmu50: Machine, calibration: twin.Calibration) -> None:
+def test_the_bundled_calibration_equals_its_source(dmu50: Machine, calibration: twin.Calibration) -> None:
     assert_same_tool(dmu50_calibration.as_drawn(dmu50), calibration)
     assert calibration.datum == MEAN_LINES
 
 
-def test_the_bundled_machine_by_other_code(dmu50: Machine, tmp_path: Path) -> None:
-    """`TruthMachine` shares no code with `twin`: poses of both files agree there too."""
+def test_the_bundled_calibration_by_independent_code(dmu50: Machine, tmp_path: Path) -> None:
+    """Poses of both files agree in `TruthMachine` too, which shares no code with `twin`."""
     dmu50_calibration.as_drawn(dmu50).save(tmp_path / "old.yaml")
     one, two = (
         TruthMachine(tmp_path / "old.yaml", 120.0),
@@ -273,10 +273,10 @@ def test_the_bundled_machine_by_other_code(dmu50: Machine, tmp_path: Path) -> No
         assert np.abs(one.pose(q)[:3, :3] - two.pose(q)[:3, :3]).max() <= NRAD
 
 
-def test_readme_path_and_the_change_that_was_none(
+def test_readme_commands_find_no_spurious_change(
     dmu50: Machine, calibration: twin.Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """README's commands: identify finds the bundled machine's own numbers, and compare with the drawn file names no change of them."""
+    """README's commands: identify finds the numbers of the bundled machine; compare with the source file finds no change of them."""
     monkeypatch.chdir(tmp_path)
     run = CliRunner().invoke(app, ["simulate", "thesis_plan.csv", "-o", "m.csv", "--seed", "7"])
     assert run.exit_code == 0, run.output
@@ -294,12 +294,12 @@ def test_readme_path_and_the_change_that_was_none(
     assert twin.Calibration.load("drawn.yaml", dmu50).squareness["E_C0Y"] - found["E_C0Y"] > 90.0
     run = CliRunner().invoke(app, ["compare", "drawn.yaml", "mine.yaml", "--json", "r.json"])
     assert "both converted to mean lines: drawn.yaml from as given" in run.output
-    told = {error["error"]: error for error in json.loads((tmp_path / "r.json").read_text())["errors"]}
+    errors = {error["error"]: error for error in json.loads((tmp_path / "r.json").read_text())["errors"]}
     for name in ("E_C0Y", "E_A0B"):
-        assert abs(told[name]["largest"]) <= 1.96 * float(np.sqrt(mine.joint.of([name]).matrix[0, 0])), name
+        assert abs(errors[name]["largest"]) <= 1.96 * float(np.sqrt(mine.joint.of([name]).matrix[0, 0])), name
 
 
-def test_info_converts_and_says_so(dmu50: Machine, tmp_path: Path) -> None:
+def test_info_converts_and_reports_the_datum(dmu50: Machine, tmp_path: Path) -> None:
     drawn, lines, report = tmp_path / "drawn.yaml", tmp_path / "lines.yaml", tmp_path / "r.json"
     dmu50_calibration.as_drawn(dmu50).save(drawn)
     run = CliRunner().invoke(app, ["info", "-c", str(drawn)])
@@ -315,13 +315,13 @@ def test_info_converts_and_says_so(dmu50: Machine, tmp_path: Path) -> None:
     assert isinstance(run.exception, twin.InputError) and "--datum beside --output" in str(run.exception)
 
 
-def test_what_two_files_name_is_all_that_moves(dmu50: Machine) -> None:
-    """Two calibrations of X alone with a constant: nothing they name takes it over, so it stays where it was written."""
+def test_only_errors_named_in_the_files_change(dmu50: Machine) -> None:
+    """Two calibrations of X alone with a constant: no other error in them can absorb it, so it stays in the curve."""
 
     def of(constant: float) -> twin.Calibration:
         curve = Curve("E_XX", "um", (0.0, 500.0), "power", (constant, 5.0, 1.0), np.diag([0.1, 0.2, 0.3]))
-        nothing: MappingProxyType[str, float] = MappingProxyType({})
-        return twin.Calibration(dmu50, "by hand", MappingProxyType({"E_XX": curve}), nothing, nothing)
+        empty: MappingProxyType[str, float] = MappingProxyType({})
+        return twin.Calibration(dmu50, "by hand", MappingProxyType({"E_XX": curve}), empty, empty)
 
     found = twin.compare(of(0.0), of(10.0), poses=20)
     (error,) = found.errors

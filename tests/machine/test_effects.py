@@ -1,4 +1,4 @@
-"""One suite over every effect of the machine: what is specified of it holds for what it does."""
+"""Checks of every machine effect against its specification."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.machine.effects.specification import Found
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
-MADE = [one for one in MACHINE_EFFECTS if one.make is not None]
+MADE = [specification for specification in MACHINE_EFFECTS if specification.make is not None]
 EVERY_MADE = pytest.mark.parametrize("one", MADE, ids=lambda one: one.name)
 EVERY = pytest.mark.parametrize("one", list(SPECIFICATIONS.values()), ids=lambda one: one.name)
 SIZES = {
@@ -41,7 +41,7 @@ SIZES = {
     "c1": -1.0,
 }
 FIXED = ("order", "highest_rpm")
-"""Numbers of an entry that are no parameters: nothing is fitted to them."""
+"""Numbers of an entry that are not fitted parameters."""
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def table(values: Any, rows: int) -> np.ndarray:
 
 
 @EVERY_MADE
-def test_an_entry_comes_back_as_it_was(one: Specification, machine: Machine, tmp_path: Path) -> None:
+def test_an_entry_survives_writing_and_reading(one: Specification, machine: Machine, tmp_path: Path) -> None:
     effect = made(one, machine)
     calibration = Calibration.zero(machine).extended([effect], Covariance.none(), "a test")
     path = tmp_path / "calibration.yaml"
@@ -94,7 +94,7 @@ def test_an_entry_comes_back_as_it_was(one: Specification, machine: Machine, tmp
 
 
 @EVERY_MADE
-def test_derivatives_are_the_differences(one: Specification, machine: Machine) -> None:
+def test_derivatives_agree_with_differences(one: Specification, machine: Machine) -> None:
     effect, given = made(one, machine), state(machine)
     numbers = [name for name in one.parameters if name not in FIXED]
     for parameter, derivative in zip(effect.parameters, effect.derivatives(given), strict=True):
@@ -107,7 +107,7 @@ def test_derivatives_are_the_differences(one: Specification, machine: Machine) -
 
 
 @EVERY_MADE
-def test_numbers_and_expressions_give_the_same(one: Specification, machine: Machine) -> None:
+def test_numbers_and_expressions_give_the_same_result(one: Specification, machine: Machine) -> None:
     effect = made(one, machine)
     given = {name: float(values[3]) for name, values in state(machine).items()}
     symbols = {name: ca.SX.sym(name) for name in machine.names}
@@ -120,7 +120,7 @@ def test_numbers_and_expressions_give_the_same(one: Specification, machine: Mach
 
 
 @EVERY_MADE
-def test_what_it_needs_is_asked_for(one: Specification, machine: Machine) -> None:
+def test_a_missing_channel_is_reported(one: Specification, machine: Machine) -> None:
     effect = made(one, machine)
     wanted = [*one.channels(place(one, machine)), *(["T_bed_degC"] if "by bed" in effect.name else [])]
     given = {name: values for name, values in state(machine).items() if name in machine.names}
@@ -132,13 +132,13 @@ def test_what_it_needs_is_asked_for(one: Specification, machine: Machine) -> Non
 
 
 @EVERY_MADE
-def test_bounds_are_of_its_own_unit(one: Specification, machine: Machine) -> None:
+def test_limits_are_in_the_unit_of_the_effect(one: Specification, machine: Machine) -> None:
     units = {made(one, machine).parameters[0].unit}
     units |= {
         parameter.unit for where in one.places(machine)[:1] for parameter in _at(one, machine, where).parameters[:1]
     }
-    assert not one.largest or units & set(one.largest)
-    assert all(0.0 < size < np.inf for size in one.largest.values())
+    assert not one.limits or units & set(one.limits)
+    assert all(0.0 < size < np.inf for size in one.limits.values())
 
 
 def _at(one: Specification, machine: Machine, where: str) -> Effect:
@@ -147,7 +147,7 @@ def _at(one: Specification, machine: Machine, where: str) -> Effect:
 
 
 @EVERY_MADE
-def test_places_and_parameters_that_are_none_are_refused(one: Specification, machine: Machine) -> None:
+def test_unknown_places_and_parameters_are_refused(one: Specification, machine: Machine) -> None:
     numbers = {name: SIZES[name] for name in one.parameters}
     with pytest.raises(InputError, match=f"no such place for {one.name}"):
         effect_named(one.name, "Q", numbers, machine)
@@ -156,7 +156,7 @@ def test_places_and_parameters_that_are_none_are_refused(one: Specification, mac
 
 
 @EVERY
-def test_every_cause_has_words(one: Specification, machine: Machine) -> None:
+def test_every_cause_has_title_evidence_and_advice(one: Specification, machine: Machine) -> None:
     where = place(one, machine) if one.places(machine) else "E_XX as E_YX" if one.kind == "calibration" else "E_XX"
     numbers = {"time_constant": 900.0, "rate": 1.0}
     for text in (one.title(where), one.plural, one.evidence(Found(where, 1.5, "µm", numbers))):
@@ -170,8 +170,8 @@ def test_names_are_distinct() -> None:
     assert len(set(names)) == len(names)
 
 
-def test_a_spindle_follows_its_speed_as_the_differential_equation_says(machine: Machine) -> None:
-    """dL/dt = (s − L)/τ integrated by scipy, the speed of each reading held since the one before; readings in any order."""
+def test_spindle_growth_obeys_its_differential_equation(machine: Machine) -> None:
+    """dL/dt = (s − L)/τ integrated by scipy; the speed of each reading applies from the previous one on; readings in any order."""
     effect = made(SPECIFICATIONS["spindle_growth"], machine)
     time = np.array([300.0, 1200.0, 2000.0, 2100.0, 5000.0])
     speed = np.array([12000.0, 6000.0, 0.0, 9000.0, 3000.0])

@@ -1,6 +1,6 @@
-"""Tables and reports for machines that are no five-axis mills: what they can have they get, what they cannot is said.
+"""Tables and reports for machines other than five-axis mills: supported outputs are made, others are refused with a reason.
 
-The drill errs by a formula written out here, and its tables are looked up by `tests.control.cases`.
+The errors of the drill are given by a formula in this file, and its tables are evaluated by `tests.control.cases`.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ JOINT = "{unit: urad, domain: [-360, 360], basis: fourier, coefficients: [0, 20,
 
 
 def off_mm(commands: np.ndarray, meant: np.ndarray) -> np.ndarray:
-    """(n, 3) the quill's nose in the frame of the table, less where it was meant to be, mm.
+    """Return the errors (n, 3) of the quill's nose in the frame of the table, mm.
 
-    The table carries its errors: what it shifts by the point is short of, and what it turns by the point turns back.
+    The errors are those of the table: its shift and rotation act on the point with the opposite sign.
     """
     x, z = commands.T
     u, v = x / 150.0 - 1.0, z / 100.0 + 1.0
@@ -74,12 +74,12 @@ def run(*arguments: object) -> int:
 
 def control(machine: Path, kind: str, *more: object) -> int:
     folder = machine.parent
-    where = ("--machine", machine, "-c", folder / "mine.yaml", "--json", folder / "told.json")
+    where = ("--machine", machine, "-c", folder / "mine.yaml", "--json", folder / "account.json")
     return run("control", "--to", kind, "-o", folder / "tables", *where, *more)
 
 
 @pytest.mark.parametrize("kind", ["linuxcnc", "heidenhain", "siemens"])
-def test_a_drill_comes_nearer_with_its_tables(kind: str, drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_reduce_the_errors_of_a_drill(kind: str, drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert control(drill, kind, "--tolerance", "0.0002") == 0
     rng = np.random.default_rng(2)
     meant = np.stack([rng.uniform(0, 300, 200), rng.uniform(-200, 0, 200)], axis=1)
@@ -87,7 +87,7 @@ def test_a_drill_comes_nearer_with_its_tables(kind: str, drill: Path, capsys: py
         meant[:100, 1], meant[100:, 0] = (
             -100.0,
             150.0,
-        )  # no products: right where the other axis stands as the tables have it
+        )  # no products: exact only at the other axis's position assumed in the tables
     commands, machine = meant.copy(), Machine.load(drill)
     for i, axis in enumerate("XZ"):
         commands[:, i] += UM * BY_HAND[kind](drill.parent / "tables", axis, state_of(machine, meant))
@@ -95,13 +95,13 @@ def test_a_drill_comes_nearer_with_its_tables(kind: str, drill: Path, capsys: py
     assert before[:, 0].max() > 10.0 and before[:, 2].max() > 4.0
     # Two tables of 0.2 µm each along either axis; LinuxCNC moves no axis by another.
     assert after[:, 0].max() < 0.5 and (after[:, 2].max() < 0.5) == (kind != "linuxcnc")
-    np.testing.assert_allclose(after[:, 1], before[:, 1], atol=0.01)  # nothing moves that way
-    told = json.loads((drill.parent / "told.json").read_text())
-    shares = {one["name"]: (one["share"], one["why"]) for one in told["errors"]}
+    np.testing.assert_allclose(after[:, 1], before[:, 1], atol=0.01)  # no axis moves in that direction
+    account = json.loads((drill.parent / "account.json").read_text())
+    shares = {one["name"]: (one["share"], one["why"]) for one in account["errors"]}
     assert shares["E_AX"] == ("no", "no linear axis moves the point that way")
     assert shares["E_YX"][0] == "no" and shares["E_XX"] == shares["E_ZZ"] == ("whole", "")
-    # No program runs on it, so none is spoken of.
-    assert told["error_at_tool"]["with_tables_and_program"] is None
+    # No program runs on it, so the text does not mention programs.
+    assert account["error_at_tool"]["with_tables_and_program"] is None
     text = (drill.parent / "tables" / "README.txt").read_text()
     assert text in capsys.readouterr().out and "program compensated" not in text and "With these tables on" in text
 
@@ -123,7 +123,7 @@ def test_a_drill_comes_nearer_with_its_tables(kind: str, drill: Path, capsys: py
     assert max(one["differs"] for one in found["differences"] if one["moved"] == one["along"] == "Z") < 0.2
 
 
-def test_what_a_format_or_a_machine_has_no_room_for(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unsupported_formats_and_machines_are_refused(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for kind in ("isg", "grid"):
         assert control(drill, kind) == 2
         assert "tables of single axes" in capsys.readouterr().err
@@ -149,12 +149,12 @@ def test_a_joint_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     angle = np.radians(sent)
     left = 20 * np.cos(angle) + 5 * np.sin(angle) + np.radians(sent - q) / URAD
     assert np.abs(left).max() < 2.1  # 2 µrad for the µm of the tolerance, and the digits
-    assert "with_tables" in (tmp_path / "told.json").read_text()
+    assert "with_tables" in (tmp_path / "account.json").read_text()
     assert "reference encoder" in capsys.readouterr().out
 
 
 def identified(drill: Path, seed: int) -> Identification:
-    """The drill with the errors of its file, measured in an hour as planned for it, and identified."""
+    """Identify the drill with the errors of its file from a measurement plan of one hour."""
     machine = Machine.load(drill)
     truth = Calibration.load(drill.parent / "mine.yaml", machine)
     planned = plan(machine, Kit.default(machine), minutes=60.0, seed=0).table
@@ -162,8 +162,8 @@ def identified(drill: Path, seed: int) -> Identification:
     return identify(readings, machine)
 
 
-def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(drill: Path) -> None:
-    """One station and six targets leave the station's turn hardly better known than beforehand: plain steps took 80 for this seed."""
+def test_the_estimate_of_a_drill_converges_and_insignificant_errors_enter_no_table(drill: Path) -> None:
+    """One station and six targets hardly determine the station's rotation: plain steps needed 80 iterations for this seed."""
     found = identified(drill, seed=16)
     machine = found.calibration.machine
     assert found.converged and found.calibration.settled
@@ -171,23 +171,23 @@ def test_a_measured_drill_settles_and_what_is_not_proven_goes_into_no_table(dril
     found.calibration.save(drill.parent / "found.yaml")
     one = machine_report(machine, Calibration.load(drill.parent / "found.yaml", machine), made=MADE)
     tabled = [c for c in one.budget.errors if c.iso_class in ("L-POS", "L-STR") and c.peak > c.peak_half]
-    told = " ".join(step.text for step in one.advice.steps)
-    assert ("L-POS" in told, "L-STR" in told) == tuple(
+    advice = " ".join(step.text for step in one.advice.steps)
+    assert ("L-POS" in advice, "L-STR" in advice) == tuple(
         any(c.iso_class == n for c in tabled) for n in ("L-POS", "L-STR")
     )
-    # What it says to type is about this machine.
-    assert "`twin plan -o plan.csv --machine drill.yaml --reduce " in told
+    # The suggested command is for this machine.
+    assert "`twin plan -o plan.csv --machine drill.yaml --reduce " in advice
 
 
-def test_what_did_not_settle_is_used_for_nothing(
+def test_an_estimate_that_did_not_settle_is_not_used(
     drill: Path,
     dmu50: Machine,
     calibration: Calibration,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The file says it, and no program and no table is made of it."""
-    # An estimate whose steps all stay large.
+    """The file is marked, and no program is corrected and no table is made with it."""
+    # An estimate whose steps never become small.
     monkeypatch.setattr("twin.identification.solve.STILL", 0.0)
     found = identified(drill, seed=2)
     machine = found.calibration.machine
@@ -199,16 +199,18 @@ def test_what_did_not_settle_is_used_for_nothing(
     report = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
     assert "Use this calibration" in [step.title for step in report.advice.steps if step.kind == "never"]
     replace(calibration, settled=False).save(drill.parent / "five.yaml")
-    with pytest.raises(InputError, match=r"five.yaml: .* did not settle: 'settled: false'; expected one that did"):
+    with pytest.raises(
+        InputError, match=r"five.yaml: .* did not settle: 'settled: false'; expected a settled estimate"
+    ):
         compensate("cone_frustum.nc", dmu50, Calibration.load(drill.parent / "five.yaml", dmu50))
 
 
-def test_a_report_promises_no_programs(drill: Path) -> None:
+def test_a_report_for_a_machine_without_programs(drill: Path) -> None:
     machine = Machine.load(drill)
     one = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
     done = [step for step in one.advice.steps if step.kind == "do"]
     assert [step.title for step in done] == ["Fill the control's axis tables"]
-    # The straightness across the plane of both axes is no table's.
+    # No table corrects the straightness perpendicular to the plane of both axes.
     assert "positioning (L-POS), straightness (L-STR) and tilts of the linear axes (L-ANG) for all" in done[0].text
     only_y = Calibration.load(drill.parent / "mine.yaml", machine).where(lambda name: name in ("E_XX", "E_YX"))
     (step,) = [step for step in machine_report(machine, only_y, made=MADE).advice.steps if step.kind == "do"]
@@ -217,7 +219,7 @@ def test_a_report_promises_no_programs(drill: Path) -> None:
     assert "no programs on this machine" in text and "the calibration gives no uncertainty</span>" not in text
 
 
-def test_programs_are_refused_with_what_they_need(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_programs_are_refused_with_the_required_axes(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("compensate", "scene"):
         out = drill.parent / ("out.nc" if command == "compensate" else "out.html")
         assert run(command, "cone_frustum.nc", "-o", out, "--machine", drill) == 2
@@ -239,7 +241,7 @@ def test_a_stage_and_an_arm_have_reports(tmp_path: Path) -> None:
     )
     one = machine_report(arm, Calibration.load(tmp_path / "arm.cal.yaml", arm), made=MADE)
     assert "Angle of J3" in machine_html(one)
-    # Two turns on one circle would be two curves on top of each other.
+    # In a polar plot, two turns would overlap.
     (plot,) = plot_motion(one.motions[0]).axes
     assert plot.name == "rectilinear" and plot.get_xlabel() == "J1 [°]"
     turned = Machine.load(few_axes.write_robot(tmp_path, reach_deg=180.0))

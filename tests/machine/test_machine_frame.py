@@ -1,4 +1,4 @@
-"""Linear axes whose joint frames are turned in the URDF: names of their errors, and what a squareness does."""
+"""Linear axes with rotated joint frames in the URDF: names of their errors, and the effect of a squareness error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 
-MM_TOLERANCE = 1e-9  # contract: what two formulations of the chain may differ by
+MM_TOLERANCE = 1e-9  # contract: largest difference of two formulations of the chain
 FRAMES = {"x": ("0 0 0", "1 0 0"), "y": ("0 0 0", "0 1 0"), "z": ("0 0 0", "0 0 1")}
 
 
@@ -30,7 +30,7 @@ def write_mill(
     further: str = "",
     axes: str = "",
 ) -> Path:
-    """A mill of three axes, one on the other; some joints with another frame (rpy) and axis vector, or entry in the file."""
+    """Write a mill of three stacked axes; some joints with another frame (rpy) and axis vector, or another entry in the file."""
     frames = FRAMES | (turned or {})
     joints, below = "", "floor"
     for name, (rpy, axis) in frames.items():
@@ -39,7 +39,7 @@ def write_mill(
             f'    <origin rpy="{rpy}"/><axis xyz="{axis}"/><limit lower="0" upper="1" effort="0" velocity="1"/></joint>\n'
             f'  <link name="{name}"/>\n'
         )
-        # The next joint's frame is counted from the base again.
+        # The next joint's frame is parallel to the base again.
         back = pin.rpy.rpyToMatrix(*map(float, rpy.split())).T
         undo = " ".join(f"{angle:.17g}" for angle in pin.rpy.matrixToRpy(back))
         joints += (
@@ -61,13 +61,13 @@ def write_mill(
 
 
 def with_squareness(machine: Machine, **angles_urad: float) -> Kinematics:
-    nothing: MappingProxyType[str, float] = MappingProxyType({})
-    calibration = Calibration(machine, "a test", MappingProxyType({}), MappingProxyType(angles_urad), nothing)
+    empty: MappingProxyType[str, float] = MappingProxyType({})
+    calibration = Calibration(machine, "a test", MappingProxyType({}), MappingProxyType(angles_urad), empty)
     return Kinematics(machine, calibration)
 
 
 def check_against_the_contract(machine: Machine) -> None:
-    """§1: E_XY −= y·E_C0Y, E_XZ += z·E_B0Z, E_YZ −= z·E_A0Z; by formula and by Pinocchio's own recursion."""
+    """Check contract §1: E_XY −= y·E_C0Y, E_XZ += z·E_B0Z, E_YZ −= z·E_A0Z; by formula and by Pinocchio's recursion."""
     x, y, z = 120.0, 250.0, 310.0
     assert set(machine.squareness_names) == {"E_C0Y", "E_A0Z", "E_B0Z"}
     real = with_squareness(machine, E_C0Y=20.0, E_B0Z=30.0, E_A0Z=-50.0)
@@ -83,7 +83,7 @@ def check_against_the_contract(machine: Machine) -> None:
 
 
 def leaning(about: int, angle: float, along: int) -> tuple[str, str]:
-    """Frame leaning by an angle about x, y or z of the base, and the vector in it that points along the base's x, y or z."""
+    """Return a frame inclined about x, y or z of the base, and the vector in it that points along the base's x, y or z."""
     rpy = np.zeros(3)
     rpy[about] = angle
     vector = pin.rpy.rpyToMatrix(rpy).T[:, along]
@@ -96,7 +96,7 @@ def test_upright(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("angle", [0.5, -0.7])
 @pytest.mark.parametrize(("axis", "about", "along"), [("y", 0, 1), ("y", 2, 1), ("z", 0, 2), ("z", 1, 2)])
-def test_squareness_turns_about_the_machines_directions_where_a_frame_leans(
+def test_squareness_refers_to_the_machine_directions_with_an_inclined_frame(
     tmp_path: Path, axis: str, about: int, along: int, angle: float
 ) -> None:
     check_against_the_contract(Machine.load(write_mill(tmp_path, {axis: leaning(about, angle, along)})))
@@ -111,28 +111,28 @@ def test_squareness_turns_about_the_machines_directions_where_a_frame_leans(
         ("z", "0 1.5707963267948966 0", "-1 0 0", "error_frame_rpy_deg: [0, -90, 0]"),
     ],
 )
-def test_a_frame_on_its_side_is_refused_and_the_remedy_works(
+def test_a_rotated_frame_is_refused_and_the_remedy_works(
     tmp_path: Path, axis: str, rpy: str, vector: str, remedy: str
 ) -> None:
-    """E_XY would move along y, and the squareness of Y had another name and no effect."""
+    """Otherwise E_XY would act along y, and the squareness of Y would have another name and no effect."""
     with pytest.raises(InputError, match="is turned") as caught:
         Machine.load(write_mill(tmp_path, {axis: (rpy, vector)}))
     assert remedy in caught.value.expected
     assert caught.value.line == 5 + "xyz".index(axis) and caught.value.value == f"{axis}_joint"
     entry = ", " + caught.value.expected.split(" for this axis")[0]
     machine = Machine.load(write_mill(tmp_path, {axis: (rpy, vector)}, entries={axis: entry}))
-    if rpy != "0 0 1.5708":  # four digits of a right angle: the axis itself is 4 µrad out
+    if rpy != "0 0 1.5708":  # right angle with four digits: the axis itself is inclined by 4 µrad
         check_against_the_contract(machine)
     assert set(machine.squareness_names) == {"E_C0Y", "E_A0Z", "E_B0Z"}
 
 
 @pytest.mark.parametrize("rpy", ["0 0 1.5707963267948966", "1.5707963267948966 0 0", "0.3 0.2 0.1"])
-def test_a_machine_whose_frames_are_all_turned_alike(tmp_path: Path, rpy: str) -> None:
-    """The base link's orientation means nothing then: the first linear axis's frame is the machine frame."""
+def test_a_machine_whose_frames_are_all_rotated_equally(tmp_path: Path, rpy: str) -> None:
+    """The orientation of the base link then has no influence: the first linear axis's frame is the machine frame."""
     check_against_the_contract(Machine.load(write_mill(tmp_path, base_rpy=rpy)))
 
 
-def test_an_axis_parallel_to_the_datum_axis_can_lean_two_ways(tmp_path: Path) -> None:
+def test_an_axis_parallel_to_the_datum_axis_has_two_squareness_errors(tmp_path: Path) -> None:
     machine = Machine.load(write_mill(tmp_path, {"y": ("0 0 0", "1 0 0")}))
     assert machine.squareness_names == ("E_B0Y", "E_C0Y", "E_B0Z")
     real = with_squareness(machine, E_C0Y=20.0, E_B0Y=10.0)
@@ -151,7 +151,7 @@ def test_an_axis_that_carries_neither_tool_nor_work(tmp_path: Path) -> None:
     assert caught.value.line == 8 and "z_slide or floor" in caught.value.expected
 
 
-def test_a_joint_that_two_axes_name(tmp_path: Path) -> None:
+def test_a_joint_used_by_two_axes_is_refused(tmp_path: Path) -> None:
     path = write_mill(tmp_path)
     path.write_text(path.read_text().replace("z_joint", "y_joint"))
     with pytest.raises(InputError, match="a joint given twice") as caught:
@@ -163,7 +163,7 @@ def test_a_joint_that_two_axes_name(tmp_path: Path) -> None:
     ("old", "new"),
     [("[0, 400]", "[0, 1e300]"), ("0.001", "1e300"), ("tool: z_slide", "tool: z_slide, origin: {X: 1e200}")],
 )
-def test_numbers_beyond_any_machine(tmp_path: Path, old: str, new: str) -> None:
+def test_implausibly_large_numbers_are_refused(tmp_path: Path, old: str, new: str) -> None:
     path = write_mill(tmp_path)
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match="number too large"):
@@ -171,14 +171,14 @@ def test_numbers_beyond_any_machine(tmp_path: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.parametrize("length", [-0.001, -120.0, 5000.001, 1e300, math.inf, math.nan])
-def test_a_length_that_no_tool_has(tmp_path: Path, length: float) -> None:
+def test_an_implausible_tool_length_is_refused(tmp_path: Path, length: float) -> None:
     machine = Machine.load(write_mill(tmp_path))
     with pytest.raises(InputError, match="tool length out of range"):
         Kinematics(machine, Calibration.zero(machine), tool_length_mm=length)
 
 
 @pytest.mark.parametrize("length", ["-5", "6000", ".inf"])
-def test_a_length_that_no_tool_has_in_the_machine_file(tmp_path: Path, length: str) -> None:
+def test_an_implausible_tool_length_in_the_machine_file_is_refused(tmp_path: Path, length: str) -> None:
     path = write_mill(tmp_path)
     path.write_text(path.read_text() + f"programs: {{tool_length: {length}}}\n")
     with pytest.raises(InputError, match=r"programs\.tool_length") as caught:

@@ -1,4 +1,4 @@
-"""The machines that come with `twin`, and what a machine file may not say."""
+"""The machines that come with `twin`, and refusal of invalid machine files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.machine.machine import Machine, bundled_folder
 from twin.machine.motion_curve import Curve
 
 BUNDLED = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
-MM_TOLERANCE = 1e-9  # contract: what two formulations of the chain may differ by
+MM_TOLERANCE = 1e-9  # contract: largest difference of two formulations of the chain
 
 
 @pytest.fixture(scope="module", params=BUNDLED)
@@ -33,7 +33,7 @@ def zeroed(machine: Machine, length: float = 0.0) -> Kinematics:
 
 
 def origin(machine: Machine) -> np.ndarray:
-    """Commands of `frames.origin`, read from the file without `twin`'s reader; rotary axes at zero."""
+    """Return the axis positions of `frames.origin`, read without `twin`'s reader; rotary axes at zero."""
     entries = re.search(r"^\s*origin: \{(.*)\}", machine.path.read_text(), re.MULTILINE)
     found = dict(re.findall(r"(\w+): (-?\d+)", entries[1])) if entries else {}
     return np.array([float(found.get(axis.name, 0)) for axis in machine.axes])
@@ -59,8 +59,8 @@ def test_at_its_origin_the_tool_frame_is_the_work_frame(machine: Machine) -> Non
 
 @pytest.mark.parametrize("axis", "XYZ")
 @pytest.mark.parametrize("step", [-30.0, 12.5, 80.0])
-def test_a_linear_command_moves_the_tool_its_own_way(machine: Machine, axis: str, step: float) -> None:
-    """Relative to the workpiece, whichever of the two the axis carries."""
+def test_a_linear_command_moves_the_tool_in_its_direction(machine: Machine, axis: str, step: float) -> None:
+    """The motion is relative to the workpiece, whether the axis carries the tool or the workpiece."""
     command = origin(machine)
     command[machine.names.index(axis)] += step
     expected = step * np.eye(3)["XYZ".index(axis)]
@@ -68,7 +68,7 @@ def test_a_linear_command_moves_the_tool_its_own_way(machine: Machine, axis: str
 
 
 @pytest.mark.parametrize("name", BUNDLED)
-def test_c_turns_the_tool_the_positive_way_about_the_workpiece(name: str) -> None:
+def test_c_turns_the_tool_in_the_positive_direction_about_the_workpiece(name: str) -> None:
     machine = Machine.load(name)
     command = origin(machine)
     command[machine.names.index("X")] += 100.0
@@ -104,17 +104,17 @@ def test_ranges() -> None:
 
 
 def test_names_of_the_errors(machine: Machine) -> None:
-    """Six motions an axis; three squarenesses; four locations a rotary axis, across it (ISO 230-1)."""
+    """Six error motions per axis, three squareness errors, four locations per rotary axis, perpendicular to it (ISO 230-1)."""
     assert len(machine.motion_names) == len(set(machine.motion_names)) == 30
     assert set(machine.squareness_names) == {"E_C0Y", "E_A0Z", "E_B0Z"}
     tilting = next(axis.name for axis in machine.axes if not axis.linear and axis.name != "C")
-    # The DMU's B leans: its names are those of its own frame, whose z is the axis.
+    # B of the DMU is inclined: names refer to its own frame, whose z is the axis.
     across = {"dmu50": "XYAB", "trunnion_ac": "YZBC", "xyzbc_trunnion": "XZAC"}[machine.path.stem]
     assert set(machine.location_names) == {f"E_{d}0{tilting}" for d in across} | {f"E_{d}0C" for d in "XYAB"}
 
 
 def trunnion_ac(q: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Point (mm) and tool axis in the workpiece by hand: the workpiece turns about -x, 60 mm above the table, then about -z."""
+    """Return point (mm) and tool axis in the workpiece, which turns about -x, 60 mm above the table, then about -z; by formula."""
     x, y, z, a, c = q.T * np.array([1, 1, 1, np.pi / 180, np.pi / 180])[:, None]
     u, v, w = x - 300, y - 250, z + 450 - length - 60
     across, up = v * np.cos(a) - w * np.sin(a), v * np.sin(a) + w * np.cos(a) + 60
@@ -123,7 +123,7 @@ def trunnion_ac(q: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def xyzbc_trunnion(q: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same about -y, 40 mm above the table."""
+    """Return the same for a rotation about -y, 40 mm above the table."""
     x, y, z, b, c = q.T * np.array([1, 1, 1, np.pi / 180, np.pi / 180])[:, None]
     w = z - length - 40
     across, up = x * np.cos(b) + w * np.sin(b), -x * np.sin(b) + w * np.cos(b) + 40
@@ -143,7 +143,7 @@ def test_closed_form(by_hand: Callable[[np.ndarray, float], tuple[np.ndarray, np
 
 @pytest.mark.parametrize(("name", "axis", "along"), [("trunnion_ac", "A", "X"), ("xyzbc_trunnion", "B", "Y")])
 def test_errors_of_a_tilting_axis_carry_the_directions_of_the_machine(name: str, axis: str, along: str) -> None:
-    """Its joint frame lies on its side, its error frame stands upright: E_X., E_Y., E_Z. shift the workpiece along x, y, z."""
+    """The error frame has the machine's directions, unlike the joint frame: E_X., E_Y., E_Z. shift the workpiece along x, y, z."""
     machine = Machine.load(name)
     tilting = machine.by_name[axis]
     assert tilting.lower is not None and tilting.upper is not None
@@ -156,7 +156,7 @@ def test_errors_of_a_tilting_axis_carry_the_directions_of_the_machine(name: str,
 
 
 def gap_mm(machine: Machine, command: np.ndarray, moving: set[str], others: set[str]) -> tuple[float, str, str]:
-    """Smallest distance between the drawn shapes of two sets of links."""
+    """Return the smallest distance between the shapes of two sets of links."""
     shapes = pin.buildGeomFromUrdf(machine.model, str(machine.urdf), pin.GeometryType.VISUAL).geometryObjects
     data = machine.model.createData()
     pin.framesForwardKinematics(machine.model, data, machine.configuration(command * machine.scale))
@@ -179,7 +179,7 @@ def gap_mm(machine: Machine, command: np.ndarray, moving: set[str], others: set[
     return min(gaps)
 
 
-def test_the_table_swings_clear_of_what_stands_around_it(machine: Machine) -> None:
+def test_the_table_does_not_collide_with_its_surroundings(machine: Machine) -> None:
     tilting = next(axis for axis in machine.axes if not axis.linear and axis.lower is not None)
     around = {"base", "x_slide"} | ({"y_table"} if machine.path.stem == "trunnion_ac" else set())
     for angle in np.linspace(tilting.lower, tilting.upper, 13):
@@ -189,7 +189,7 @@ def test_the_table_swings_clear_of_what_stands_around_it(machine: Machine) -> No
             assert gap[0] > 0.5, (angle, gap)
 
 
-def test_slides_do_not_run_into_the_bed(machine: Machine) -> None:
+def test_slides_do_not_collide_with_the_bed(machine: Machine) -> None:
     moving = {"x_slide", "spindle"} | {
         str(machine.model.frames[i].name)
         for i in range(machine.model.nframes)
@@ -204,7 +204,7 @@ def test_slides_do_not_run_into_the_bed(machine: Machine) -> None:
 
 
 def test_masses_of_the_dmu50_are_plausible() -> None:
-    """For what gravity does later: slides of hundreds of kilograms, and no body with an impossible inertia."""
+    """The masses determine gravity loads: slides of hundreds of kilograms, and no body with an impossible inertia."""
     model = Machine.load("dmu50").model
     masses = [inertia.mass for inertia in model.inertias if inertia.mass > 0]
     assert len(masses) == 5 and min(masses) > 50 and 1000 < sum(masses) < 3000
@@ -214,7 +214,7 @@ def test_masses_of_the_dmu50_are_plausible() -> None:
             assert moments[0] > 0 and moments[0] + moments[1] >= moments[2] * (1 - 1e-12)
 
 
-# ---- machine files that are wrong
+# ---- invalid machine files
 
 
 @pytest.fixture
@@ -248,14 +248,16 @@ def copy(tmp_path: Path) -> Path:
         ("range: [0, 600]", "range: [0, .nan]", "axes.0.range.1", "finite"),
         ("range: [0, 500], increment: 0.001", "range: [0, 500], increment: -1", "is invalid", "greater than 0"),
         ("name: Y,", "name: X,", "given twice", "each axis once"),
-        ("origin: {X: 300", "origin: {A: 300", "no linear axis", "linear axes"),
+        ("origin: {X: 300", "origin: {A: 300", "not a linear axis", "linear axes"),
         ("  tool: spindle ", "  tool: spindle\n  tool: spindle ", "duplicate key", "each key once"),
         ("schema: twin.machine/1", "schema: twin.machine/9", "wrong kind of file", "schema: twin.machine/1"),
         ("frames:", "colour: white\nframes:", "is invalid", ""),
         ("kind: linear, range: [0, 600]", "kind: linear range: [0, 600", "not YAML", "YAML"),
     ],
 )
-def test_a_wrong_machine_file_is_told_with_its_line(copy: Path, old: str, new: str, what: str, expected: str) -> None:
+def test_an_invalid_machine_file_is_refused_with_its_line(
+    copy: Path, old: str, new: str, what: str, expected: str
+) -> None:
     text = copy.read_text()
     assert text.count(old) == 1
     copy.write_text(text.replace(old, new))
@@ -267,7 +269,7 @@ def test_a_wrong_machine_file_is_told_with_its_line(copy: Path, old: str, new: s
     assert what in caught.value.what and expected in caught.value.expected
 
 
-def test_a_urdf_that_is_not_there(copy: Path) -> None:
+def test_a_missing_urdf(copy: Path) -> None:
     copy.with_suffix(".urdf").unlink()
     with pytest.raises(InputError, match=r"trunnion_ac\.yaml:3: no such URDF"):
         Machine.load(copy)
@@ -285,7 +287,7 @@ def test_a_urdf_that_is_not_xml(copy: Path) -> None:
 
 
 @pytest.mark.parametrize(("old", "new"), [('child link="table"', 'child link="tabel"'), ("<robot", "<robbot")])
-def test_xml_that_is_no_robot(copy: Path, old: str, new: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_xml_that_is_not_a_robot(copy: Path, old: str, new: str, capfd: pytest.CaptureFixture[str]) -> None:
     urdf = copy.with_suffix(".urdf")
     urdf.write_text(
         urdf.read_text().replace(old, new).replace("</robot>", "</robbot>" if "robb" in new else "</robot>")
@@ -295,7 +297,7 @@ def test_xml_that_is_no_robot(copy: Path, old: str, new: str, capfd: pytest.Capt
     assert caught.value.file in (str(urdf), str(copy))
 
 
-def test_an_unknown_machine_lists_those_there_are() -> None:
+def test_the_error_for_an_unknown_machine_lists_the_known_ones() -> None:
     with pytest.raises(InputError) as caught:
         Machine.load("dmu5000")
     assert all(f"{name}.yaml" in caught.value.expected for name in BUNDLED)

@@ -1,4 +1,4 @@
-"""URDF files that are wrong or hostile: refused with file and line before Pinocchio reads them."""
+"""Invalid or hostile URDF files: refused with file and line before Pinocchio reads them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import Machine
-from twin.machine.urdf_file import MOST_BYTES, MOST_LINKS, MOST_MOVING
+from twin.machine.urdf_file import MAX_BYTES, MAX_LINKS, MAX_MOVING_JOINTS
 from twin.planning.sight import machine_shapes
 
 QUILL = '<link name="quill"/>'
@@ -20,7 +20,7 @@ INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
 
 
 def chain(links: int, kind: str = "fixed") -> str:
-    """A chain of that many links."""
+    """Return a chain with the given number of links."""
     motion = '<axis xyz="1 0 0"/><limit lower="0" upper="1" effort="0" velocity="1"/>'
     joints = (
         f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>{motion}</joint><link name="l{i}"/>'
@@ -30,7 +30,7 @@ def chain(links: int, kind: str = "fixed") -> str:
 
 
 def changed(folder: Path, old: str, new: str) -> tuple[Path, int]:
-    """The drill's machine file with a change to its URDF, and the line of the change."""
+    """Write the drill's machine file with a change in its URDF; return its path and the line of the change."""
     path = few_axes.write_drill(folder)
     urdf = path.with_suffix(".urdf")
     text = urdf.read_text()
@@ -96,12 +96,12 @@ def changed(folder: Path, old: str, new: str) -> tuple[Path, int]:
             QUILL,
             f'{QUILL}<joint name="c" type="fixed"><parent link="table"/><child link="quill"/></joint>',
             "a link carried by two joints",
-            "one joint to every link",
+            "one joint per link",
         ),
         (
             QUILL,
             f'{QUILL}<link name="p"/><joint name="f" type="floating"><parent link="quill"/><child link="p"/></joint>',
-            "a type that twin does not know",
+            "an unsupported type",
             "prismatic, revolute, continuous, fixed",
         ),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><mimic joint="x_joint"/>', "follows another", "independently"),
@@ -111,7 +111,7 @@ def changed(folder: Path, old: str, new: str) -> tuple[Path, int]:
         (QUILL, "<a>" * 100_000 + "</a>" * 100_000, "nested too deeply", "levels"),
     ],
 )
-def test_a_urdf_that_does_not_fit_is_refused_with_its_line(
+def test_an_invalid_urdf_is_refused_with_its_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, what: str, expected: str
 ) -> None:
     path, line = changed(tmp_path, old, new)
@@ -119,9 +119,9 @@ def test_a_urdf_that_does_not_fit_is_refused_with_its_line(
         Machine.load(path)
     assert what in caught.value.what and expected in caught.value.expected
     assert caught.value.file == str(path.with_suffix(".urdf"))
-    # A joint's error may stand with the joint, two lines above its axis.
+    # An error of a joint may be reported at the joint, two lines above its axis.
     assert caught.value.line is not None and line - 2 <= caught.value.line <= line
-    assert capfd.readouterr().err == ""  # Pinocchio's reader, which would write there, has not seen it
+    assert capfd.readouterr().err == ""  # Pinocchio's reader, which would write there, was not called
 
 
 def test_links_that_no_joint_connects(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_links_that_no_joint_connects(tmp_path: Path) -> None:
         b"<robot>\0</robot>",
     ],
 )
-def test_a_file_that_is_no_urdf(tmp_path: Path, raw: bytes) -> None:
+def test_a_file_that_is_not_a_urdf(tmp_path: Path, raw: bytes) -> None:
     path = few_axes.write_drill(tmp_path)
     path.with_suffix(".urdf").write_bytes(raw)
     with pytest.raises(InputError) as caught:
@@ -154,12 +154,12 @@ def test_a_file_that_is_no_urdf(tmp_path: Path, raw: bytes) -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (chain(MOST_LINKS + 1), "too many links"),
-        (chain(MOST_MOVING + 2, "prismatic"), "too many moving joints"),
-        ("<robot>" + " " * MOST_BYTES + "</robot>", "too large"),
+        (chain(MAX_LINKS + 1), "too many links"),
+        (chain(MAX_MOVING_JOINTS + 2, "prismatic"), "too many moving joints"),
+        ("<robot>" + " " * MAX_BYTES + "</robot>", "too large"),
     ],
 )
-def test_a_urdf_beyond_its_bounds(tmp_path: Path, text: str, what: str) -> None:
+def test_a_urdf_beyond_the_size_limits(tmp_path: Path, text: str, what: str) -> None:
     path = few_axes.write_drill(tmp_path)
     path.with_suffix(".urdf").write_text(text)
     with pytest.raises(InputError, match=what):
@@ -167,7 +167,7 @@ def test_a_urdf_beyond_its_bounds(tmp_path: Path, text: str, what: str) -> None:
 
 
 def test_20_000_links_do_not_end_the_process(tmp_path: Path) -> None:
-    """In a process of its own: the reader of Pinocchio overflows the stack of this one."""
+    """Runs in a separate process: the reader of Pinocchio would overflow the stack of this one."""
     path = few_axes.write_drill(tmp_path)
     path.with_suffix(".urdf").write_text(chain(20_001))
     code = f"from twin.machine.machine import Machine; Machine.load({str(path)!r})"
@@ -175,17 +175,17 @@ def test_20_000_links_do_not_end_the_process(tmp_path: Path) -> None:
     assert ended.returncode == 1 and "too many links" in ended.stderr.splitlines()[-1]
 
 
-def test_a_chain_at_its_bounds_is_read(tmp_path: Path) -> None:
+def test_a_chain_at_the_size_limits_is_read(tmp_path: Path) -> None:
     path = few_axes.write_drill(tmp_path)
-    path.with_suffix(".urdf").write_text(chain(MOST_MOVING + 1, "prismatic"))
-    text = path.read_text().replace("x_joint", "j1").replace("z_joint", f"j{MOST_MOVING}")
-    path.write_text(text.replace("quill", f"l{MOST_MOVING}").replace("table", "l0"))
+    path.with_suffix(".urdf").write_text(chain(MAX_MOVING_JOINTS + 1, "prismatic"))
+    text = path.read_text().replace("x_joint", "j1").replace("z_joint", f"j{MAX_MOVING_JOINTS}")
+    path.write_text(text.replace("quill", f"l{MAX_MOVING_JOINTS}").replace("table", "l0"))
     machine = Machine.load(path)
     assert Kinematics(machine).forward([[100.0, -50.0]]).point_mm[0] == pytest.approx([50.0, 0.0, 0.0])
 
 
-def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
-    """It matters where shapes are needed, not to a compensation."""
+def test_a_missing_mesh(tmp_path: Path) -> None:
+    """A missing mesh matters only if shapes are needed, not for a compensation."""
     mesh = '<link name="quill"><visual><geometry><mesh filename="none.stl"/></geometry></visual></link>'
     machine = Machine.load(changed(tmp_path, QUILL, mesh)[0])
     with pytest.raises(InputError, match=r"none\.stl"):
@@ -197,7 +197,7 @@ def test_a_fixed_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
     assert Machine.load(changed(tmp_path, QUILL, more)[0]).names == ("X", "Z")
 
 
-def test_joints_named_as_the_error_frames_are(tmp_path: Path) -> None:
+def test_joints_with_the_names_of_error_frames(tmp_path: Path) -> None:
     more = f'{QUILL}<link name="p"/><joint name="z_joint:error" type="continuous"><parent link="quill"/><child link="p"/></joint>'
     with pytest.raises(InputError, match="z_joint:error") as caught:
         Machine.load(changed(tmp_path, QUILL, more)[0])
@@ -205,7 +205,7 @@ def test_joints_named_as_the_error_frames_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, ".", "loop"])
-def test_the_path_of_a_urdf_that_is_no_file(tmp_path: Path, name: str) -> None:
+def test_a_urdf_path_that_is_not_a_file(tmp_path: Path, name: str) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     path = few_axes.write_drill(tmp_path)
     path.write_text(path.read_text().replace("drill.urdf", name))
@@ -214,7 +214,7 @@ def test_the_path_of_a_urdf_that_is_no_file(tmp_path: Path, name: str) -> None:
     assert caught.value.line == 3
 
 
-def test_a_machine_of_an_impossible_name() -> None:
+def test_a_machine_with_an_impossible_name() -> None:
     for name in ("a" * 5000, "a\0b"):
         with pytest.raises(InputError, match="not found"):
             Machine.load(name)

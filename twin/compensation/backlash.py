@@ -65,9 +65,9 @@ class LostMotion:
                 size = effect.size
             elif isinstance(effect, ReversalCurve):
                 # The play is as wide as the lost motion is at its largest; by how much the axis is off is asked of the effect itself.
-                size = max(effect.lost_motion(), key=abs)
+                size = max(effect.reversal_range(), key=abs)
             elif isinstance(effect, ControlCorrection):
-                low, high = effect.lost_motion(ranges)
+                low, high = effect.reversal_range(ranges)
                 if high - low > UNEVEN:
                     raise InputError(
                         f"a table of the control takes up a reversal of {effect.axis.name} that changes along the axis",

@@ -217,7 +217,7 @@ def _table(one: Planned, content: Content, back: Terms, wanted: Wanted, request:
 
 def _old_nodes(old: Terms, axis: Axis) -> tuple[float, ...] | None:
     """Nodes of the tables over an axis that are to be added to."""
-    curves = [term.factors[0] for term in old.terms if term.factors[0].of == axis.name]
+    curves = [term.factors[0] for term in old.terms if term.factors[0].argument == axis.name]
     if not curves:
         return None
     if any(curve.at != curves[0].at for curve in curves):

@@ -1,1 +1,1 @@
-"""The machine and what is known of it: machine file, calibration, error motions, effects, conditions, tables of its control."""
+"""The machine and its errors: machine file, calibration, error motions, effects, conditions and correction tables of its control."""

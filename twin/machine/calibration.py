@@ -1,4 +1,4 @@
-"""A calibration: the error motions, squareness and locations identified for one machine, under their ISO 230-1 names."""
+"""A calibration: error motions, squareness errors and axis locations of one machine, by their ISO 230-1 names."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ from twin.numerics.curves import Basis, basis_named
 
 SCHEMA = "twin.calibration/1"
 LARGEST_ANGLE_URAD = 1e5
-"""Beyond this an angle is no error motion but a mistake in the file; the rotation series is exact well past it."""
+"""Largest angle accepted: a larger one is a mistake in the file. The rotation series is exact well beyond it."""
 
 
 @final
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of one machine's errors; a curve, squareness or location not named is zero.
+    """Errors of one machine; a curve, squareness or location that is absent is zero.
 
     Attributes:
         machine: the machine it belongs to.
-        source: where the numbers come from, in words.
+        source: origin of the numbers, in words.
         curves: error motions by name.
         squareness: µrad by name.
         location: µm and µrad by name.
-        extra: effects a diagnosis added, beside those the names above stand for.
-        joint: covariance of all identified parameters together, or None where only curves have their own.
+        extra: further effects, for example those added by a diagnosis.
+        joint: joint covariance of all identified parameters, or None if only single curves have a covariance.
         path: the file it was read from, or None.
-        control: what it says of the machine's control; None: nothing, as of a control that corrects nothing.
-        corrections: what the control takes out of these errors by itself; nothing where they are what it leaves.
-        settled: whether the estimate it comes from did; if not, no program and no table is made of it.
-        simulated: whether readings it comes from were simulated, not measured on a machine.
+        control: correction tables active in the machine's control; None if there are none.
+        corrections: corrections that the control applies to these errors; empty if the errors were measured with the tables active.
+        settled: whether the estimation converged; if not, no program is corrected and no table is made with it.
+        simulated: whether it was identified from simulated readings.
     """
 
     machine: Machine
@@ -79,16 +79,16 @@ class Calibration:
 
     @classmethod
     def zero(cls, machine: Machine) -> Calibration:
-        """The machine as drawn."""
-        nothing: Mapping[str, Any] = MappingProxyType({})
-        return cls(machine, "nominal: no errors", nothing, nothing, nothing)
+        """Return a calibration without errors (nominal machine)."""
+        empty: Mapping[str, Any] = MappingProxyType({})
+        return cls(machine, "nominal: no errors", empty, empty, empty)
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Calibration:
         """Read and check a calibration file.
 
         Raises:
-            InputError: with file, line, value and what was expected.
+            InputError: the file is invalid; the error names file, line, value and what was expected.
         """
         path = Path(path)
         entries, lines = load_yaml(path, CalibrationFile, SCHEMA)
@@ -110,7 +110,9 @@ class Calibration:
             for name, value in given.items():
                 check.name((kind, name), name, allowed)
                 if (split_name(name)[0] >= 3) and abs(value) > LARGEST_ANGLE_URAD:
-                    raise check.fail((kind, name), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", value)
+                    raise check.fail(
+                        (kind, name), "implausibly large angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", value
+                    )
         loaded = cls(
             machine=machine,
             source=entries.source,
@@ -129,20 +131,20 @@ class Calibration:
 
     @classmethod
     def default(cls, machine: Machine) -> Calibration:
-        """The machine file's own calibration; the machine as drawn if it names none."""
+        """Load the calibration named in the machine file, or return one without errors if it names none."""
         return (
             cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the file, whole or not at all."""
+        """Write the file atomically."""
         write_whole(Path(path), self.to_yaml(Path(path).parent))
 
     def to_yaml(self, folder: Path | None = None) -> str:
-        """The file's text; reading it gives the same calibration.
+        """Return the text of the calibration file; reading it gives the same calibration.
 
         Args:
-            folder: where it will stand: files of the control are named as seen from there, else by their full path.
+            folder: folder of the file: control files are named relative to it; by their full path if None.
         """
         data: dict[str, Any] = {
             "schema": SCHEMA,
@@ -176,18 +178,18 @@ class Calibration:
 
     @cached_property
     def datum(self) -> Datum:
-        """The datum that its numbers fulfil (`twin.machine.datum`)."""
+        """Datum that the numbers fulfil (`twin.machine.datum`)."""
         return datum_of(self._numbers)
 
     def in_datum(self, datum: Datum, names: Collection[str] | None = None) -> Calibration:
-        """The same machine in a datum, with its covariance; itself if it is in that datum already.
+        """Return the calibration, with its covariance, converted to a datum; itself if it is in that datum already.
 
         Args:
-            datum: the rule.
+            datum: the new datum.
             names: errors that may change; all of the machine if None (`twin.machine.datum.convert`).
 
         Raises:
-            InputError: ``as given``, which is no rule; a curve that its basis cannot hold in that datum.
+            InputError: the datum is ``as given``, or the basis of a curve cannot represent it in that datum.
         """
         if violation(self._numbers, datum) is None and datum != AS_GIVEN:
             return self
@@ -216,7 +218,7 @@ class Calibration:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The model these numbers are: one effect an entry, in the order of the file."""
+        """The error model: one effect per entry, in the order of the file."""
         found: list[Effect] = []
         for curve in self.curves.values():
             axis = self.machine.by_name[split_name(curve.name)[2]]
@@ -227,10 +229,10 @@ class Calibration:
         return (*found, *self.extra, *self.corrections)
 
     def with_control(self, control: ControlSection | None) -> Calibration:
-        """The same errors under another control, whose tables are read and become part of the model; None: one that corrects nothing.
+        """Return the same errors with the tables of another control, read from their files; None for no tables.
 
         Raises:
-            InputError: a table cannot be read, is not the file that was entered, or moves an axis the machine has not.
+            InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
         """
         corrections: list[ControlCorrection] = []
         for kind in control.formats if control is not None and control.errors_are == "uncorrected" else ():
@@ -243,27 +245,23 @@ class Calibration:
         return replace(self, control=control, corrections=tuple(corrections))
 
     def check_settled(self) -> None:
-        """That it may be used at a machine.
-
-        Raises:
-            InputError: the estimate did not settle.
-        """
+        """Raise `InputError` unless the estimation converged, so that the calibration may be used on a machine."""
         if not self.settled:
             raise InputError(
                 "the estimate this calibration comes from did not settle",
-                expected="one that did: identify again with more readings, other poses, or the places of targets and stations given",
+                expected="a settled estimate: identify again with more readings, other poses, or known target and station positions",
                 file=self.path,
                 value="settled: false",
             )
 
     def with_tool(self, tool_length_mm: float) -> Calibration:
-        """The same errors under a control that moves a tool of that length, where it counts the tool in."""
-        corrections = tuple(one.with_tool(tool_length_mm) for one in self.corrections)
-        same = all(one is before for one, before in zip(corrections, self.corrections, strict=True))
+        """Return the same errors for a tool of the given length, where the control's correction depends on it."""
+        corrections = tuple(correction.with_tool(tool_length_mm) for correction in self.corrections)
+        same = all(new is old for new, old in zip(corrections, self.corrections, strict=True))
         return self if same else replace(self, corrections=corrections)
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
-        """The same calibration with only the effects (error motions, squareness, locations and others) whose name is kept."""
+        """Return the calibration with only those effects (error motions, squareness, locations, others) whose name fulfils ``keep``."""
         numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}
         return replace(
             self,
@@ -277,7 +275,7 @@ class Calibration:
 
     @property
     def covariance(self) -> Covariance:
-        """What is known of the parameters' uncertainty: the joint covariance, or each curve's own, independent."""
+        """Covariance of the parameters: the joint covariance, or those of the single curves, taken as independent."""
         if self.joint is not None:
             return self.joint
         blocks = []
@@ -289,20 +287,20 @@ class Calibration:
 
     @property
     def without_uncertainty(self) -> tuple[str, ...]:
-        """Names of what this calibration gives a value but no uncertainty."""
+        """Names of the errors that have a value but no uncertainty."""
         known = {name.partition("[")[0] for name in self.covariance.names}
         return tuple(name for name in (*self.curves, *self.squareness, *self.location) if name not in known)
 
     def extended(
         self, effects: Sequence[Effect], covariance: Covariance, source: str, *, simulated: bool = False
     ) -> Calibration:
-        """This calibration with effects added: to the curves, squareness and locations they belong to, or beside them.
+        """Return the calibration with effects added: to its curves, squareness and locations where they apply, else as further effects.
 
         Args:
-            effects: what a diagnosis found.
-            covariance: of their parameters.
-            source: said after this calibration's own.
-            simulated: whether the readings they were found in were simulated.
+            effects: effects to add, for example those found by a diagnosis.
+            covariance: covariance of their parameters.
+            source: their origin, appended to this calibration's own.
+            simulated: whether they were found in simulated readings.
         """
         curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
         extra = list(self.extra)
@@ -338,17 +336,17 @@ class Calibration:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is named: the machine as drawn."""
+        """Whether it has no errors at all."""
         return not (self.curves or self.squareness or self.location or self.extra or self.corrections)
 
     @property
     def illustrative(self) -> bool:
-        """Whether any of its error motions is drawn, not measured."""
+        """Whether any error motion is illustrative instead of measured."""
         return any(curve.illustrative for curve in self.curves.values())
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
-        """Warnings of where the numbers come from; every file made from them carries these."""
+        """Warnings about the origin of the numbers; every file made from them repeats these."""
         found = [ILLUSTRATIVE] if self.illustrative else []
         found += [SIMULATED] if self.simulated else []
         found += [] if self.settled else [UNSETTLED]
@@ -363,19 +361,19 @@ class Calibration:
         errors = errors_html(self.machine, self.effects, self.covariance, drawn)
         unknown = self.without_uncertainty if self.covariance.names or self.empty else ("all of it",)
         about = about_html(self.source, self.path, self.control, drawn, unknown)
-        small = "no errors: the machine as drawn" if self.empty else ""
+        small = "no errors (nominal machine)" if self.empty else ""
         title = f"Calibration of {self.machine.name}"
-        # The card itself shows the first, and `about` lists what has no uncertainty.
-        said = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
-        return card(title, *said, errors, about, small=small, illustrative=self.illustrative).text
+        # The card itself marks illustrative numbers, and `about` lists what has no uncertainty.
+        warnings = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
+        return card(title, *warnings, errors, about, small=small, illustrative=self.illustrative).text
 
     @cached_property
     def empirical(self) -> tuple[Empirical, ...]:
-        """The effects without a known cause, each valid within its ranges only."""
+        """Effects of unknown cause, each valid only within its ranges."""
         return tuple(effect for effect in self.extra if isinstance(effect, Empirical))
 
     def outside(self, positions: np.ndarray) -> np.ndarray:
-        """(n, axes) where positions (mm, degrees) leave the domain of a curve or the range of an empirical effect, not by rounding."""
+        """Return (n, axes) whether positions (mm, degrees) leave a curve's domain or an empirical effect's range, beyond rounding."""
         found = self.outside_domains(positions)
         for effect in self.empirical:
             for column, outside in effect.outside(self.state(positions)).items():
@@ -383,21 +381,17 @@ class Calibration:
         return found
 
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
-        """(n, axes) where positions (mm, degrees) leave the domain of a curve, by more than rounding."""
+        """Return (n, axes) whether positions (mm, degrees) leave the domain of a curve by more than rounding."""
         bounds = self.domains()
         slack = 1e-9
         return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
 
     def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
-        """(n,) positions of every axis by name, of (n, axes) of them."""
+        """Return the positions (n, axes) as arrays (n,) by axis name."""
         return dict(zip(self.machine.names, np.asarray(positions, dtype=float).T, strict=True))
 
     def check(self, positions: np.ndarray) -> None:
-        """Check that every curve and every empirical effect covers (n, axes) positions.
-
-        Raises:
-            InputError: one does not.
-        """
+        """Raise `InputError` unless every curve and every empirical effect covers the positions (n, axes)."""
         outside = self.outside_domains(positions)
         if np.any(outside):
             row, column = np.argwhere(outside)[0]
@@ -411,7 +405,7 @@ class Calibration:
         check_ranges(self.empirical, self.state(positions))
 
     def domains(self) -> np.ndarray:
-        """(axes, 2) where every curve of an axis is defined, mm and degrees; infinite where nothing bounds it."""
+        """Return (axes, 2) the common domain of the curves of every axis, mm and degrees; infinite if there is no limit."""
         bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))
         for curve in self.curves.values():
             axis = self.machine.by_name[split_name(curve.name)[2]]
@@ -445,12 +439,12 @@ class _Check:
         known = next((datum for datum in DATUMS if datum == stated), None)
         if known is None:
             raise self.fail(("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, nearest(stated, DATUMS))
-        against = violation(calibration._numbers, known)
-        if against is not None:
-            curve, what, amount = against
+        found = violation(calibration._numbers, known)
+        if found is not None:
+            curve, what, amount = found
             unit = "µm" if split_name(curve)[0] < 3 else "µrad"
             wrong = f"the numbers contradict the datum '{known}': {curve} has a {what}"
-            expected = "none; leave the entry `datum:` out and convert the file with `twin info` (twin doc datum)"
+            expected = "none; remove the entry `datum:` and convert the file with `twin info` (twin doc datum)"
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
     def curve(self, name: str, entry: CurveEntry) -> Curve:
@@ -466,7 +460,7 @@ class _Check:
             raise self.fail((*place, "domain"), "an empty domain", "[lo, hi] with lo < hi", list(entry.domain))
         if axis.lower is None and abs(hi - lo - 360.0) > 1e-9:
             raise self.fail(
-                (*place, "domain"), "not one turn", "360 degrees, for an axis without limits", list(entry.domain)
+                (*place, "domain"), "not one turn", "360 degrees, for an unlimited axis", list(entry.domain)
             )
         basis = self.basis(place, entry)
         misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
@@ -475,7 +469,7 @@ class _Check:
         peak = np.abs(basis.value(np.linspace(lo, hi, 201), entry.domain, entry.coefficients)).max()
         if unit == "urad" and peak > LARGEST_ANGLE_URAD:
             raise self.fail(
-                (*place, "coefficients"), "no plausible angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", float(peak)
+                (*place, "coefficients"), "implausibly large angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", float(peak)
             )
         return Curve(
             name=name,
@@ -499,7 +493,7 @@ class _Check:
             raise self.fail((*place, part), error.what, str(error.expected), error.value, error.nearest) from None
         misfit = basis.knots_misfit(entry.domain)
         if misfit is not None:
-            raise self.fail((*place, "knots"), "not the knots of this curve", misfit, list(entry.knots))
+            raise self.fail((*place, "knots"), "knots that do not fit this curve", misfit, list(entry.knots))
         return basis
 
     def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
@@ -520,14 +514,14 @@ class _Check:
         folder = self.path.parent
         return ControlSection(
             entry.errors_are,
-            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in entry.tables),
+            tuple(TableEntry(folder / table.file, table.format, table.classes, table.sha256) for table in entry.tables),
         )
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
         for name in entry.parameters:
             if name not in known:
-                what = "a covariance of something not in this file"
+                what = "a covariance of a parameter that is not in this file"
                 raise self.fail(("covariance",), what, "its parameters", name, nearest(name, known))
             if entry.parameters.count(name) > 1:
                 raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
@@ -535,7 +529,7 @@ class _Check:
             found = Covariance.from_text(entry.parameters, entry.lower)
         except ValueError as error:
             raise self.fail(
-                ("covariance", "lower"), "not a covariance", "the lower triangle, one row a line", error
+                ("covariance", "lower"), "not a covariance", "the lower triangle, one row per line", error
             ) from None
         if np.any(np.abs(found.matrix) > LARGEST):
             raise self.fail(("covariance", "lower"), "too large a number", f"at most {LARGEST:g}", "")
@@ -548,7 +542,7 @@ class _Check:
                 raise self.fail(
                     ("curves", curve.name, "covariance"),
                     "differs from the joint covariance",
-                    "the same numbers",
+                    "the same values",
                     curve.name,
                 )
         return found

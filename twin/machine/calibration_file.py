@@ -1,4 +1,4 @@
-"""The entries of a calibration file, as pydantic checks them, and the effects they stand for."""
+"""Entries of a calibration file as pydantic models, and their conversion to effects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ColumnEntry(BaseModel):
 
 
 class EffectEntry(BaseModel):
-    """One effect; the last four only of an empirical one."""
+    """One effect; the last four fields apply only to an empirical effect."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     effect: str
@@ -55,7 +55,7 @@ class EffectEntry(BaseModel):
 
 
 class CovarianceEntry(BaseModel):
-    """Covariance of all parameters together."""
+    """Joint covariance of all parameters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     parameters: tuple[str, ...]
@@ -73,7 +73,7 @@ class TableFileEntry(BaseModel):
 
 
 class ControlEntry(BaseModel):
-    """What the control corrects."""
+    """Correction tables active in the control."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     errors_are: Literal["uncorrected", "remaining"]
@@ -99,20 +99,20 @@ class CalibrationFile(BaseModel):
 
 
 def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[..., InputError]) -> tuple[Effect, ...]:
-    """The effects of a calibration file.
+    """Return the effects of a calibration file.
 
     Args:
-        entries: as they stand there.
+        entries: entries of the file.
         machine: the machine.
-        fail: place in the file, what, what was expected, value and nearest → the error.
+        fail: place in the file, what is wrong, what was expected, value and nearest valid name → the error.
 
     Raises:
-        InputError: an effect that the machine cannot have, or a payload that acts on nothing.
+        InputError: the machine cannot have an effect, or a payload loads no compliant joint.
     """
     payloads: dict[int, Payload] = {}
     found: list[Effect] = []
-    # The payloads first: every joint that gives way does so under them as well.
-    for index, entry in sorted(enumerate(entries), key=lambda one: (one[1].effect != PAYLOAD.name, one[0])):
+    # Payloads first, because they load every compliant joint.
+    for index, entry in sorted(enumerate(entries), key=lambda item: (item[1].effect != PAYLOAD.name, item[0])):
         try:
             if entry.effect == PAYLOAD.name:
                 payloads[index] = payload_named(entry.where, entry.parameters, machine)
@@ -122,8 +122,8 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
             raise fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
     last = max(payloads, default=0)
     if payloads and not any(isinstance(effect, GravityCompliance) for effect in found):
-        expected = "a gravity_compliance of the joints that give way under it"
-        raise fail(("effects", last), "a payload that acts on nothing", expected, "none in the file")
+        expected = "a gravity_compliance of a joint that it loads"
+        raise fail(("effects", last), "a payload that loads no joint", expected, "none in the file")
     if len({payload.side for payload in payloads.values()}) < len(payloads):
         raise fail(("effects", last), "more than one payload on a side", "one", len(payloads))
     return tuple(found)
@@ -140,5 +140,5 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
             f"{EMPIRICAL} {entry.where} without cause or along",
             expected="cause: unknown, and along: base, tool or work",
         )
-    columns = [ColumnSpec(one.column, one.functions, one.order, one.range) for one in entry.columns]
+    columns = [ColumnSpec(column.column, column.functions, column.order, column.range) for column in entry.columns]
     return empirical_named(entry.where, entry.along, columns, entry.parameters, machine)

@@ -1,6 +1,6 @@
-"""The machine's chain as a CasADi expression, built from the Pinocchio model's own placements.
+"""The machine's kinematic chain as a CasADi expression, built from the placements of the Pinocchio model.
 
-Branch-free on purpose: the same expression is differentiated, mapped over batches and, one day, compiled for SIMD.
+The expression has no branches, so that it can be differentiated, mapped over batches and compiled.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ class Pose(NamedTuple):
     translation: Any
 
     def then(self, other: Pose) -> Pose:
-        """``self · other``."""
+        """Return the product ``self · other``."""
         return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Pose:
-        """The transformation back."""
+        """Return the inverse transformation."""
         return Pose(self.rotation.T, -(self.rotation.T @ self.translation))
 
 
-@lru_cache(maxsize=16)  # every calibration asks for it; a machine never changes
+@lru_cache(maxsize=16)  # shared by all calibrations; a machine is immutable
 def chain_function(machine: Machine) -> ca.Function:
-    """The pose of the tool in the work frame.
+    """Return the function of the tool's pose in the work frame.
 
     Inputs: ``q`` (axes,) in command order, ``e`` (6·frames,) frame after frame, ``length`` of the tool; metres, radians.
     Outputs: ``R`` (3, 3), ``p`` (3,): tool frame at the tool tip, in the work frame.
@@ -49,41 +49,41 @@ def chain_function(machine: Machine) -> ca.Function:
 
 
 def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:
-    """A frame of the model in the base frame; ``e`` None: of the machine as drawn."""
-    placed = machine.model.frames[frame]
-    return Branch(links(machine, placed.parentJoint, q, e), placed.placement).pose()
+    """Return the pose of a frame of the model in the base frame; ``e`` None: nominal."""
+    model_frame = machine.model.frames[frame]
+    return Branch(links(machine, model_frame.parentJoint, q, e), model_frame.placement).pose()
 
 
 def joint_in_base(machine: Machine, joint: int, q: Any, e: Any) -> Pose:
-    """A joint of the model in the base frame, behind its own motion; ``e`` None: of the machine as drawn."""
+    """Return the pose of a joint of the model in the base frame, after its own motion; ``e`` None: nominal."""
     return Branch(links(machine, joint, q, e), pin.SE3.Identity()).pose()
 
 
 class Link(NamedTuple):
-    """One joint on the way out from the base, as it stands."""
+    """One joint of a branch at its current position."""
 
     joint: Any
-    """Of the Pinocchio model."""
+    """Joint of the Pinocchio model."""
     placement: Pose
-    """Where it sits on the joint before: constant."""
+    """Constant placement on the joint before."""
     motion: Pose
     axis: int | None
     """Index of the axis that moves it."""
     error: int | None
-    """Where its six components begin among the errors."""
+    """Index of its first component in the vector of errors."""
 
 
 Twist = tuple[Any, Any]
-"""Turn (3, 1), and velocity (3, 1) of the point at the origin."""
+"""Angular velocity (3, 1), and velocity (3, 1) of the point at the origin."""
 
 
 @final
 class Branch:
-    """The way along some joints out to a frame behind the last of them.
+    """A serial chain of joints with a frame on the last one.
 
     Args:
-        links: the joints, outwards.
-        end: the frame on the last.
+        links: the joints, from the base outwards.
+        end: placement of the frame on the last joint.
     """
 
     def __init__(self, links: Sequence[Link], end: pin.SE3) -> None:
@@ -91,26 +91,26 @@ class Branch:
         self.end = constant_pose(end)
 
     def pose(self) -> Pose:
-        """The frame, seen from where the first joint sits."""
+        """Return the pose of the frame, seen from the parent of the first joint."""
         pose = IDENTITY
         for link in reversed(self.links):
             pose = link.placement.then(link.motion).then(pose)
         return pose.then(self.end)
 
     def carried(self, point: Any, axis: Any) -> tuple[Any, Any]:
-        """A point and a direction of the frame, seen from where the first joint sits: less work than its pose."""
+        """Return a point and a direction of the frame, seen from the parent of the first joint; cheaper than the whole pose."""
         outwards = [pose for link in self.links for pose in (link.placement, link.motion)]
         for pose in (self.end, *reversed(outwards)):
             point, axis = pose.rotation @ point + pose.translation, pose.rotation @ axis
         return point, axis
 
     def twists(self, errors: Any, by_position: Any, terms: int) -> tuple[Pose, list[Twist]]:
-        """The pose of the frame, and its twist by every axis, errors following the axes.
+        """Return the pose of the frame and its twist per unit of every axis, with errors that depend on the axes.
 
         Args:
-            errors: (6·frames,) those its links stand with.
-            by_position: (6·frames, axes) their derivatives.
-            terms: of the Jacobian of Exp, I + [e]/2 + …: one or two.
+            errors: (6·frames,) current errors.
+            by_position: (6·frames, axes) their derivatives by the axis positions.
+            terms: number of terms of the Jacobian of Exp, I + [e]/2 + …: one or two.
         """
         none = ca.SX(3, 1)
         twists: list[Twist] = [(none, none) for _ in range(by_position.shape[1])]
@@ -119,7 +119,7 @@ class Branch:
             pose = pose.then(link.placement)
             after = pose.then(link.motion)
             if link.axis is not None:
-                twists[link.axis] = _added(twists[link.axis], pose, pose.translation, *joint_twist(link.joint))
+                twists[link.axis] = _plus_twist(twists[link.axis], pose, pose.translation, *joint_twist(link.joint))
             elif link.error is not None:
                 i = link.error
                 for axis in range(len(twists)):
@@ -128,19 +128,19 @@ class Branch:
                         continue
                     if terms > 1:
                         turn = turn + 0.5 * ca.cross(errors[i + 3 : i + 6], turn)
-                    twists[axis] = _added(twists[axis], pose, after.translation, turn, shift)
+                    twists[axis] = _plus_twist(twists[axis], pose, after.translation, turn, shift)
             pose = after
         return pose.then(self.end), twists
 
 
-def _added(twist: Twist, pose: Pose, centre: Any, turn: Any, shift: Any) -> Twist:
-    """A twist, and another one given in the frame of ``pose`` about ``centre``."""
+def _plus_twist(twist: Twist, pose: Pose, centre: Any, turn: Any, shift: Any) -> Twist:
+    """Return the sum of a twist and another one that is given in the frame of ``pose`` about ``centre``."""
     about = pose.rotation @ turn
     return twist[0] + about, twist[1] + pose.rotation @ shift + ca.cross(centre, about)
 
 
 def links(machine: Machine, joint: int, q: Any, e: Any) -> list[Link]:
-    """The joints from the base out to one, itself included; positions (axes,), errors (6·frames,) or None: as drawn."""
+    """Return the joints from the base to ``joint``, inclusive, at positions (axes,) with errors (6·frames,), or None: nominal."""
     model = machine.model
     axes = {joint: i for i, joint in enumerate(machine.axis_joints)}
     errors = {frame.joint: 6 * i for i, frame in enumerate(machine.frames)}
@@ -157,20 +157,21 @@ def links(machine: Machine, joint: int, q: Any, e: Any) -> list[Link]:
 
 
 def branches(machine: Machine, q: Any, e: Any) -> tuple[Branch, Branch]:
-    """The ways to the tool frame and to the work frame from where the two part; the joints before move both."""
+    """Return the branches to the tool frame and to the work frame without the joints that they share, which move both."""
     frames = [machine.model.frames[frame] for frame in (machine.tool_frame, machine.work_frame)]
-    ways = [list(machine.model.supports[frame.parentJoint])[1:] for frame in frames]
-    shared = sum(a == b for a, b in zip(*ways, strict=False))
+    paths = [list(machine.model.supports[frame.parentJoint])[1:] for frame in frames]
+    shared = sum(a == b for a, b in zip(*paths, strict=False))
     tool, work = (Branch(links(machine, frame.parentJoint, q, e)[shared:], frame.placement) for frame in frames)
     return tool, work
 
 
-@lru_cache(maxsize=16)  # every diagnosis asks for it, for each axis; a machine never changes
+@lru_cache(maxsize=16)  # used for every axis in every diagnosis; a machine is immutable
 def gravity_load(machine: Machine) -> ca.Function:
-    """What gravity does along each axis of the machine as drawn: q (axes,) → (axes, 9) N or N·m, minus the slope of its potential.
+    """Return the function of the gravity loads along each axis of the nominal machine: q (axes,) → (axes, 9) N or N·m.
 
-    Of the masses of the URDF, zero where it gives none; of 1 kg at the tool frame, of 1 kg·m along its x, y and z; likewise at the
-    work frame (`twin.machine.effects.payload.Payload`).
+    A load is the negative gradient of the potential energy. The nine loads are those of the masses in the URDF (zero if it has none),
+    of 1 kg at the tool frame, of 1 kg·m along its x, y and z, and the same four at the work frame
+    (`twin.machine.effects.payload.Payload`).
     """
     model = machine.model
     q = ca.SX.sym("q", len(machine.axes))
@@ -189,7 +190,7 @@ def gravity_load(machine: Machine) -> ca.Function:
 
 
 def joint_twist(joint: pin.JointModel) -> tuple[Any, Any]:
-    """Turn (3, 1) and shift (3, 1) of a one-degree-of-freedom joint: what Pinocchio says of its motion subspace."""
+    """Return rotation (3, 1) and translation (3, 1) of a one-degree-of-freedom joint: Pinocchio's motion subspace."""
     data = joint.createData()
     joint.calc(data, np.zeros(joint.idx_q + joint.nq), np.zeros(joint.idx_v + joint.nv))
     motion = np.asarray(data.S).reshape(6)
@@ -197,7 +198,7 @@ def joint_twist(joint: pin.JointModel) -> tuple[Any, Any]:
 
 
 def joint_pose(joint: pin.JointModel, value: Any) -> Pose:
-    """A one-degree-of-freedom joint moved by ``value``."""
+    """Return the transformation of a one-degree-of-freedom joint that is moved by ``value``."""
     axis, shift = (ca.densify(part) for part in joint_twist(joint))
     if np.any(np.asarray(shift)):
         return Pose(ca.SX.eye(3), shift * value)
@@ -207,10 +208,10 @@ def joint_pose(joint: pin.JointModel, value: Any) -> Pose:
 
 
 def constant_pose(placement: pin.SE3) -> Pose:
-    """A placement of the model."""
-    # Sparse where a placement is exactly zero, so that nothing is multiplied by it.
+    """Return a placement of the model as a pose."""
+    # Sparse, so that exact zeros of a placement cost no multiplications.
     return Pose(ca.SX(ca.sparsify(ca.DM(placement.rotation))), ca.SX(ca.sparsify(ca.DM(placement.translation))))
 
 
 IDENTITY: Final = constant_pose(pin.SE3.Identity())
-"""No motion at all."""
+"""The identity transformation."""

@@ -1,6 +1,6 @@
-"""What a model needs to know beside the positions: temperatures, the time, the side every axis was come to from.
+"""Inputs of the error model besides the positions: temperatures, time, and the direction of approach of every axis.
 
-Temperatures and time are given for a whole program; the side an axis was come to from follows from the program
+Temperatures and time are given for a whole program; the direction of approach follows from the program
 (`twin.compensation.backlash`).
 """
 
@@ -21,22 +21,22 @@ from twin.machine.machine import Machine
 TIME: Final = "time_s"
 APPROACH: Final = "approach_"
 PLAUSIBLE_DEGC: Final = (-40.0, 120.0)
-"""What is no temperature of a machine is a slip: kelvin, fahrenheit, a lost point."""
+"""Plausible temperatures of a machine; others are mistakes: kelvin, fahrenheit, a missing decimal point."""
 
 
 def temperature_channel(name: str) -> str:
-    """``T_X_degC`` of X."""
+    """Return the name of a temperature channel: X → ``T_X_degC``."""
     return f"T_{name}_degC"
 
 
 @final
 @dataclass(frozen=True)
 class Conditions:
-    """What holds over a whole program.
+    """Conditions that apply to a whole program.
 
     Attributes:
         temperature_degC: °C by axis (of its scale) or sensor.
-        time_s: on the clock of the measured table's ``time_s``, which for a warm-up starts with the machine; None: not given.
+        time_s: time on the clock of the measured table's ``time_s``, which for a warm-up starts with the machine; None if not given.
     """
 
     temperature_degC: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
@@ -44,50 +44,44 @@ class Conditions:
 
     @property
     def channels(self) -> dict[str, float]:
-        """By the names effects know them by."""
+        """Values by the channel names that effects use."""
         found = {temperature_channel(name): float(value) for name, value in self.temperature_degC.items()}
         return found if self.time_s is None else {**found, TIME: float(self.time_s)}
 
     def check(self, calibration: Calibration) -> None:
-        """Nothing, if every name means something to a calibration and every value can be.
-
-        Raises:
-            InputError: a temperature of neither an axis nor a sensor, with the nearest right name; a value that cannot be.
-        """
+        """Raise `InputError` unless every temperature is of an axis or sensor of the calibration and every value is plausible."""
         sensors = [channel[2:-5] for channel in needed(calibration) if channel.startswith("T_")]
         known = list(dict.fromkeys((*calibration.machine.names, *sensors)))
         low, high = PLAUSIBLE_DEGC
         for name, value in self.temperature_degC.items():
             if name not in known:
                 raise InputError(
-                    "--temperature of neither an axis nor a sensor of the model",
+                    "temperature of neither an axis nor a sensor of the model",
                     expected=f"one of {', '.join(known)}",
                     value=name,
                     nearest=nearest(name, known),
                 )
             if not low <= value <= high:
                 raise InputError(
-                    f"no temperature of a machine: {name}", expected=f"°C from {low:g} to {high:g}", value=value
+                    f"implausible temperature of {name}", expected=f"°C from {low:g} to {high:g}", value=value
                 )
         if self.time_s is not None and not 0.0 <= self.time_s < np.inf:
-            raise InputError("--time is no time since the start", expected="seconds, 0 or more", value=self.time_s)
+            raise InputError(
+                "time must be zero or positive", expected="seconds since the start, 0 or more", value=self.time_s
+            )
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
-        """Channels that a calibration needs and nobody gave, with the effects that need them; directions apart."""
+        """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""
         given = self.channels
         return {name: by for name, by in needed(calibration).items() if name not in given}
 
     def unused(self, calibration: Calibration) -> tuple[str, ...]:
-        """Channels that were given and that a calibration does not need."""
-        wanted = needed(calibration)
-        return tuple(name for name in self.channels if name not in wanted)
+        """Return the given channels that a calibration does not need."""
+        required = needed(calibration)
+        return tuple(name for name in self.channels if name not in required)
 
     def require(self, calibration: Calibration) -> None:
-        """Nothing, if a calibration has all it needs.
-
-        Raises:
-            InputError: as `check`; a channel that is not given, with the effects that need it and the option that gives it.
-        """
+        """Raise `InputError` if `check` fails or a channel that the calibration needs is missing; it names effects and channel."""
         self.check(calibration)
         missing = self.missing(calibration)
         if missing:
@@ -99,7 +93,7 @@ class Conditions:
 
 
 def needed(calibration: Calibration) -> dict[str, tuple[str, ...]]:
-    """Channels a calibration's effects ask for beside positions and directions, with the names of those effects."""
+    """Return the channels, other than positions and directions of approach, that a calibration needs, each with its effects."""
     return {
         name: by
         for name, by in asked(calibration.effects, calibration.machine).items()
@@ -108,7 +102,7 @@ def needed(calibration: Calibration) -> dict[str, tuple[str, ...]]:
 
 
 def asked(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, ...]]:
-    """Every channel that effects ask for beside positions, with the names of those that do."""
+    """Return the channels, other than positions, that the effects need, each with the names of its effects."""
     found: dict[str, tuple[str, ...]] = {}
     for effect in effects:
         state = Listening(machine)
@@ -120,17 +114,17 @@ def asked(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, .
 
 @final
 class Listening(dict[str, Any]):
-    """One pose inside the ranges, and any channel an effect asks for: it remembers which.
+    """State of one pose inside the ranges that answers any request for a channel and records its name.
 
     Args:
         machine: the machine.
 
     Attributes:
-        asked: names of the channels, in the order they were asked for.
+        asked: names of the requested channels, in the order of the requests.
     """
 
     def __init__(self, machine: Machine) -> None:
-        # Nowhere special: no effect is zero at 0.37 of a range.
+        # An arbitrary pose: no effect is zero at 0.37 of a range.
         places = {
             axis.name: 137.0
             if axis.lower is None or axis.upper is None
@@ -150,7 +144,7 @@ class Listening(dict[str, Any]):
 
 
 def options_of(channels: Iterable[str]) -> str:
-    """The options that give channels."""
+    """Return the command-line options that supply the channels."""
     names = list(channels)
     temperatures = " ".join(f"{name[2:-5]}=…" for name in names if name.startswith("T_"))
     others = [name for name in names if not name.startswith("T_") and name != TIME]

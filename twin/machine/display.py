@@ -1,6 +1,6 @@
-"""The errors of a machine at a glance: every error motion as a strip with its 95 % band, every other number with its interval.
+"""HTML overview of a machine's errors: every error motion as a strip with its 95 % band, every other parameter with its interval.
 
-For the displays of a calibration and of an identification. A band that nobody knows is not drawn and is said to be unknown.
+Used to display a calibration and an identification. If the uncertainty is unknown, no band is drawn and the text states it.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from twin.machine.machine import DIRECTIONS, Machine
 from twin.numerics.covariance import Covariance
 
 POINTS: Final = 121
-"""Of a strip."""
+"""Number of points of a strip."""
 DRAWN: Final = "*"
-"""Behind what is drawn, not measured."""
+"""Mark after the name of an illustrative error (not measured)."""
 
 
 def standard_uncertainty(effect: Effect, covariance: Covariance, q: np.ndarray) -> np.ndarray:
-    """Standard uncertainty (k = 1) of an error motion: √(fᵀ Σ f) with the functions f of its curve (JCGM 100, eq. 13).
+    """Return the standard uncertainty (k = 1) of an error motion: √(fᵀ Σ f) with the functions f of its curve (JCGM 100, eq. 13).
 
     Args:
         effect: the error motion.
-        covariance: of the calibration's numbers.
+        covariance: covariance of the calibration's parameters.
         q: positions, mm or degrees, of any shape.
 
     Returns:
-        µm or µrad, of that shape; NaN where any of its numbers has no uncertainty.
+        µm or µrad, in the shape of ``q``; NaN if the covariance of any of its parameters is unknown.
     """
     return combined_uncertainty([effect], covariance, {effect.frame.axis: q}, split_name(effect.name)[0], np.shape(q))
 
@@ -58,17 +58,17 @@ def standard_uncertainty(effect: Effect, covariance: Covariance, q: np.ndarray) 
 def combined_uncertainty(
     effects: Sequence[Effect], covariance: Covariance, state: Mapping[str, Any], component: int, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Standard uncertainty (k = 1) of what effects make together of one error component.
+    """Return the standard uncertainty (k = 1) of the sum of some effects in one error component.
 
     Args:
         effects: the effects.
-        covariance: of the calibration's numbers.
-        state: where, and under what conditions.
-        component: 0 to 5.
-        shape: of the result.
+        covariance: covariance of the calibration's parameters.
+        state: positions and channels by name.
+        component: index of the component, 0 to 5.
+        shape: shape of the result.
 
     Returns:
-        µm or µrad; NaN where any of their numbers has no uncertainty.
+        µm or µrad; NaN if the covariance of any of their parameters is unknown.
     """
     names = [parameter.name for effect in effects for parameter in effect.parameters]
     if not set(names) <= set(covariance.names):
@@ -80,23 +80,23 @@ def combined_uncertainty(
 
 
 def motion_html(motion: ErrorMotion, covariance: np.ndarray | None, *, source: str, illustrative: bool) -> Html:
-    """One error motion with axes.
+    """Return a graph of one error motion.
 
     Args:
         motion: the error motion.
-        covariance: (k, k) of its coefficients; None where it is not known.
-        source: where its numbers come from.
-        illustrative: whether they are drawn, not measured.
+        covariance: (k, k) covariance of its coefficients; None if unknown.
+        source: origin of its numbers.
+        illustrative: whether they are illustrative instead of measured.
     """
     names = tuple(parameter.name for parameter in motion.parameters)
     known = Covariance.none() if covariance is None else Covariance(names, covariance)
     axis, q = motion.frame.axis, np.linspace(*motion.domain, 201)
-    across = "mm" if axis[0] in "XYZUVW" else "°" if axis[0] in "ABC" else "mm or °"  # letters as of ISO 841
+    across = "mm" if axis[0] in "XYZUVW" else "°" if axis[0] in "ABC" else "mm or °"  # letters of ISO 841
     half = COVERAGE_FACTOR * standard_uncertainty(motion, known, q)
     drawn = graph(
         q, _values(motion, q), half, f"{axis} ({across})", f"{motion.name} ({readable(unit_of(motion.name))})"
     )
-    band = "band: 95 % interval" if covariance is not None else f"uncertainty {UNKNOWN}: no covariance of its own"
+    band = "band: 95 % interval" if covariance is not None else f"uncertainty {UNKNOWN}: no covariance"
     small = f"{motion.basis.name}, {several(len(names), 'coefficient')}"
     return card(motion.name, drawn, note(band), note(source), small=small, illustrative=illustrative)
 
@@ -104,20 +104,20 @@ def motion_html(motion: ErrorMotion, covariance: np.ndarray | None, *, source: s
 def about_html(
     source: str, path: Path | None, control: ControlSection | None, drawn: Sequence[str], unknown: Sequence[str]
 ) -> Html:
-    """Where a calibration comes from, and what it does not know.
+    """Return the origin of a calibration, its control tables and the names of its illustrative and uncertain errors.
 
     Args:
-        source: in words.
+        source: origin in words.
         path: its file.
-        control: what it says of the machine's control.
-        drawn: names of what is illustrative.
-        unknown: names of what has no uncertainty.
+        control: its section on the machine's control.
+        drawn: names of illustrative errors.
+        unknown: names of errors of unknown uncertainty.
     """
-    rows = [("where from", source), ("file", "" if path is None else str(path))]
+    rows = [("source", source), ("file", "" if path is None else str(path))]
     if control is not None:
-        tables = ", ".join(f"{one.file.name} ({one.format})" for one in control.tables)
+        tables = ", ".join(f"{table.file.name} ({table.format})" for table in control.tables)
         rows.append(("control", f"these errors are {control.errors_are} by its tables {tables}"))
-    rows.append((f"{DRAWN} drawn, not measured", ", ".join(drawn)))
+    rows.append((f"{DRAWN} illustrative, not measured", ", ".join(drawn)))
     rows.append((f"uncertainty {UNKNOWN} of", ", ".join(unknown)))
     return pairs(rows)
 
@@ -125,13 +125,13 @@ def about_html(
 def errors_html(
     machine: Machine, effects: Sequence[Effect], covariance: Covariance, drawn: Collection[str] = ()
 ) -> Html:
-    """All errors of a machine.
+    """Return tables of all errors of a machine.
 
     Args:
         machine: the machine.
         effects: its errors.
-        covariance: of their numbers.
-        drawn: names of those that are illustrative.
+        covariance: covariance of their parameters.
+        drawn: names of illustrative errors.
     """
     motions = {effect.name: effect for effect in effects if isinstance(effect, ErrorMotion)}
     known = any(np.isfinite(_curve(effect, covariance)[1]).all() for effect in motions.values())
@@ -140,11 +140,11 @@ def errors_html(
     grid = table(["axis", *(f"E_{d}…" for d in DIRECTIONS)], rows)
     parts = [grid]
     if rows:
-        said = "largest value over the range"
-        said += (
+        caption = "largest value over the range"
+        caption += (
             f" ± half of its widest 95 % interval (±{UNKNOWN}: no covariance)" if known else f"; uncertainty {UNKNOWN}"
         )
-        text = f"Error motions by ISO 230-1: {said}. The strips of an axis have one scale for µm, one for µrad."
+        text = f"Error motions by ISO 230-1: {caption}. All strips of an axis have the same scale for µm and the same for µrad."
         parts.append(note(text, loud=not known))
     for kind, title in ((Squareness, "squareness"), (AxisLocation, "axis location")):
         parts.append(_numbers([effect for effect in effects if isinstance(effect, kind)], covariance, title, drawn))
@@ -161,7 +161,7 @@ def _row(
     drawn: Collection[str],
     known: bool,
 ) -> list[Cell]:
-    """One axis: where it goes and what its strips' edges mean, then its six error motions."""
+    """Return the row of one axis: its range, the scale of its strips and its six error motions."""
     axis = machine.by_name[axis_name]
     six = [motions.get(f"E_{direction}{axis_name}") for direction in DIRECTIONS]
     curves = [None if effect is None else _curve(effect, covariance) for effect in six]
@@ -190,7 +190,7 @@ def _row(
 
 
 def _curve(effect: ErrorMotion, covariance: Covariance) -> tuple[np.ndarray, np.ndarray]:
-    """Values of a strip, and half widths of their 95 % intervals."""
+    """Return the values of a strip and the half widths of their 95 % intervals."""
     q = np.linspace(*effect.domain, POINTS)
     return _values(effect, q), COVERAGE_FACTOR * standard_uncertainty(effect, covariance, q)
 
@@ -201,7 +201,7 @@ def _values(effect: ErrorMotion, q: np.ndarray) -> np.ndarray:
 
 
 def uncertainty_of(name: str, covariance: Covariance) -> float:
-    """Standard uncertainty (k = 1) of one number; NaN where it is not known."""
+    """Return the standard uncertainty (k = 1) of one parameter; NaN if unknown."""
     return float(np.sqrt(covariance.of([name]).matrix[0, 0])) if name in covariance.names else float("nan")
 
 
@@ -219,13 +219,13 @@ def _numbers(effects: Sequence[Effect], covariance: Covariance, title: str, draw
 
 
 def _others(effects: Sequence[Effect], covariance: Covariance) -> Html:
-    rows = [(effect.name, effect.frame.axis, _told(effect, covariance)) for effect in effects]
-    return table(["other effect", "acts at", "numbers (± 95 %)"], rows)
+    rows = [(effect.name, effect.frame.axis, _parameters_html(effect, covariance)) for effect in effects]
+    return table(["other effect", "acts in the frame of", "parameters (± 95 %)"], rows)
 
 
-def _told(effect: Effect, covariance: Covariance) -> Cell:
+def _parameters_html(effect: Effect, covariance: Covariance) -> Cell:
     if not effect.parameters:
-        return "as its tables say"
+        return "according to its tables"
     return chips(
         f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
         for p in effect.parameters

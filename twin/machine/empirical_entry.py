@@ -1,4 +1,4 @@
-"""The `effects:` entry of an empirical effect in a calibration file, to and from `Empirical`.
+"""Conversion between `Empirical` and its `effects:` entry in a calibration file.
 
     effects:
     - effect: empirical
@@ -12,7 +12,7 @@
       parameters: {'x[1,0]': 0.42, 'x[1,3]': -1.7}
 
 The shift of that side along x, y, z of `along` in µm is the sum of the parameters times their functions. `x[1,3]` belongs to function 1
-of the first column times function 3 of the second. 0 is a constant; `c2` and `s2` are the cosine and the sine of two waves a turn.
+of the first column times function 3 of the second. 0 is the constant function; `c2` and `s2` are cosine and sine of twice the angle.
 """
 
 from __future__ import annotations
@@ -28,33 +28,34 @@ import pinocchio as pin
 
 from twin._common.errors import InputError, nearest
 from twin.machine.effects import Empirical, Frame
-from twin.machine.effects.base import at_rest
-from twin.machine.effects.empirical import Turning, state_name
+from twin.machine.effects.base import rest_orientation
+from twin.machine.effects.empirical import FrameRotation, state_name
 from twin.machine.effects.waves import APPROACH, Kind, Waves
 from twin.machine.machine import ErrorFrame, Machine
 
 NAME: Final = "empirical"
 NOTE: Final = (
-    "Measured, cause unknown. Corrects what was measured, inside these ranges; says nothing outside. "
+    "Measured, cause unknown. Valid only inside these ranges. "
     "x[j,k] is um along x, times function j of the first column, times function k of the second; 0 means 1. "
     "half_waves k: cos(k pi (value - low)/(high - low)); whole_turns ck, sk: cos, sin of k times the angle; direction: +1 or -1."
 )
-"""What somebody who opens the file needs to know; not read."""
-LARGEST_UM: Final = 20_000.0
-MOST_ORDERS: Final = 64
+"""Explanation for readers of the file; not evaluated."""
+MAX_COEFFICIENT_UM: Final = 20_000.0
+MAX_ORDER: Final = 64
+"""Largest coefficient and highest order accepted in a file."""
 Along = Literal["base", "tool", "work"]
 
 
 @final
 @dataclass(frozen=True)
 class ColumnSpec:
-    """One column as a file has it.
+    """One column of an entry.
 
     Attributes:
-        column: of the table.
-        functions: which.
-        order: highest; None for a direction.
-        range: of the values measured; None where the functions need none.
+        column: name of the column in the table.
+        functions: kind of functions.
+        order: highest order; None for a direction.
+        range: range of the measured values; None if the functions need none.
     """
 
     column: str
@@ -66,28 +67,30 @@ class ColumnSpec:
 def empirical_named(
     where: str, along: Along, columns: Sequence[ColumnSpec], numbers: Mapping[str, float], machine: Machine
 ) -> Empirical:
-    """An empirical effect as a calibration file has it.
+    """Create an empirical effect from its entry in a calibration file.
 
     Args:
         where: its place: ``tool by X_mm, Y_mm``.
-        along: axes of which frame.
-        columns: one or two.
+        along: frame whose axes the directions are.
+        columns: one or two columns.
         numbers: coefficients, µm.
         machine: the machine.
 
     Raises:
-        InputError: anything that does not fit the machine or together.
+        InputError: the entry is inconsistent or does not fit the machine.
     """
     match = re.fullmatch(r"(tool|work) by (.+?)( \(\d+\))?", where)
-    named = ", ".join(one.column for one in columns)
+    named = ", ".join(column.column for column in columns)
     if match is None or match[2] != named:
-        raise InputError(f"no such place for {NAME}", expected=f"tool or work by the columns: {named}", value=where)
+        raise InputError(
+            f"no such place for {NAME}", expected=f"tool or work by the columns, such as tool by {named}", value=where
+        )
     side = match[1]
     if along not in ("base", side):
         raise InputError(f"{NAME} {where} along the axes of the other side", expected=f"base or {side}", value=along)
-    if len(columns) not in (1, 2) or len({one.column for one in columns}) < len(columns):
+    if len(columns) not in (1, 2) or len({column.column for column in columns}) < len(columns):
         raise InputError(f"columns of {NAME} {where}", expected="one column, or two", value=named)
-    waves = [_waves(where, one, machine) for one in columns]
+    waves = [_waves(where, column, machine) for column in columns]
     known = [name for own in Empirical.names(waves) for name in own]
     for name, value in numbers.items():
         if name not in known:
@@ -95,8 +98,8 @@ def empirical_named(
             raise InputError(
                 f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=nearest(name, known)
             )
-        if abs(value) > LARGEST_UM:
-            expected = f"at most {LARGEST_UM:g} µm"
+        if abs(value) > MAX_COEFFICIENT_UM:
+            expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
             raise InputError(f"{name} of {NAME} {where} is no error of a machine", expected=expected, value=value)
     if not numbers:
         raise InputError(f"{NAME} {where} has no parameters", expected=f"some of {known[0]} … {known[-1]}")
@@ -104,16 +107,16 @@ def empirical_named(
     return Empirical(where, along, waves, numbers, frame, turning)
 
 
-def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Turning]:
-    """The error frame a shift of one side acts in, and the rotation from the axes it is given along to that frame.
+def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, FrameRotation]:
+    """Return the error frame in which a shift of one side acts, and the rotation to it from the axes along which the shift is given.
 
     Args:
         side: ``tool`` or ``work``.
-        along: ``base``: the frame nearest the base, which does not turn; else the last one before what carries the targets.
+        along: ``base`` for the error frame nearest the base, which does not turn; else the last one before the targets of that side.
         machine: the machine.
 
     Raises:
-        InputError: no axis moves that side; nearer to the base an axis turns both sides.
+        InputError: no axis moves that side, or an axis nearer to the base turns both sides.
     """
     target = machine.tool_frame if side == "tool" else machine.work_frame
     supports = machine.model.supports[machine.model.frames[target].parentJoint].tolist()
@@ -127,28 +130,28 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Turn
         if turns:
             raise InputError(
                 f"{', '.join(turns)} turns both sides of {machine.name}",
-                expected="directions that stay those of the base",
+                expected="a machine whose base directions are fixed on both sides",
             )
         none = np.zeros((3, 3))
-        return Frame(first.axis, first.role), Turning(at_rest(machine, first.joint).T, None, none, none)
+        return Frame(first.axis, first.role), FrameRotation(rest_orientation(machine, first.joint).T, None, none, none)
     last = frames[int(np.argmax(order))]
     axis = machine.by_name[last.axis]
     start, half, quarter = (_seen_from(machine, last, target, angle) for angle in (0.0, pi, pi / 2.0))
     constant = 0.5 * (start + half)
     if axis.linear:
-        return Frame(last.axis, last.role), Turning(start, None, np.zeros((3, 3)), np.zeros((3, 3)))
-    return Frame(last.axis, last.role), Turning(constant, axis.name, 0.5 * (start - half), quarter - constant)
+        return Frame(last.axis, last.role), FrameRotation(start, None, np.zeros((3, 3)), np.zeros((3, 3)))
+    return Frame(last.axis, last.role), FrameRotation(constant, axis.name, 0.5 * (start - half), quarter - constant)
 
 
 def where_of(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
-    """The place of a new effect: numbered where there is one of the same columns already.
+    """Return the place of a new effect, with a number if the place is already in use.
 
     Args:
         side: ``tool`` or ``work``.
-        columns: one or two.
-        taken: names of effects that exist.
+        columns: one or two columns.
+        taken: names of existing effects.
     """
-    where = f"{side} by {', '.join(one.column for one in columns)}"
+    where = f"{side} by {', '.join(column.column for column in columns)}"
     number, found = 1, where
     while f"{NAME}:{found}" in taken:
         number += 1
@@ -157,14 +160,14 @@ def where_of(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
 
 
 def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
-    """The entry that `empirical_named` reads back."""
+    """Return the entry of an empirical effect, as `empirical_named` reads it."""
     columns: list[dict[str, Any]] = []
-    for one in effect.columns:
-        entry: dict[str, Any] = {"column": one.column, "functions": one.kind}
-        if one.kind != "direction":
-            entry["order"] = one.order
-        if one.range is not None:
-            entry["range"] = [float(bound) for bound in one.range]
+    for column in effect.columns:
+        entry: dict[str, Any] = {"column": column.column, "functions": column.kind}
+        if column.kind != "direction":
+            entry["order"] = column.order
+        if column.range is not None:
+            entry["range"] = [float(bound) for bound in column.range]
         columns.append(entry)
     return {
         "effect": NAME,
@@ -178,7 +181,7 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
 
 
 def usable(column: str, machine: Machine) -> bool:
-    """Whether a later program knows a column: positions, directions of approach and temperatures, not time."""
+    """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
     return column in axes or column.removeprefix(APPROACH) in machine.names or _temperature(column)
 
@@ -188,7 +191,7 @@ def _temperature(column: str) -> bool:
 
 
 def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
-    """One column, checked."""
+    """Return one column after checking it."""
     name, what = given.column, f"{given.column} of {NAME} {where}"
     axis = machine.by_name.get(state_name(name))
     if not usable(name, machine):
@@ -213,8 +216,8 @@ def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
                 f"{what} is a direction", expected="neither order nor range", value=given.order or given.range
             )
         return Waves(name, "direction", 1)
-    if given.order is None or not 1 <= given.order <= MOST_ORDERS:
-        raise InputError(f"order of {what}", expected=f"1 to {MOST_ORDERS}", value=given.order)
+    if given.order is None or not 1 <= given.order <= MAX_ORDER:
+        raise InputError(f"order of {what}", expected=f"1 to {MAX_ORDER}", value=given.order)
     if given.functions == "whole_turns":
         if given.range is not None:
             raise InputError(f"{what} is periodic", expected="no range", value=list(given.range))
@@ -224,12 +227,14 @@ def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
         raise InputError(f"range of {what}", expected="[low, high] with low < high", value=value)
     wrapped = axis is not None and axis.lower is None
     if wrapped and given.range[1] - given.range[0] >= 360.0:
-        raise InputError(f"range of {what}", expected="less than a turn, or whole_turns", value=list(given.range))
+        raise InputError(
+            f"range of {what}", expected="less than one turn, or functions whole_turns", value=list(given.range)
+        )
     return Waves(name, "half_waves", given.order, given.range, wrapped)
 
 
 def _seen_from(machine: Machine, frame: ErrorFrame, target: int, angle: float) -> np.ndarray:
-    """(3, 3) orientation of a frame of the model in an error frame, the axis of that error frame at an angle, all others at zero."""
+    """Return the orientation (3, 3) of a frame in an error frame, with that error frame's axis at ``angle`` and all others at zero."""
     q = np.zeros(len(machine.axes))
     if not machine.by_name[frame.axis].linear:
         q[machine.names.index(frame.axis)] = angle

@@ -1,7 +1,7 @@
-"""The classes of numerical compensation of ISO/TR 16907: which error motions each is about, and where it corrects them.
+"""The classes of numerical compensation of ISO/TR 16907: the error motions of each, and how they are corrected.
 
-The functional point is corrected by the linear axes. The functional orientation (``FOR``) is corrected by the rotary axes,
-as far as two of them can. ``R-POS`` moves the rotary axis itself by its own positioning error.
+The linear axes correct the functional point. The rotary axes correct the functional orientation (``FOR``); two of them cannot correct
+every direction. ``R-POS`` moves the rotary axis itself by its own positioning error.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from twin.machine.effects import ControlCorrection, Effect, split_name
 from twin.machine.machine import DIRECTIONS, Machine
 
 BASIC: Final[tuple[str, ...]] = get_args(BasicClass)
-"""The classes every error motion belongs to exactly one of."""
+"""Basic classes: every error motion belongs to exactly one of them."""
 CONTROL: Final = "control"
-"""What the control takes out by itself: no class of errors, an account of its own."""
+"""Corrections that the control applies: not a class of errors, but accounted for separately."""
 COMBINED: Final = {
     "L-VOL": ("L-POS", "L-STR", "L-SQU", "L-ANG"),
     "L-VOL+": ("L-POS", "L-STR", "L-SQU", "L-ANG", "FOR"),
@@ -33,11 +33,11 @@ NAMES: Final = (*BASIC, *COMBINED, "FOR")
 
 
 def iso_class(name: str, machine: Machine) -> str:
-    """The basic class of an error motion, squareness or location of a machine.
+    """Return the basic class of an error motion, squareness or location.
 
     Args:
-        name: ISO 230-1 name, or ``control``, which is its own.
-        machine: the machine it belongs to.
+        name: ISO 230-1 name, or ``control``, which is returned unchanged.
+        machine: the machine.
     """
     if name == CONTROL:
         return CONTROL
@@ -56,13 +56,13 @@ def iso_class(name: str, machine: Machine) -> str:
 
 
 def acts_as(effect: Effect, machine: Machine) -> str:
-    """The error motion an effect is part of: a reversal of Y of E_YY. An error motion, squareness or location is itself.
+    """Return the error motion to which an effect contributes: E_YY for backlash of Y.
 
-    What the control takes out by itself is part of none: ``control``.
+    The name of an error motion, squareness or location is returned unchanged; for corrections of the control it is ``control``.
 
     Args:
-        effect: the effect; where it acts along several directions of its frame, the largest counts.
-        machine: the machine it belongs to.
+        effect: the effect; if it acts along several directions of its frame, the largest component counts.
+        machine: the machine.
     """
     if effect.name.startswith("E_"):
         return effect.name
@@ -75,31 +75,31 @@ def acts_as(effect: Effect, machine: Machine) -> str:
 
 
 def is_angular(name: str) -> bool:
-    """Whether an error turns what it carries (squareness does not: it bends a path, not a body)."""
+    """Return whether an error has an angular component (a squareness error has one, but turns the path and not the carried body)."""
     return split_name(name)[0] >= 3
 
 
 @final
 @dataclass(frozen=True)
 class Scope:
-    """What a compensation is to correct.
+    """Classes of errors that a compensation corrects.
 
     Attributes:
         classes: basic classes, corrected at the functional point.
         orientation: whether the functional orientation is corrected too (``FOR``).
-        asked: whether the user chose it, or it is the default.
+        explicit: whether the user chose the scope; otherwise it is the default.
     """
 
     classes: frozenset[str]
     orientation: bool
-    asked: bool
+    explicit: bool
 
     @classmethod
     def parse(cls, names: Iterable[str]) -> Scope:
-        """From class names, basic or combined.
+        """Create a scope from class names, basic or combined.
 
         Raises:
-            InputError: an unknown name, or none.
+            InputError: a name is unknown, or there is none.
         """
         found: set[str] = set()
         for name in names:
@@ -107,52 +107,52 @@ class Scope:
             if upper not in NAMES:
                 raise InputError(
                     "no such class of ISO/TR 16907",
-                    expected=f"--scope with some of {' '.join(NAMES)}",
+                    expected=f"some of {' '.join(NAMES)}",
                     value=name,
                     nearest=nearest(upper, NAMES),
                 )
             found.update(COMBINED.get(upper, (upper,)))
         if not found:
-            raise InputError("an empty scope", expected=f"--scope with some of {' '.join(NAMES)}")
-        return cls(frozenset(found - {"FOR"}), "FOR" in found, asked=True)
+            raise InputError("an empty scope", expected=f"some of {' '.join(NAMES)}")
+        return cls(frozenset(found - {"FOR"}), "FOR" in found, explicit=True)
 
     @classmethod
     def everything(cls, *, orientation: bool) -> Scope:
-        """The default: all classes, and the orientation where the program moves rotary axes."""
-        return cls(frozenset(BASIC), orientation, asked=False)
+        """Return the default scope: all classes, and the orientation if the program moves rotary axes."""
+        return cls(frozenset(BASIC), orientation, explicit=False)
 
     def at_point(self, name: str, machine: Machine) -> bool:
-        """Whether an error is corrected at the functional point."""
+        """Return whether an error is corrected at the functional point."""
         return iso_class(name, machine) in self.classes
 
     def in_orientation(self, name: str, machine: Machine) -> bool:
-        """Whether an error is corrected by moving the rotary axes."""
+        """Return whether an error is corrected by moving the rotary axes."""
         if self.orientation:
             return is_angular(name) and iso_class(name, machine) != "L-SQU"
         return iso_class(name, machine) == "R-POS" and "R-POS" in self.classes
 
     def covers(self, classes: Collection[str]) -> bool:
-        """Whether what is corrected holds all of some classes (True) or none of them (False).
+        """Return whether the scope contains all of the given classes (True) or none of them (False).
 
         Raises:
-            InputError: it holds some of them.
+            InputError: it contains only some of them.
         """
         found = [name for name in classes if name in self.classes]
         if found and len(found) < len(classes):
             raise InputError(
-                "the control's tables take out some classes that are in scope together with others that are not, and cannot be "
-                "split: a program corrected so would be corrected twice, or not at all",
-                expected=f"--scope with all of {' '.join(classes)}, or none of them",
+                "the tables of the control correct classes inside and outside the scope together and cannot be split: "
+                "some errors would be corrected twice or not at all",
+                expected=f"a scope with all of {' '.join(classes)}, or with none of them",
                 value=str(self),
             )
         return bool(found)
 
     def _repr_html_(self) -> str:
         rows = [
-            ("at the functional point", ", ".join(name for name in BASIC if name in self.classes) or "nothing"),
-            ("functional orientation", "corrected by the rotary axes (FOR)" if self.orientation else "as it is"),
+            ("at the functional point", ", ".join(name for name in BASIC if name in self.classes) or "none"),
+            ("functional orientation", "corrected by the rotary axes (FOR)" if self.orientation else "not corrected"),
         ]
-        return card(f"Scope {self}", pairs(rows), small="asked for" if self.asked else "the default").text
+        return card(f"Scope {self}", pairs(rows), small="chosen" if self.explicit else "the default").text
 
     def __str__(self) -> str:
         parts: list[str] = [name for name in BASIC if name in self.classes]

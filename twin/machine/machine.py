@@ -1,12 +1,12 @@
-"""A machine: its URDF and machine file, as one Pinocchio model with an error frame at every axis joint.
+"""A machine: its URDF and machine file as one Pinocchio model with an error frame at every axis joint.
 
-The contract's chain (§1), for every axis wherever it stands:
+The kinematic chain (contract §1), for every axis at any place in it:
 
 - a linear axis: motion, then error: ``T_a(q) · E_a``;
-- a rotary axis: location, error in the frame that does not turn, then motion: ``L_a · E_a · R_a(q)``.
+- a rotary axis: location, error in the fixed (not rotating) frame, then motion: ``L_a · E_a · R_a(q)``.
 
 Each ``E`` and ``L`` is a free-flyer joint of the model, so that Pinocchio's own Jacobian columns are the sensitivities
-to the six error motions. Nothing here knows one machine from another: axes, ranges and frames come from the files.
+to the six error motions. The code is the same for every machine: axes, ranges and frames come from the files.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Vector = tuple[float, float, float]
 AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in the URDF")
 
 PARALLEL: Final = 0.1
-"""Sine of the angle below which two linear axes span no datum plane."""
+"""Sine of the angle below which two linear axes count as parallel and span no datum plane."""
 
 
 @final
@@ -53,12 +53,12 @@ class Axis:
     Attributes:
         name: its name in programs and data (``X``, ``B``, ``J1``).
         joint: its joint in the URDF.
-        linear: whether it translates (mm) or turns (degrees).
+        linear: whether it translates (mm); a rotary axis turns (degrees).
         lower, upper: range in mm or degrees; None, None for an unlimited rotary axis.
         increment: least increment in mm or degrees.
         direction: unit vector of the motion, in the axis's error frame.
         machine_axes: unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero.
-        side: where it acts: ``tool`` or ``work``; ``both`` for a joint under both, which moves nothing between them.
+        side: the side that it moves: ``tool`` or ``work``; ``both`` for a joint that carries both, without relative motion.
     """
 
     name: str
@@ -73,17 +73,17 @@ class Axis:
 
     @property
     def unit(self) -> Literal["mm", "deg"]:
-        """The unit users see."""
+        """Unit of its position for the user."""
         return "mm" if self.linear else "deg"
 
     @property
     def domain(self) -> tuple[float, float]:
-        """Its range, mm or degrees; one turn where it is unlimited."""
+        """Range, mm or degrees; one turn if it is unlimited."""
         return (0.0, 360.0) if self.lower is None or self.upper is None else (self.lower, self.upper)
 
     @property
     def scale(self) -> float:
-        """Metres a millimetre, or radians a degree."""
+        """Metres per millimetre, or radians per degree."""
         return MM if self.linear else DEG
 
     @property
@@ -92,7 +92,7 @@ class Axis:
         return np.array(self.machine_axes) @ self.direction
 
     def cells(self) -> tuple[Cell, ...]:
-        """What a display has of it, under `AXIS_HEADERS`."""
+        """Return its row for display, under `AXIS_HEADERS`."""
         reach = "unlimited" if self.lower is None else span(*self.domain, self.unit)
         least = f"{self.increment:g} mm" if self.linear else f"{self.increment:g}°"
         return self.name, "linear" if self.linear else "rotary", reach, least, self.side, self.joint
@@ -118,12 +118,12 @@ class ErrorFrame:
 
 
 DEFAULT: Final = "dmu50"
-"""The machine file where none is named: of those that come with twin."""
+"""Machine file that is used if none is named; it comes with twin."""
 
 
 @final
 class Machine:
-    """A machine as loaded: immutable, and the same for everybody who uses it.
+    """A machine as loaded from its files; immutable, so that it can be shared.
 
     Attributes:
         name: the machine's name.
@@ -133,25 +133,25 @@ class Machine:
         model: the Pinocchio model, metres and radians, with a free-flyer joint for every error frame.
         frames: the error frames in the order in which errors are passed as arrays.
         tool_frame, work_frame: indices of the tool and work frames in ``model.frames``.
-        default_calibration: path of the calibration used when none is given, or None.
-        tool_length_mm: the tool length when none is given.
-        tcp_on, tcp_off: words that switch the control's kinematics on and off on this machine.
+        default_calibration: path of the calibration that is used if none is given, or None.
+        tool_length_mm: tool length that is used if none is given.
+        tcp_on, tcp_off: program words that switch tool centre point control on and off on this machine.
     """
 
     def __init__(self, path: Path) -> None:
         entries, lines = load_yaml(path, MachineFile, SCHEMA)
         self.name = entries.name
         self.path = path
-        self.urdf = _beside(path, entries.urdf)
+        self.urdf = _relative_to(path, entries.urdf)
         self.tool_length_mm = entries.programs.tool_length
         self._plausible = entries.plausible
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
-        self.default_calibration = None if entries.calibration is None else _beside(path, entries.calibration)
+        self.default_calibration = None if entries.calibration is None else _relative_to(path, entries.calibration)
         if not _is_file(self.urdf):
             raise InputError(
                 "no such URDF",
-                expected="a file beside the machine file",
+                expected="a path relative to the machine file",
                 file=path,
                 line=lines[("urdf",)],
                 value=entries.urdf,
@@ -170,16 +170,16 @@ class Machine:
 
     @classmethod
     def load(cls, machine: str | Path) -> Machine:
-        """Load a machine file, or one that comes with `twin` by its bare name (``dmu50``).
+        """Load a machine file by its path, or one that comes with `twin` by its name (``dmu50``).
 
         Raises:
-            InputError: there is no such file, or it does not fit; with the line.
+            InputError: there is no such file, or it is invalid; the error names the line.
         """
         return cls(find_bundled(machine, ".yaml", "a machine file"))
 
     @property
     def axis_joints(self) -> tuple[int, ...]:
-        """Index in the Pinocchio model of the joint of every axis, in command order."""
+        """Joint index in the Pinocchio model of every axis, in command order."""
         return self._axis_joints
 
     @property
@@ -189,12 +189,12 @@ class Machine:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(axes,) metres a millimetre or radians a degree, in command order."""
+        """Metres per millimetre or radians per degree (axes,), in command order."""
         return locked(np.array([axis.scale for axis in self.axes]))
 
     @cached_property
     def limits(self) -> np.ndarray:
-        """(axes, 2) lower and upper limits in metres and radians; infinite for an unlimited axis."""
+        """Lower and upper limits (axes, 2) in metres and radians; infinite for an unlimited axis."""
         rows = [
             (-np.inf, np.inf)
             if axis.lower is None or axis.upper is None
@@ -215,15 +215,11 @@ class Machine:
 
     @property
     def runs_programs(self) -> bool:
-        """Whether NC programs can be worked out for it: three linear axes and at most two rotary ones."""
+        """Whether it can run NC programs: three linear axes and at most two rotary ones."""
         return len(self.linear) == 3 and len(self.rotary) <= 2
 
     def check_programs(self) -> None:
-        """That it does.
-
-        Raises:
-            InputError: other axes.
-        """
+        """Raise `InputError` unless it can run NC programs."""
         if not self.runs_programs:
             raise InputError(
                 f"{self.name} has {len(self.linear)} linear and {len(self.rotary)} rotary axes",
@@ -233,18 +229,18 @@ class Machine:
 
     @property
     def as_option(self) -> str:
-        """What a command needs to be about this machine: `` --machine mine.yaml``; nothing where it is the default."""
+        """Command-line option that selects this machine: `` --machine mine.yaml``; empty for the default machine."""
         file = self.path.resolve()
         bundled = file.parent == bundled_folder().resolve()
         return "" if bundled and file.stem == DEFAULT else f" --machine {file.stem if bundled else file.name}"
 
     def error_names(self, frame: ErrorFrame) -> tuple[str, ...]:
-        """ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
+        """Return the ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
         mark = "" if frame.role == "motion" else "0"
         return tuple(f"E_{direction}{mark}{frame.axis}" for direction in DIRECTIONS)
 
     def plausible(self, name: str) -> float:
-        """Return how large an error can be before anything is measured (one standard deviation), µm or µrad.
+        """Return the prior standard deviation of an error, µm or µrad.
 
         Args:
             name: ISO 230-1 name.
@@ -254,12 +250,12 @@ class Machine:
 
     @cached_property
     def motion_names(self) -> tuple[str, ...]:
-        """Names of all error motions (curves), six an axis."""
+        """Names of all error motions (curves), six per axis."""
         return tuple(name for frame in self.frames if frame.role == "motion" for name in self.error_names(frame))
 
     @cached_property
     def location_names(self) -> tuple[str, ...]:
-        """Names of the rotary axes' locations: two offsets and two angles each, across the axis (ISO 230-1, 3.5)."""
+        """Names of the rotary axes' locations: two offsets and two angles each, perpendicular to the axis (ISO 230-1, 3.5)."""
         names: list[str] = []
         for frame in self.frames:
             if frame.role == "location":
@@ -270,10 +266,10 @@ class Machine:
 
     @cached_property
     def squareness_names(self) -> tuple[str, ...]:
-        """Names of the squareness errors that the choice of the machine frame leaves, by that frame's directions.
+        """Names of the squareness errors that remain with the choice of the machine frame, by that frame's directions.
 
         The first linear axis is the datum axis and has none. The first one that is not parallel to it lies in the datum plane with it
-        and has one, about the plane's normal (contract §1). Every other one has two, across its direction.
+        and has one, about the plane's normal (contract §1). Every other one has two, perpendicular to its direction.
         """
         names: list[str] = []
         datum: np.ndarray | None = None
@@ -294,14 +290,14 @@ class Machine:
         return tuple(names)
 
     def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
-        """Pinocchio configuration of one pose.
+        """Return the Pinocchio configuration of one pose.
 
         Args:
             q: (axes,) positions in metres and radians, command order.
             errors: (frames, 6) translations and rotation vectors in metres and radians, order ``frames``; None for zero.
 
         Returns:
-            (model.nq,) configuration.
+            Configuration (model.nq,).
         """
         configuration = pin.neutral(self.model)
         for joint, value in zip(self._axis_joints, q, strict=True):
@@ -314,7 +310,7 @@ class Machine:
         return configuration
 
     def _repr_html_(self) -> str:
-        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda one: one[0])]
+        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
         tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
         work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
         links = chain([("workpiece", "end"), *work, ("base", "fixed"), *tool, ("tool", "end")])
@@ -322,8 +318,8 @@ class Machine:
             f"{len(self.motion_names)} error motions, squareness {' '.join(self.squareness_names) or 'none'}, "
             f"axis locations {' '.join(self.location_names) or 'none'}"
         )
-        rows = [("machine file", str(self.path)), ("URDF", str(self.urdf)), ("can err in", numbers)]
-        rows.append(("tool length", f"{self.tool_length_mm:g} mm, if nobody says otherwise"))
+        rows = [("machine file", str(self.path)), ("URDF", str(self.urdf)), ("error parameters", numbers)]
+        rows.append(("tool length", f"{self.tool_length_mm:g} mm, unless another is given"))
         axes = table(AXIS_HEADERS, [axis.cells() for axis in self.axes])
         return card(self.name, links, axes, pairs(rows), small=f"{len(self.axes)} axes, in command order").text
 
@@ -370,10 +366,10 @@ class Machine:
 
 
 def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
-    """A file by its path, or one that comes with `twin` by its bare name.
+    """Return the path of a file given by its path or, for one that comes with `twin`, by its name.
 
     Raises:
-        InputError: neither; the message lists what comes with `twin`.
+        InputError: there is no such file; the message lists the files that come with `twin`.
     """
     path = Path(name)
     if _is_file(path):
@@ -395,12 +391,12 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name too long, or with a character that no name may have
+    except (OSError, ValueError):  # name too long, or with an invalid character
         return False
 
 
-def _beside(path: Path, name: str) -> Path:
-    """Return the path of a file that another one names; where it cannot be resolved, as it was given."""
+def _relative_to(path: Path, name: str) -> Path:
+    """Return the path of a file named in another file, relative to that file; unchanged if it cannot be resolved."""
     try:
         return (path.parent / name).resolve()
     except (OSError, RuntimeError, ValueError):
@@ -408,7 +404,7 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def bundled_folder() -> Path:
-    """Where the machines that come with `twin` are: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the machines that come with `twin`: inside the installed package, or next to it in a checkout."""
     package = Path(__file__).parents[1]
     inside = package / "urdf"
     return inside if inside.is_dir() else package.parent / "urdf"
@@ -417,14 +413,14 @@ def bundled_folder() -> Path:
 def _with_error_frames(
     source: pin.Model, entries: MachineFile
 ) -> tuple[pin.Model, dict[str, int], tuple[ErrorFrame, ...]]:
-    """A new model, walked from the old one: Pinocchio's cannot be edited in place."""
+    """Return a copy of the model with error frames inserted: a Pinocchio model cannot be edited in place."""
     by_joint = {entry.joint: entry for entry in entries.axes}
     model = pin.Model()
     model.name = source.name
     model.gravity = source.gravity
     end_of = {
         0: (0, pin.SE3.Identity())
-    }  # old joint -> new joint that carries its body, and the body's placement there
+    }  # old joint -> new joint that carries its body, and the body's placement on it
     joint_of: dict[str, int] = {}
     free_flyers: dict[tuple[str, str], int] = {}
     for old in range(1, source.njoints):
@@ -469,7 +465,7 @@ def _with_error_frames(
 
 
 def _start(first: int, source: pin.Model, entries: MachineFile) -> np.ndarray:
-    """Where a branch that starts at joint ``first`` begins, so that its linear axes count from ``frames.origin``."""
+    """Return the start (3,) in metres of the branch from joint ``first``, so that its linear axes count from ``frames.origin``."""
     data = source.createData()
     pin.forwardKinematics(source, data, pin.neutral(source))
     start = np.zeros(3)
@@ -483,7 +479,7 @@ def _start(first: int, source: pin.Model, entries: MachineFile) -> np.ndarray:
 
 
 def _direction(joint: pin.JointModel) -> np.ndarray:
-    """Unit vector of a one-degree-of-freedom joint's motion in its own frame."""
+    """Return the unit vector of a one-degree-of-freedom joint's motion in its own frame."""
     data = joint.createData()
     joint.calc(
         data,

@@ -1,4 +1,4 @@
-"""The entries of a machine file, and the check that they fit the URDF beside it."""
+"""Entries of a machine file, and checks that they fit its URDF."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from twin._common.yaml_files import Place, line_of
 from twin.machine.urdf_file import read_urdf
 
 SCHEMA = "twin.machine/1"
-MOST_AXES: Final = 16
-"""Largest number of axes. Every axis has up to twelve error components, and Pinocchio's data grow with the third power of their sum."""
-FARTHEST: Final = 1e6
+MAX_AXES: Final = 16
+"""Largest number of axes. An axis has up to twelve error components, and Pinocchio's data grow with the cube of their total number."""
+MAX_POSITION: Final = 1e6
 """Largest position of an axis, mm or degrees: a kilometre."""
 LONGEST_TOOL_MM: Final = 5_000.0
-"""Largest tool length: twice that of long boring bars. More is a slip of the unit or of the decimal point."""
-UPRIGHT: Final = 0.7071
-"""Cosine of the largest angle between an axis of a linear axis's error frame and the base frame's of the same name: 45°, rounded."""
+"""Largest tool length: twice that of long boring bars. A larger value is a wrong unit or a misplaced decimal point."""
+MIN_ALIGNMENT: Final = 0.7071
+"""Cosine of the largest angle, 45° (rounded), between a direction of a linear axis's error frame and that of the base frame."""
 
-_Position = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+_Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 
 
 @final
 class AxisEntry(BaseModel):
-    """One axis as the file describes it."""
+    """One axis."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
     joint: str
     kind: Literal["linear", "rotary"]
     range: tuple[_Position, _Position] | Literal["unlimited"]
-    increment: Annotated[float, Field(gt=0, le=FARTHEST)]
+    increment: Annotated[float, Field(gt=0, le=MAX_POSITION)]
     error_frame_rpy_deg: tuple[_Position, _Position, _Position] = (0.0, 0.0, 0.0)
 
 
 @final
 class Frames(BaseModel):
-    """Links that tool and work are counted from, and axis coordinates of the URDF's zero."""
+    """Links that are the tool and work frames, and axis coordinates of the URDF's zero position."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     tool: str
@@ -53,7 +53,7 @@ class Frames(BaseModel):
 
 @final
 class Programs(BaseModel):
-    """What a program may take for granted on this machine."""
+    """Defaults for programs on this machine."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
@@ -63,7 +63,7 @@ class Programs(BaseModel):
 
 @final
 class Magnitudes(BaseModel):
-    """How large errors of one kind can be before anything is measured: one standard deviation, µm and µrad."""
+    """Prior standard deviations of errors of one kind, µm and µrad."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     um: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
@@ -71,7 +71,7 @@ class Magnitudes(BaseModel):
 
 
 class Plausible(BaseModel):
-    """The same of all kinds: error motions, and squareness with the locations of rotary axes."""
+    """Prior standard deviations by kind: error motions; squareness and locations of rotary axes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     motion: Magnitudes = Magnitudes()
@@ -79,14 +79,14 @@ class Plausible(BaseModel):
 
 
 class MachineFile(BaseModel):
-    """All of the file."""
+    """A machine file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     schema_: Literal["twin.machine/1"] = Field(alias="schema")
     name: str
     urdf: str
     calibration: str | None = None
-    axes: Annotated[tuple[AxisEntry, ...], Field(min_length=1, max_length=MOST_AXES)]
+    axes: Annotated[tuple[AxisEntry, ...], Field(min_length=1, max_length=MAX_AXES)]
     frames: Frames
     programs: Programs = Programs()
     plausible: Plausible = Plausible()
@@ -96,7 +96,7 @@ def load_urdf(path: Path) -> pin.Model:
     """Return the Pinocchio model of a URDF file.
 
     Raises:
-        InputError: see `read_urdf`; or Pinocchio cannot load it.
+        InputError: the file is invalid (see `read_urdf`), or Pinocchio cannot load it.
     """
     text = read_urdf(path)
     try:
@@ -126,7 +126,9 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
         used.add(entry.joint)
         added = {f"{entry.joint}:error", f"{entry.joint}:location"} & set(joints)
         if added:
-            raise fail("joint", "the URDF has a joint of a name that twin uses", f"no joint {added.pop()}", entry.joint)
+            raise fail(
+                "joint", "the URDF has a joint with a name reserved by twin", f"no joint {added.pop()}", entry.joint
+            )
         if entry.joint not in joints:
             raise fail("joint", f"{entries.urdf} has no such moving joint", f"one of {', '.join(joints)}", entry.joint)
         joint = source.joints[source.getJointId(entry.joint)]
@@ -160,7 +162,7 @@ def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
     for name in entries.frames.origin:
         if not any(entry.name == name and entry.kind == "linear" for entry in entries.axes):
             raise InputError(
-                "origin of something that is no linear axis",
+                "origin of something that is not a linear axis",
                 expected="names of linear axes",
                 file=path,
                 line=line_of(("frames", "origin", name), lines),
@@ -173,11 +175,11 @@ def turns_in_machine_frame(
 ) -> dict[str, np.ndarray]:
     """Return the rotation of every axis's error frame in the machine frame, all joints at zero.
 
-    The machine frame has the directions of the first linear axis's error frame; where others lean by more than 45° against it, those of
-    the base frame.
+    The machine frame has the directions of the first linear axis's error frame, or of the base frame if other linear axes are inclined
+    to the first by more than 45°.
 
     Raises:
-        InputError: a linear axis's error frame is turned so far that its components would carry the names of other directions.
+        InputError: the error frame of a linear axis is turned so far that its components would be named after other directions.
     """
     data = source.createData()
     pin.forwardKinematics(source, data, pin.neutral(source))
@@ -186,13 +188,13 @@ def turns_in_machine_frame(
     linear = [entry.name for entry in entries.axes if entry.kind == "linear"]
     for reference in (*(turns[name] for name in linear[:1]), np.eye(3)):
         found = {name: reference.T @ turn for name, turn in turns.items()}
-        turned = [name for name in linear if np.min(np.diag(found[name])) < UPRIGHT]
+        turned = [name for name in linear if np.min(np.diag(found[name])) < MIN_ALIGNMENT]
         if not turned:
             return found
     angles = np.round(pin.rpy.matrixToRpy(joints[turned[0]].T) / DEG, 4) + 0.0
     index = [entry.name for entry in entries.axes].index(turned[0])
     raise InputError(
-        f"the error frame of linear axis {turned[0]} is turned: its errors would carry the names of other directions",
+        f"the error frame of linear axis {turned[0]} is turned: its errors would be named after other directions",
         expected=f"error_frame_rpy_deg: [{', '.join(f'{angle:g}' for angle in angles)}] for this axis, "
         "so that x, y and z are those of the base",
         file=path,

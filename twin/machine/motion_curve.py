@@ -1,4 +1,4 @@
-"""One error motion as a function of its axis's position: what a calibration file holds under its name."""
+"""The curve of one error motion as a function of its axis's position, as stored in a calibration file."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from twin.numerics.curves import POWER, Basis, basis_of, conversion
 @final
 @dataclass(frozen=True)
 class Curve:
-    """One error motion.
+    """The curve of one error motion.
 
     Attributes:
         name: ISO 230-1 name.
         unit: ``um`` or ``urad``.
         domain: (lo, hi) in mm or degrees.
         basis: name of its basis.
-        coefficients: in ``unit``.
-        covariance: (k, k) of the coefficients, or None where it is not known.
-        source: where the numbers come from.
-        illustrative: whether they are drawn, not measured.
-        knots: mm or degrees, of a basis that has them.
+        coefficients: coefficients in ``unit``.
+        covariance: (k, k) covariance of the coefficients, or None if unknown.
+        source: origin of the numbers.
+        illustrative: whether they are illustrative instead of measured.
+        knots: knots of the basis, if it has any, mm or degrees.
     """
 
     name: str
@@ -43,26 +43,26 @@ class Curve:
 
     @property
     def family(self) -> Basis:
-        """Its basis.
+        """The basis.
 
         Raises:
-            InputError: there is none of that name, or none with these knots.
+            InputError: there is no basis of that name, or the knots do not fit it.
         """
         return basis_of(self.basis, self.knots)
 
     def motion(self, *, wrapped: bool) -> ErrorMotion:
-        """The effect that this curve is.
+        """Return the curve as an effect.
 
         Args:
-            wrapped: whether the axis turns without limits.
+            wrapped: whether the axis has unlimited rotation.
         """
         return ErrorMotion(self.name, self.family, self.domain, self.coefficients, wrapped=wrapped)
 
     def __call__(self, q: Any) -> np.ndarray:
-        """The curve at axis positions q (mm or degrees, any shape), in ``unit``.
+        """Return the values of the curve at axis positions q (mm or degrees, any shape), in ``unit``.
 
         Raises:
-            InputError: a position outside the domain.
+            InputError: a position is outside the domain.
         """
         positions = np.asarray(q, dtype=float)
         lo, hi = self.domain
@@ -81,15 +81,15 @@ class Curve:
         ).text
 
     def in_powers(self) -> Curve | None:
-        """The same curve in powers of u; None if it is no polynomial."""
+        """Return the same curve in powers of u; None if it is not a polynomial."""
         count = len(self.coefficients)
         return None if conversion(self.family, POWER, count, count) is None else self.written(POWER.name, count)
 
     def written(self, basis: str, count: int) -> Curve:
-        """The same curve, with its covariance, as ``count`` coefficients of another basis.
+        """Return the same curve, with its covariance, as ``count`` coefficients of another basis.
 
         Raises:
-            InputError: no such basis; one that cannot make this curve.
+            InputError: there is no such basis, or it cannot represent this curve.
         """
         matrix = conversion_of(self.name, self.family, basis_of(basis), len(self.coefficients), count)
         return replace(
@@ -102,10 +102,10 @@ class Curve:
 
 
 def added(curve: Curve | None, motion: ErrorMotion) -> Curve:
-    """A curve with another over the same domain added, in the basis of the first.
+    """Return the sum of two curves over the same domain, in the basis of the first.
 
     Raises:
-        InputError: other domains, or a basis that cannot hold the sum.
+        InputError: the domains differ, or the basis cannot represent the sum.
     """
     family, own = motion.basis, len(motion.coefficients)
     if curve is None:
@@ -124,10 +124,10 @@ def added(curve: Curve | None, motion: ErrorMotion) -> Curve:
 
 
 def conversion_of(name: str, source: Basis, target: Basis, count: int, into: int) -> np.ndarray:
-    """(into, count) coefficients of one basis as those of another, for a curve of that name.
+    """Return the matrix (into, count) from coefficients of one basis to those of another, for the curve of that name.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such conversion.
     """
     matrix = conversion(source, target, count, into)
     if matrix is None or into < count:

@@ -1,6 +1,7 @@
-"""A URDF file read and checked before Pinocchio sees it: its size, its numbers and its tree, with the line of what does not fit.
+"""Reading of a URDF file, with checks of its size, numbers and tree before it is passed to Pinocchio.
 
-Pinocchio's reader ends the process on a deep chain, takes an axis of length zero, and gives no line. Units: metres and radians.
+Pinocchio's reader ends the process on a deep chain, accepts an axis of length zero, and gives no line numbers. Units: metres and
+radians.
 """
 
 from __future__ import annotations
@@ -17,20 +18,20 @@ from xml.parsers import expat
 from twin._common.errors import InputError, nearest
 from twin._common.files import read_text
 
-MOST_BYTES: Final = 4_000_000
-"""Largest file. The files that come with twin have 20 kB."""
-MOST_LINKS: Final = 1_000
+MAX_BYTES: Final = 4_000_000
+"""Largest file accepted. The files that come with twin have 20 kB."""
+MAX_LINKS: Final = 1_000
 """Largest number of links. Pinocchio's reader recurses along the chain and ends the process at some 10,000."""
-MOST_MOVING: Final = 50
-"""Largest number of joints that move. Pinocchio's data take memory by the third power of them: 64 MB a table at 200."""
-MOST_NESTED: Final = 100
+MAX_MOVING_JOINTS: Final = 50
+"""Largest number of moving joints. The memory of Pinocchio's data grows with the cube of it: 64 MB per table at 200."""
+MAX_NESTING: Final = 100
 """Deepest nesting of XML elements; a URDF needs six."""
-FARTHEST_M: Final = 1e3
-"""Largest coordinate and size. Beyond it, double precision does not resolve a picometre."""
-FARTHEST_MASS: Final = 5.0
-"""Times the length of all joints in a row, at least a metre: how far a centre of mass can be from its link."""
-SHORTEST_AXIS: Final = 1e-6
-"""Shortest axis vector that still has a direction; Pinocchio scales it to length one."""
+MAX_COORDINATE_M: Final = 1e3
+"""Largest coordinate and size, m. Beyond it, double precision does not resolve a picometre."""
+MAX_MASS_DISTANCE: Final = 5.0
+"""Largest distance of a centre of mass from its link, as a multiple of the total length of all joints (at least 1 m)."""
+MIN_AXIS_LENGTH: Final = 1e-6
+"""Shortest axis vector accepted; Pinocchio scales it to length one."""
 MOVING: Final = ("prismatic", "revolute", "continuous")
 TYPES: Final = (*MOVING, "fixed")
 
@@ -56,7 +57,7 @@ _COUNTS: Final[Mapping[tuple[str, str], int]] = {
     ("mesh", "scale"): 3,
     ("color", "rgba"): 4,
 }
-"""How many numbers an attribute of an element holds."""
+"""Number of values of an attribute of an element."""
 _NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
     "mass": ("value",),
     "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
@@ -67,13 +68,13 @@ _NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
     "sphere": ("radius",),
     "mesh": ("filename",),
 }
-"""Attributes without which Pinocchio's reader drops the element around it, with the mass of a link or its shape."""
+"""Required attributes: without them Pinocchio's reader drops the enclosing element, for example a link's mass or shape."""
 _PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "inertial": ("mass", "inertia"),
     "visual": ("geometry",),
     "collision": ("geometry",),
 }
-"""Children that are needed likewise."""
+"""Required child elements."""
 _LENGTHS: Final = frozenset(
     {
         ("origin", "xyz"),
@@ -90,7 +91,7 @@ _NOT_NEGATIVE: Final = frozenset(
 @final
 @dataclass(frozen=True)
 class Element:
-    """One XML element with the line it starts in."""
+    """One XML element with the number of its first line."""
 
     name: str
     attributes: Mapping[str, str]
@@ -109,10 +110,10 @@ class Element:
 
 
 def read_urdf(path: Path) -> str:
-    """Return the text of a URDF file that is safe to pass to Pinocchio.
+    """Return the text of a URDF file after checking that Pinocchio can read it safely.
 
     Raises:
-        InputError: too large, not XML, or no tree of links and joints with finite numbers; with the line.
+        InputError: the file is too large, is not XML, or is not a tree of links and joints with finite numbers; it names the line.
     """
     text = _text(path)
     robot = _parsed(text, path)
@@ -129,8 +130,8 @@ def _text(path: Path) -> str:
         size = path.stat().st_size
     except OSError as error:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
-    if size > MOST_BYTES:
-        raise InputError("too large for a URDF", expected=f"at most {MOST_BYTES:,} bytes", file=path, value=f"{size:,}")
+    if size > MAX_BYTES:
+        raise InputError("too large for a URDF", expected=f"at most {MAX_BYTES:,} bytes", file=path, value=f"{size:,}")
     return read_text(path)
 
 
@@ -143,8 +144,8 @@ def _parsed(text: str, path: Path) -> Element:
         return InputError(what, expected=expected, file=path, line=parser.CurrentLineNumber)
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        if len(stack) > MOST_NESTED:
-            raise refuse("elements nested too deeply", f"at most {MOST_NESTED} levels")
+        if len(stack) > MAX_NESTING:
+            raise refuse("elements nested too deeply", f"at most {MAX_NESTING} levels")
         element = Element(name, attributes, parser.CurrentLineNumber)
         stack[-1].children.append(element)
         stack.append(element)
@@ -191,16 +192,16 @@ def _check_number(one: Element, name: str, text: str, count: int, path: Path) ->
 
     words = text.split()
     if len(words) != count or not all(_NUMBER.fullmatch(word) for word in words):
-        raise refuse("a number" if count == 1 else f"{count} numbers with blanks between")
+        raise refuse("a number" if count == 1 else f"{count} numbers separated by blanks")
     values = [float(word) for word in words]
     if not all(map(math.isfinite, values)):
         raise refuse("finite numbers")
-    if (one.name, name) in _LENGTHS and max(map(abs, values)) > FARTHEST_M:
-        raise refuse(f"metres, at most {FARTHEST_M:g}")
+    if (one.name, name) in _LENGTHS and max(map(abs, values)) > MAX_COORDINATE_M:
+        raise refuse(f"metres, at most {MAX_COORDINATE_M:g}")
     if (one.name, name) in _NOT_NEGATIVE and min(values) < 0.0:
         raise refuse("zero or more")
-    if one.name == "axis" and not SHORTEST_AXIS <= math.hypot(*values) <= 1.0 / SHORTEST_AXIS:
-        raise refuse('a unit vector, as "1 0 0"')
+    if one.name == "axis" and not MIN_AXIS_LENGTH <= math.hypot(*values) <= 1.0 / MIN_AXIS_LENGTH:
+        raise refuse('a unit vector, such as "1 0 0"')
 
 
 def _check_tree(robot: Element, path: Path) -> None:
@@ -208,13 +209,13 @@ def _check_tree(robot: Element, path: Path) -> None:
     links, joints = robot.each("link"), robot.each("joint")
     if not links:
         raise InputError("no links", expected="a robot of links and joints", file=path, line=robot.line)
-    if len(links) > MOST_LINKS or len(joints) > MOST_LINKS:
+    if len(links) > MAX_LINKS or len(joints) > MAX_LINKS:
         raise InputError(
-            "too many links", expected=f"at most {MOST_LINKS:,}", file=path, value=max(len(links), len(joints))
+            "too many links", expected=f"at most {MAX_LINKS:,}", file=path, value=max(len(links), len(joints))
         )
     moving = sum(joint.attributes.get("type") in MOVING for joint in joints)
-    if moving > MOST_MOVING:
-        raise InputError("too many moving joints", expected=f"at most {MOST_MOVING}", file=path, value=moving)
+    if moving > MAX_MOVING_JOINTS:
+        raise InputError("too many moving joints", expected=f"at most {MAX_MOVING_JOINTS}", file=path, value=moving)
     for kind, parts in (("link", links), ("joint", joints)):
         seen: Counter[str] = Counter()
         for part in parts:
@@ -234,7 +235,7 @@ def _check_tree(robot: Element, path: Path) -> None:
         if child in carried:
             raise InputError(
                 "a link carried by two joints",
-                expected="one joint to every link",
+                expected="one joint per link",
                 file=path,
                 line=joint.line,
                 value=child,
@@ -245,7 +246,7 @@ def _check_tree(robot: Element, path: Path) -> None:
 
 
 def _check_masses(robot: Element, path: Path) -> None:
-    """Raise `InputError` if a link's centre of mass is farther from the link than any part of the machine can be."""
+    """Raise `InputError` if the centre of mass of a link is implausibly far from it."""
     steps = [_numbers(origin, "xyz") for joint in robot.each("joint") for origin in joint.each("origin")]
     travels = [
         [float(limit.attributes.get("upper", 0.0)) - float(limit.attributes.get("lower", 0.0))]
@@ -253,14 +254,14 @@ def _check_masses(robot: Element, path: Path) -> None:
         if joint.attributes.get("type") == "prismatic"
         for limit in joint.each("limit")
     ]
-    farthest = FARTHEST_MASS * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
+    farthest = MAX_MASS_DISTANCE * max(sum(math.hypot(*step) for step in (*steps, *travels)), 1.0)
     for link in robot.each("link"):
         for origin in (origin for inertial in link.each("inertial") for origin in inertial.each("origin")):
             away = math.hypot(*_numbers(origin, "xyz"))
             if away > farthest:
                 raise InputError(
                     f"the centre of mass of {link.attributes['name']} is {away:g} m away",
-                    expected=f"metres, within {farthest:.3g} m of the link, {FARTHEST_MASS:g} times the length of all joints",
+                    expected=f"metres, within {farthest:.3g} m of the link, {MAX_MASS_DISTANCE:g} times the length of all joints",
                     file=path,
                     line=origin.line,
                     value=origin.attributes["xyz"],
@@ -268,7 +269,7 @@ def _check_masses(robot: Element, path: Path) -> None:
 
 
 def _numbers(one: Element, name: str) -> list[float]:
-    """Of an attribute that was checked; none if it is not given."""
+    """Return the numbers of a checked attribute; empty if it is absent."""
     return [float(word) for word in one.attributes.get(name, "").split()]
 
 
@@ -281,7 +282,7 @@ def _check_joint(joint: Element, path: Path) -> None:
         )
 
     if kind not in TYPES:
-        raise refuse(f"joint {name} has a type that twin does not know", f"one of {', '.join(TYPES)}", kind)
+        raise refuse(f"joint {name} has an unsupported type", f"one of {', '.join(TYPES)}", kind)
     if kind in ("prismatic", "revolute") and not joint.each("limit"):
         raise refuse(f"a {kind} joint without <limit>", '<limit lower="…" upper="…" effort="0" velocity="1"/>', name)
     if joint.each("mimic"):
@@ -289,7 +290,7 @@ def _check_joint(joint: Element, path: Path) -> None:
 
 
 def _end(joint: Element, kind: str, known: list[str], path: Path) -> str:
-    """Return the link at one end of a joint."""
+    """Return the name of the link at one end of a joint."""
     ends = joint.each(kind)
     link = ends[0].attributes.get("link", "") if len(ends) == 1 else ""
     if link not in known:
@@ -309,7 +310,10 @@ def _check_roots(known: list[str], carried: Mapping[str, Element], below: Mappin
     roots = [name for name in known if name not in carried]
     if len(roots) > 1:
         raise InputError(
-            "links that no joint connects", expected="one link that no joint carries", file=path, value=", ".join(roots)
+            "links that no joint connects",
+            expected="exactly one link that is not the child of a joint",
+            file=path,
+            value=", ".join(roots),
         )
     reached, waiting = set(roots), list(roots)
     while waiting:

@@ -14,7 +14,7 @@ GOOD = {
     + "".join(f"{x},{y},{z},1,2,3\n" for x in (0, 9) for y in (0, 9) for z in (-9, 0))
 }
 BAD = [
-    ("grid.csv", "9,9,0,1", "9,9,0,x", 9, "no number"),
+    ("grid.csv", "9,9,0,1", "9,9,0,x", 9, "not a number"),
     ("grid.csv", "9,9,0,1", "9,0,0,1", 9, "given twice"),
     ("grid.csv", "9,9,0,1,2,3\n", "", None, "a point is missing"),
     ("grid.csv", "dX_um", "eX_um", None, "columns"),

@@ -15,12 +15,12 @@ GOOD = {
 }
 BAD = [
     ("X_CORR.COM", "+0.002 +0.001", "+0.002", 4, "cells"),
-    ("X_CORR.COM", "1 100", "1 0", 4, "do not rise"),
+    ("X_CORR.COM", "1 100", "1 0", 4, "do not increase"),
     ("X_CORR.COM", "X Y", "X W", 2, "no such axis"),
-    ("X_CORR.COM", "+0.001 +0.002", "+0.001 ja", 3, "no number"),
+    ("X_CORR.COM", "+0.001 +0.002", "+0.001 ja", 3, "not a number"),
     ("X_CORR.COM", "COM MM", "COM INCH", 1, "not in mm"),
     ("CONFIG.CMA", "* X_CORR", "- X_CORR", None, r"lines with \*"),
-    ("CONFIG.CMA", "* X_CORR", "* Q_CORR", 3, "not given"),
+    ("CONFIG.CMA", "* X_CORR", "* Q_CORR", 3, "missing table"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

@@ -14,11 +14,11 @@ AGREES_UM = 0.15
 """Exactly turned here, to first order there: 300 µrad · 100 µm, 300 µrad² · 1 m / 2, and 1e-4 of 0.2 mm."""
 GOOD = {"volcomp.csv": "P0X P0Y P0Z\n0 0 0\n#\nX EXX EYX\n0 0.001 0.002\n100 0.002 0.001\n"}
 BAD = [
-    ("volcomp.csv", "EYX", "EYY", 4, "a column of a block"),
+    ("volcomp.csv", "EYX", "EYY", 4, "unknown column in the block"),
     ("volcomp.csv", "100 0.002", "100", 6, "cells"),
-    ("volcomp.csv", "100 0.002", "0 0.002", 6, "do not rise"),
-    ("volcomp.csv", "0 0 0\n", "0 0 12\n", 2, "P0Z is not"),
-    ("volcomp.csv", "P0X P0Y", "C0Y P0Y", 1, "not read"),
+    ("volcomp.csv", "100 0.002", "0 0.002", 6, "do not increase"),
+    ("volcomp.csv", "0 0 0\n", "0 0 12\n", 2, "P0Z differs"),
+    ("volcomp.csv", "P0X P0Y", "C0Y P0Y", 1, "unknown parameter"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

@@ -18,11 +18,11 @@ GOOD = {
 BAD = [
     ("X.comp", "100 100.002", "# the middle\n100 100.002", 2, "LinuxCNC stops there"),
     ("X.comp", "100 100.002", "\n100 100.002", 2, "LinuxCNC stops there"),
-    ("X.comp", "200 200.001", "90 200.001", 3, "do not rise"),
-    ("X.comp", "100.002 100", "1e999 100", 2, "no number"),
+    ("X.comp", "200 200.001", "90 200.001", 3, "do not increase"),
+    ("X.comp", "100.002 100", "1e999 100", 2, "not a number"),
     ("joints.ini", "COMP_FILE_TYPE = 0", "COMP_FILE_TYPE = 2", 7, "COMP_FILE_TYPE"),
     ("joints.ini", "LINEAR_UNITS = mm", "LINEAR_UNITS = inch", 3, "LINEAR_UNITS"),
-    ("joints.ini", "COMP_FILE = X.comp", "COMP_FILE = Y.comp", 6, "not given"),
+    ("joints.ini", "COMP_FILE = X.comp", "COMP_FILE = Y.comp", 6, "missing file"),
     ("joints.ini", "X Y Z B C", "V Y Z B C", 6, "no such axis"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""

@@ -22,9 +22,9 @@ BAD = [
     ("cec.mpf", "$AN_CEC_MAX[0]=100\n", "", 1, "lacks"),
     ("cec.mpf", "(AX2)", "(AX9)", 4, "no such axis"),
     ("cec.mpf", "BY_TABLE[0]=0", "BY_TABLE[0]=7", 8, "no such table"),
-    ("cec.mpf", "M17", "G0 X100", 9, "no line of a compensation table"),
-    ("cec.mpf", "[0,1]=0.02", "[0,1]=$R1", 2, "no number"),
-    ("cec.mpf", "[0,1]=0.02", "[0,0]=0.02", 2, "written twice"),
+    ("cec.mpf", "M17", "G0 X100", 9, "not a line of a compensation table"),
+    ("cec.mpf", "[0,1]=0.02", "[0,1]=$R1", 2, "not a number"),
+    ("cec.mpf", "[0,1]=0.02", "[0,0]=0.02", 2, "assigned twice"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

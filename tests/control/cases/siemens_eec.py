@@ -20,11 +20,11 @@ BAD = [
     ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,AX1]=1e-308", 6, "does not divide"),
     ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,AX1]=1e-300", 3, "points"),
     ("eec.mpf", "$AA_ENC_COMP_MAX[0,AX1]=80\n", "", 3, "lacks"),
-    ("eec.mpf", "[0,1,AX1]=0.01", "[0,0,AX1]=0.01", 4, "written twice"),
-    ("eec.mpf", "[0,1,AX1]=0.01", "[0,1,AX1]=$R1", 4, "no number"),
+    ("eec.mpf", "[0,1,AX1]=0.01", "[0,0,AX1]=0.01", 4, "assigned twice"),
+    ("eec.mpf", "[0,1,AX1]=0.01", "[0,1,AX1]=$R1", 4, "not a number"),
     ("eec.mpf", "[0,1,AX1]=0.01", "[0,1,AX9]=0.01", 4, "no such axis"),
-    ("eec.mpf", "[0,1,AX1]=0.01", "[1,1,AX1]=0.01", 4, "no line of a compensation table"),
-    ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,1,AX1]=50", 6, "indices that do not fit"),
+    ("eec.mpf", "[0,1,AX1]=0.01", "[1,1,AX1]=0.01", 4, "not a line of a compensation table"),
+    ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,1,AX1]=50", 6, "wrong indices"),
 ]
 """File, what is replaced in it by what, the line of the refusal, and its words."""
 

@@ -71,7 +71,7 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     for reason in dict.fromkeys(why.tolist()):
         which = at[why == reason]
         of = rows.motion[which]
-        missed = _cutting(corrected)[of] & (scope.asked and scope.orientation)
+        missed = _cutting(corrected)[of] & (scope.explicit and scope.orientation)
         reason = f"orientation not corrected: {reason}"
         yield FoundShortfalls(
             "orientation", reason, "urad", corrected.lines[of], rows.orientation_left[which] * 1e6, missed

@@ -45,9 +45,9 @@ AFFINE_SCALE: Final = Specification(
         NOTHING,
     ),
     evidence=lambda of: f"the instrument's own scales and right angles are off in {of.where}, by up to {of.measure}",
-    largest={"ppm": 200.0},
+    limits={"ppm": 200.0},
     varies="with the frame",
-    pliable=True,
+    flexible=True,
 )
 
 

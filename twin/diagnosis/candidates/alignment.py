@@ -41,7 +41,7 @@ FRAME_SHIFT: Final = Specification(
     ),
     evidence=lambda of: f"the instrument's frame was re-aligned from {of.where} on",
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
+    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
 )
 TARGET_SHIFT: Final = Specification(
     name="target_shift",
@@ -51,7 +51,7 @@ TARGET_SHIFT: Final = Specification(
     advice=Advice("Who measured: how that target is held.", REST, NOTHING),
     evidence=lambda of: f"target {of.where} sits elsewhere than before",
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
+    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
 )
 
 

@@ -28,9 +28,9 @@ FOLLOWING_ERROR: Final = Specification(
         "Do not compensate it: how far the axis lags depends on speed and load.",
     ),
     evidence=lambda of: f"{of.where} stood where the control reported it, not where it was told to go",
-    seldom=True,
-    whole=True,
-    drawn=Drawing(size_of="report", by_state=True),
+    rare=True,
+    all_or_nothing=True,
+    drawing=Drawing(size_of="report", by_state=True),
 )
 READ_BACK: Final = Specification(
     name="read_back",
@@ -43,7 +43,7 @@ READ_BACK: Final = Specification(
         NOTHING,
     ),
     evidence=lambda of: f"the positions reported for {of.where} were read before it had settled",
-    drawn=Drawing(size_of="report", by_state=True),
+    drawing=Drawing(size_of="report", by_state=True),
 )
 
 

@@ -33,7 +33,7 @@ def machine_effects(given: Given) -> Catalogue:
     found: list[Candidate] = []
     missing: list[Missing] = []
     for one in TRIED:
-        places, lacking = one.tried_at(given.machine, given.state)
+        places, lacking = one.candidate_places(given.machine, given.state)
         missing += [(one.name, where, what) for where, what in lacking]
         found += [_candidate(one, where, given, payloads) for where in places]
     return Catalogue(tuple(found), tuple(missing))
@@ -44,7 +44,7 @@ def _candidate(one: Specification, where: str, given: Given, payloads: Sequence[
         forms = one.forms(given.machine, where, given.state, payloads)
     else:
         forms = _single(one, where, given)
-    if forms.drifts:
+    if forms.is_drift:
         drift = _drift(forms, given)
         return Candidate(
             one, where, forms.names, drift.cells, forms.tests or 1.0, forms.build, forms.units, drift=drift

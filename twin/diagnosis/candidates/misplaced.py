@@ -57,8 +57,8 @@ MISPLACED: Final = Specification(
         "Do not look for it in the machine: nothing mechanical is wrong here.",
     ),
     evidence=_evidence,
-    seldom=True,
-    whole=True,
+    rare=True,
+    all_or_nothing=True,
     plain_forms=0,
 )
 

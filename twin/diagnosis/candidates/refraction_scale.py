@@ -25,9 +25,9 @@ REFRACTION_SCALE: Final = Specification(
         "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
     ),
     evidence=lambda of: f"all lengths are read {of.measure} too long",
-    largest={"ppm": LARGEST_PPM},
+    limits={"ppm": LARGEST_PPM},
     varies="with the frame",
-    drawn=Drawing(size_of="distance", by_state=True),
+    drawing=Drawing(size_of="distance", by_state=True),
 )
 
 

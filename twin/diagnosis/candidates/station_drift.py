@@ -25,9 +25,9 @@ STATION_DRIFT: Final = Specification(
         NOTHING,
     ),
     evidence=lambda of: f"station {of.where} creeps while it measures{course(of)}",
-    bent=("time_constant",),
+    nonlinear=("time_constant",),
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
+    drawing=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
 )
 
 

@@ -30,7 +30,7 @@ TIME_SKEW: Final = Specification(
     evidence=lambda of: (
         f"readings and positions of {of.where} were taken {abs(of.size):.3g} {of.unit} apart while it moved"
     ),
-    largest={"s": 1.0},
+    limits={"s": 1.0},
 )
 
 

@@ -304,7 +304,7 @@ def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covaria
 
 def _bent(form: Form, effects: Sequence[Effect]) -> bool:
     """Whether non-linear parameters are among those of its effect."""
-    names = form.candidate.specification.bent
+    names = form.candidate.specification.nonlinear
     return bool(names and effects) and all(name in effects[0].numbers for name in names)
 
 
@@ -315,7 +315,7 @@ def _longest(form: Form) -> float:
 
 
 def _kept(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
-    kept = form.candidate.specification.kept
+    kept = form.candidate.specification.constrain
     return effect if kept is None else kept(effect, [float(v) for v in values], longest)
 
 

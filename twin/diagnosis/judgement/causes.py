@@ -126,7 +126,7 @@ def _unsettled(sized: Sized, form: Form) -> str:
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Whether a parameter stands where it cannot go further."""
     candidate = form.candidate
-    limits = {name: candidate.range(name) for name in candidate.specification.bent}
+    limits = {name: candidate.range(name) for name in candidate.specification.nonlinear}
     if candidate.drift is not None and not candidate.drift.straight:
         # In a straight line: its time constant is beyond the record.
         return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
@@ -159,7 +159,7 @@ def _compared(sized: Sized, causes: Sequence[Cause]) -> Comparison:
 
 def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
     """The same cause with more numbers: a plain reversal is one that changes along the travel by nothing."""
-    return [(one.name, key[1]) for one in SPECIFICATIONS.values() if one.more_of == key[0]]
+    return [(one.name, key[1]) for one in SPECIFICATIONS.values() if one.variant_of == key[0]]
 
 
 def _further(effect: SingleEffect) -> str:

@@ -24,7 +24,7 @@ ALIKE: Final = 9.0
 def evidence(form: Form, found: Estimate, k: int) -> str:
     """What the k-th cause does, and how far beyond its uncertainty that is."""
     specification = form.candidate.specification
-    sizes = [q for q in found.quantities[k] if q.name not in {*specification.bent, *form.cell.fixed}]
+    sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.cell.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     numbers = {q.name: q.value for q in found.quantities[k]}
     what = Found(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])

@@ -179,7 +179,7 @@ def _alternatives(pool: Pool) -> list[Alternatives]:
         for i, form in enumerate(forms):
             if np.isfinite(form.candidate.largest):
                 largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
-            if form.candidate.specification.whole:
+            if form.candidate.specification.all_or_nothing:
                 centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
         # A form's part of the price of the search, which counts independent forms.
         prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])

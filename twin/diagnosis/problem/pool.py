@@ -72,7 +72,9 @@ class Form:
     @property
     def bent(self) -> dict[str, float]:
         """Its non-linear parameters that only some values are tried of."""
-        return {name: value for name, value in self.cell.fixed.items() if name in self.candidate.specification.bent}
+        return {
+            name: value for name, value in self.cell.fixed.items() if name in self.candidate.specification.nonlinear
+        }
 
     @property
     def slot(self) -> tuple[str, str, float]:

@@ -95,8 +95,8 @@ def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     if split is None:
         return False
     others = [one for one in forms if one is not form]
-    if form.candidate.specification.more_of:
-        others += [one for one in pool.forms if one.key == (form.candidate.specification.more_of, where)]
+    if form.candidate.specification.variant_of:
+        others += [one for one in pool.forms if one.key == (form.candidate.specification.variant_of, where)]
     gained = positions_held_out(pool, form, others, split)
     return gained is not None and gained[0] > 0.0
 

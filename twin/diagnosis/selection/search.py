@@ -118,13 +118,13 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
     allowed = pool.allowed
     while True:
         if any(
-            form.candidate.specification.pliable and excessive(pool, form, best.forms) == np.inf for form in best.forms
+            form.candidate.specification.flexible and excessive(pool, form, best.forms) == np.inf for form in best.forms
         ):
             # None of them: what they displaced comes back.
             pool.allowed = allowed
-            pool.forbid({form.key for form in pool.forms if form.candidate.specification.pliable})
+            pool.forbid({form.key for form in pool.forms if form.candidate.specification.flexible})
             allowed = pool.allowed
-            best = select(pool, () if anew else [f for f in best.forms if not f.candidate.specification.pliable])
+            best = select(pool, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
             continue
         excess = [excessive(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
@@ -162,15 +162,15 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
         explained: by all causes together.
     """
     own = float(values @ gram @ values)
-    if form.candidate.specification.pliable and own < LEAST * explained:
+    if form.candidate.specification.flexible and own < LEAST * explained:
         return np.inf
     found = own / (CANCELS * (explained + FEWEST))
     scale = np.array([column.scale for column in form.cell.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
-    if form.candidate.specification.one_way and len(values) == 1 and values[0] < -DOUBTED * u[0]:
+    if form.candidate.specification.non_negative and len(values) == 1 and values[0] < -DOUBTED * u[0]:
         return np.inf
-    if form.candidate.specification.whole:
+    if form.candidate.specification.all_or_nothing:
         found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
     return found
 
@@ -286,7 +286,7 @@ def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tupl
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     """Log of the number of tests by effect: the forms of its family over the family's share of all false alarms."""
     tests: dict[str, float] = {}
-    seldom = {candidate.effect for candidate in candidates if candidate.specification.seldom}
+    seldom = {candidate.effect for candidate in candidates if candidate.specification.rare}
     for candidate in candidates:
         tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
     shares = {effect: count**SHARE * (SELDOM if effect in seldom else 1.0) for effect, count in tests.items()}

@@ -52,7 +52,7 @@ class Searcher:
         while varying := [
             form
             for form in found.forms
-            if form.candidate.specification.more_of and not foretells(self.pool, form, found.forms)
+            if form.candidate.specification.variant_of and not foretells(self.pool, form, found.forms)
         ]:
             self.pool.forbid({form.key for form in varying})
             found, refuted = self._settled()

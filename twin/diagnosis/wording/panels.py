@@ -295,7 +295,7 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
 
 def drawing_of(cause: Cause) -> Drawing:
     """How a cause is drawn."""
-    return SPECIFICATIONS[cause.effect].drawn
+    return SPECIFICATIONS[cause.effect].drawing
 
 
 def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
@@ -349,7 +349,7 @@ def _sized(found: Answer, where: str, size_of: str) -> Scale:
 
 def _columns_of(found: Answer, cause: Cause) -> list[str]:
     """Names of the columns a cause goes with."""
-    if also := drawing_of(cause).also(cause.where):
+    if also := drawing_of(cause).depends_on(cause.where):
         return _named(also, found.calibration.machine)
     labels = [scale.label for scale in _against(found, cause)]
     return [name for name, scale in scales_of(found).items() if scale.label in labels]

@@ -1,48 +1,49 @@
-"""Compensation tables of the machine's own control: made from a calibration, read back, and counted in with programs.
+"""Compensation tables of the machine's control: made from a calibration, read back, and taken into account for programs.
 
     twin control --to siemens -o tables/ --tool-length 120
     twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json
     twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml
 
-The folder gets the files the control reads, `README.txt` (how to load them and switch them on, what they leave) and
-`calibration.yaml`: the same errors, and what the control now takes out of them by itself. **Compensate programs with that file
-and no other** while the tables are on, or the same errors are taken out twice.
+The folder receives the files for the control, `README.txt` (how to load and activate them, and the remaining errors) and
+`calibration.yaml`: the same errors with a record of the active tables. **Compensate programs only with that file** while the tables
+are active; otherwise the same errors are corrected twice.
 
-| format | carries | leaves |
+| format | corrects | does not correct |
 |---|---|---|
 FORMATS
 
-**What a table says.** Corrections are worked out from the machine's own kinematics, not from signs: with the errors of one axis
-alone the point is off by δ, and the linear axes undo it by −J⁻¹δ, on whichever side of the machine they stand; a rotary axis
-undoes its own E_BB or E_CC. With one linear axis or two, what lies along them is undone, and what of an error no axis can undo is
-said; `isg` and `grid` want three. Linear axes that move the point the same way are refused.
+**Values of a table.** Corrections are calculated from the kinematics of the machine: the errors of one axis alone displace the
+functional point by δ, and the linear axes, on either side of the machine, correct it by −J⁻¹δ; a rotary axis corrects its own E_BB or
+E_CC. One or two linear axes correct only the part along them; the part that no axis can correct is reported. `isg` and `grid` need
+three linear axes. Linear axes that move the point in the same direction are refused.
 
-A table of one axis over another is right only where the other axes and the tool are as they were taken: the middle of the linear
-ranges, or `--at`. An angular error makes its angle times the distance from there elsewhere; the products of `siemens` carry that,
-and so do `isg` and `grid`.
+A table of one axis as a function of another is exact only at the assumed positions of the other axes (the middle of the linear
+ranges, or `--at`) and the assumed tool length. Elsewhere an angular error causes an error of its angle times the distance from there;
+the products of `siemens` correct this, and so do `isg` and `grid`.
 
-**Nodes** stand in equal steps, as few as keep the model within `--tolerance` of the straight lines between them (1 µm; 2 µrad a
-µm of a rotary axis; a grid 5 µm), or at most `--step` apart. Every file is read back from its text and compared with the model
-at places drawn: no farther off than between the nodes plus half of the last digit, or the exit status is 3.
+**Nodes** are equidistant. Their number is the smallest for which the straight lines between them stay within `--tolerance` of the
+model (1 µm; for a rotary axis 2 µrad per µm; for a grid 5 µm), or `--step` limits their distance. Every file is read back and compared
+with the model at random positions. If the difference exceeds the interpolation error plus half of the last digit, the exit status
+is 3.
 
-**What remains** is printed for the machine at hand: point and tool axis over the volume as it is, with the tables, with a
-compensated program on top; and every error of the calibration with whether it is taken out. These are the model's figures. U (95 %) of
-the point stands beside them, from the calibration's covariance, and the RMS to be expected with it; where the calibration gives no
-covariance they are unknown. `twin report` gives the same figures for `siemens`, `heidenhain` and `linuxcnc` at the same tool
-length, the other axes in the middle of their ranges. Warnings of where the numbers come from stand in the comments of every file.
+**Remaining errors** are printed for this machine: of the functional point and the tool axis over the volume without tables, with the
+tables, and with a compensated program in addition; and for every error of the calibration whether it is corrected. These are figures
+of the model. They are given with U (95 %) of the point from the calibration's covariance and the expected RMS; without a covariance
+both are unknown. `twin report` gives the same figures for `siemens`, `heidenhain` and `linuxcnc` at the same tool length, with the
+other axes in the middle of their ranges. Warnings about the origin of the numbers are in the comments of every file.
 
-**Errors measured with tables on** (`control: errors_are: remaining`) are what those leave. New tables in their place would lose
-what they take out, and are refused; `--add` writes old and new together, on the nodes of the old ones. `calibration.yaml` then
-names the new part alone (`added/`): its errors are those left under the old tables. Where the errors are `uncorrected`, new
-tables take the place of the old ones.
+**Errors measured with active tables** (`control: errors_are: remaining`) are the errors that remain with those tables. New tables
+instead of them would lose their corrections and are refused; `--add` writes the sum of old and new tables, on the nodes of the old
+ones. `calibration.yaml` then names only the added part (`added/`), because its errors are those remaining with the old tables. If the
+errors are `uncorrected`, new tables replace the old ones.
 
-**Another tool.** Tables of axes and the grid move the axes by the same whatever tool is in: with a longer one they leave more, the
-model knows it, and a program is corrected for that. The control of `isg` counts the active tool in, and so does the model. Errors
-measured with its tables on hold for the tool that was active then; every account of them says so.
+**Other tools.** Tables of axes and the grid apply the same corrections with every tool; a longer tool leaves larger errors, which the
+model includes and programs are corrected for. The control of `isg` uses the length of the active tool, and so does the model. Errors
+measured with its tables active are valid for the tool that was active then; every report on them states this.
 
-**What was not checked** against a public description of a control is said in the module of its format
-(`help(twin.machine.control.formats.siemens)`), and again beside every table that is written. One sign the wrong way round
-doubles an error: the text says how to try a table before anything is cut.
+**Unverified assumptions**, which were not checked against a public description of a control, are listed in the module of its format
+(`help(twin.machine.control.formats.siemens)`) and with every table that is written. One wrong sign doubles an error: the text
+explains how to test a table before machining.
 
     from pathlib import Path
     from twin.machine.calibration import Calibration

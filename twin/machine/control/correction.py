@@ -1,4 +1,4 @@
-"""What every kind of compensation in a control is: a shift of the commanded positions, worked out from them."""
+"""Base class of the compensations in a control: shifts of the commanded positions as a function of these positions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any, Literal, Self, final
 from twin.machine.machine import Machine
 
 BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
-"""The classes of ISO/TR 16907 that every error motion belongs to exactly one of."""
+"""Basic classes of ISO/TR 16907: every error motion belongs to exactly one of them."""
 
 
 @final
 @dataclass(frozen=True)
 class Content:
-    """One table of a control: its nodes (mm, degrees), and the largest value in ``unit`` (``um``, ``urad``)."""
+    """Summary of one table of a control: its nodes (mm, degrees) and its largest value in ``unit`` (``um``, ``urad``)."""
 
     name: str
     low: float
@@ -28,19 +28,19 @@ class Content:
 
     @classmethod
     def over(cls, name: str, at: Sequence[float], largest: float, unit: str) -> Content:
-        """The content of a table with nodes at some positions."""
+        """Return the summary of a table with nodes at the positions ``at``."""
         step = at[1] - at[0] if len(at) > 1 else 0.0
         return cls(name, at[0], at[-1], len(at), step, largest, unit)
 
 
 class Correction(ABC):
-    """What a control adds to the commands of its axes, before they move, as its tables say.
+    """Correction that a control adds to the commanded positions of its axes, according to its tables.
 
-    The machine then goes to q + c(q). A table that corrects a positioning error E_XX of +5 µm has c = −5 µm, whatever sign its own
-    format writes.
+    The machine then moves to q + c(q). A table that corrects a positioning error E_XX of +5 µm has c = −5 µm; the sign in the file
+    depends on the format.
 
     Attributes:
-        machine: whose axes it moves.
+        machine: the machine whose axes it moves.
     """
 
     machine: Machine
@@ -51,29 +51,29 @@ class Correction(ABC):
         """Names of the axes it moves, in the machine's command order."""
 
     def with_tool(self, tool_length_mm: float) -> Correction:
-        """What it does with a tool of another length: the same, unless the control counts the tool in."""
+        """Return the correction for another tool length: the same, unless the control uses the length of the active tool."""
         return self
 
     @abstractmethod
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
-        """What is added to the command of one axis: µm for a linear axis, µrad for a rotary one.
+        """Return the value added to the command of one axis: µm for a linear axis, µrad for a rotary one.
 
-        Interpolated as the control interpolates it; beyond the ends of a table as the control goes on there.
+        It is interpolated, and continued beyond the ends of a table, in the same way as in the control.
 
         Args:
             axis: one of ``axes``.
-            positions: commanded position of every axis by name, mm or degrees: arrays or CasADi (SX) expressions alike, of one shape;
-                where a table differs by direction also ``approach_<axis>`` (+1, −1, 0 unknown: the mean of the two).
+            positions: commanded position of every axis by name, mm or degrees: arrays or CasADi (SX) expressions, of one shape; for
+                tables that depend on the direction of approach also ``approach_<axis>`` (+1, −1; 0 if unknown, which gives the mean).
         """
 
     @abstractmethod
     def contents(self) -> tuple[Content, ...]:
-        """Every table it is made of."""
+        """Return the summaries of all its tables."""
 
     @abstractmethod
     def plus(self, old: Self) -> Self:
-        """The tables that do what these and older ones do together, on the nodes of the older ones."""
+        """Return tables with the sum of these and older corrections, on the nodes of the older ones."""
 
     @abstractmethod
     def rounded(self, axis: str) -> int:
-        """How many rounded values at most are added up in what moves an axis."""
+        """Return the largest number of rounded values that are added in the correction of an axis."""

@@ -1,4 +1,4 @@
-"""What the tables of a control are made of: values at nodes, straight lines between them, and products of such curves."""
+"""Curves of a control's tables: values at nodes with linear interpolation, and products of such curves."""
 
 from __future__ import annotations
 
@@ -23,39 +23,39 @@ DOWN: Direction = -1
 @final
 @dataclass(frozen=True)
 class ControlCurve:
-    """Values at positions of one axis, straight lines between them, the end values beyond the ends.
+    """Values at positions of one axis, with linear interpolation and constant continuation beyond the ends.
 
     Attributes:
-        of: the axis it is a function of.
-        at: nodes, mm or degrees, rising; at least one.
-        values: at the nodes.
-        period: of an axis that turns without end: positions are wrapped into one period from the first node on; None: they are not.
-        direction: +1, −1: in use only where the axis is coming from below, from above; 0: always. Where the side is not known each
-            counts half.
+        argument: name of the axis of which it is a function.
+        at: nodes, mm or degrees, increasing; at least one.
+        values: values at the nodes.
+        period: period of an unlimited rotary axis, into which positions are wrapped from the first node on; None for no wrapping.
+        direction: +1 or −1: applies only to that direction of approach; 0: always. If the direction of approach is unknown, both
+            directions have weight one half.
     """
 
-    of: str
+    argument: str
     at: tuple[float, ...]
     values: tuple[float, ...]
     period: float | None = None
     direction: Direction = 0
 
     def __call__(self, positions: Mapping[str, Any]) -> Any:
-        """The value at positions of the machine, as of `Correction.shift`."""
-        value = self.along(positions[self.of])
+        """Return the value at positions of the machine; see `Correction.shift`."""
+        value = self.along(positions[self.argument])
         if self.direction == 0:
             return value
-        name = f"approach_{self.of}"
+        name = f"approach_{self.argument}"
         side = positions[name] if name in positions else 0.0
         return 0.5 * (1.0 + self.direction * side) * value
 
     def along(self, q: Any) -> Any:
-        """The value at positions of its own axis, whatever the side."""
+        """Return the value at positions of its axis, independent of the direction of approach."""
         if self.period is not None:
             q = q - self.period * floor((q - self.at[0]) / self.period)
         if not isinstance(q, ca.SX):
             return np.interp(q, self.at, self.values)
-        # Branch-free: a constant and a hinge at every node where the slope changes.
+        # Without branches: a constant and a hinge function at every node where the slope changes.
         slopes = np.diff(self.values) / np.diff(self.at)
         bends = np.diff(slopes, prepend=0.0, append=0.0) if len(slopes) else np.zeros(len(self.at))
         value: Any = ca.SX(self.values[0])
@@ -66,16 +66,16 @@ class ControlCurve:
 
     @property
     def peak(self) -> float:
-        """Its largest value, whatever the sign."""
+        """Largest absolute value."""
         return max(abs(value) for value in self.values)
 
     def scaled(self, by: float) -> ControlCurve:
-        """The same curve times a number."""
+        """Return the curve times a number."""
         return replace(self, values=tuple(value * by for value in self.values))
 
 
 def period_of(axis: Axis) -> float | None:
-    """A turn for an axis that turns without end."""
+    """Return one turn in degrees for an unlimited axis, None for others."""
     return TURN if axis.lower is None else None
 
 
@@ -85,15 +85,15 @@ class ControlTerm:
     """One table, or the product of two.
 
     Attributes:
-        axis: the axis it moves.
-        factors: of the product; values of the first in µm or µrad, of others without a unit.
+        axis: the axis that it moves.
+        factors: factors of the product; values of the first in µm or µrad, of the others without unit.
     """
 
     axis: str
     factors: tuple[ControlCurve, ...]
 
     def __call__(self, positions: Mapping[str, Any]) -> Any:
-        """What it adds to the command of its axis, µm or µrad, as of `Correction.shift`."""
+        """Return the value added to the command of its axis, µm or µrad; see `Correction.shift`."""
         value = self.factors[0](positions)
         for factor in self.factors[1:]:
             value = value * factor(positions)
@@ -101,30 +101,32 @@ class ControlTerm:
 
     @property
     def peak(self) -> float:
-        """Largest value, µm or µrad."""
+        """Upper bound of the absolute value, µm or µrad."""
         return float(np.prod([factor.peak for factor in self.factors]))
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What it is a table of: the axis moved, and axis and direction of every factor."""
-        return (self.axis, *((curve.of, curve.direction) for curve in self.factors))
+        """Identity of the table: the axis moved, and axis and direction of every factor."""
+        return (self.axis, *((curve.argument, curve.direction) for curve in self.factors))
 
     @property
     def name(self) -> str:
         """``Y by X``, ``X by X times Z``, ``X by X, X moving up``."""
         first = self.factors[0]
-        side = {0: "", 1: f", {first.of} moving up", -1: f", {first.of} moving down"}[first.direction]
-        return f"{self.axis} by {first.of}{''.join(f' times {other.of}' for other in self.factors[1:])}{side}"
+        side = {0: "", 1: f", {first.argument} moving up", -1: f", {first.argument} moving down"}[first.direction]
+        return (
+            f"{self.axis} by {first.argument}{''.join(f' times {other.argument}' for other in self.factors[1:])}{side}"
+        )
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Terms(Correction):
-    """Tables of one axis each, and products of them, that add up.
+    """Sum of tables of one axis each, and of products of such tables.
 
     Attributes:
         terms: the tables.
-        machine: whose axes they name.
+        machine: the machine whose axes they name.
     """
 
     terms: tuple[ControlTerm, ...]
@@ -147,21 +149,23 @@ class Terms(Correction):
     def contents(self) -> tuple[Content, ...]:
         """See `Correction.contents`."""
         units = {axis.name: "um" if axis.linear else "urad" for axis in self.machine.axes}
-        return tuple(Content.over(one.name, one.factors[0].at, one.peak, units[one.axis]) for one in self.terms)
+        return tuple(Content.over(term.name, term.factors[0].at, term.peak, units[term.axis]) for term in self.terms)
 
     def plus(self, old: Terms) -> Terms:
-        """A table each where one is there already, beside it otherwise; see `Correction.plus`."""
+        """Add values to a table that exists already, append other tables; see `Correction.plus`."""
         singles: dict[tuple[str, str], list[ControlTerm]] = {}
         products: list[ControlTerm] = []
         for term in (*old.terms, *self.terms):
-            alike = singles.setdefault((term.axis, term.factors[0].of), []) if len(term.factors) == 1 else products
+            alike = (
+                singles.setdefault((term.axis, term.factors[0].argument), []) if len(term.factors) == 1 else products
+            )
             alike.append(term)
         found: list[ControlTerm] = []
         for terms in singles.values():
             curves = [term.factors[0] for term in terms]
-            sides: tuple[Direction, ...] = (BOTH,) if all(one.direction == 0 for one in curves) else (UP, DOWN)
+            sides: tuple[Direction, ...] = (BOTH,) if all(curve.direction == 0 for curve in curves) else (UP, DOWN)
             for side in sides:
-                values = np.sum([one.values for one in curves if one.direction in (0, side)], axis=0)
+                values = np.sum([curve.values for curve in curves if curve.direction in (0, side)], axis=0)
                 whole = replace(curves[0], values=tuple(values.tolist()), direction=side)
                 found.append(ControlTerm(terms[0].axis, (whole,)))
         return Terms((*found, *products), self.machine)

@@ -1,4 +1,4 @@
-"""What is known of a control's table format: one final class a format, in a file of its own (`twin.machine.control.FORMATS`)."""
+"""Base class of a control's table formats: one final class per format, each in its own file (`twin.machine.control.FORMATS`)."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ class TableFormat(ABC, Generic[C]):
     """One format of compensation tables.
 
     Attributes:
-        name: as options and calibration files have it.
-        title: of the control, in messages.
-        what: kind of file; with the next two a line of the manual's table.
-        carries: what it takes out, in words.
-        leaves: what it does not.
+        name: name in options and calibration files.
+        title: name of the control in messages.
+        what: kind of file; with the next two a row of the manual's table.
+        carries: description of the errors that it corrects.
+        leaves: description of the errors that it does not correct.
         written: names of its files; ``{}`` stands for an axis.
-        correction: what they are read as.
-        classes: classes of ISO/TR 16907 whose errors it takes out, as far as it can.
-        points: most nodes along an axis.
+        correction: class of the correction that they are read as.
+        classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
+        points: largest number of nodes along an axis.
         rounding: half of the last digit written, µm and µrad.
-        tolerance_um: of the interpolation, where nobody says otherwise.
-        tables: how many tables the control has, where nobody says otherwise; None: as many as there are.
-        fewer_tables: what is said of controls that have fewer.
-        across: of tables of axes, whether an axis can move another one.
-        products: whether two of them can be multiplied.
-        wraps: whether positions of an axis that turns without end are wrapped into a turn.
-        directions: whether its tables may differ by the direction an axis comes from.
-        crossed_directions: whether those of another axis may, and not only those of an axis over itself.
-        knows_machine: whether the control knows the machine's kinematics: errors of all axes act at the point, the active tool counts.
-        unread: files that are written and that the tables are not read from.
-        unchecked: what could not be checked against a public description; said in every file and in the account.
+        tolerance_um: default tolerance of the interpolation.
+        tables: default number of tables in the control; None if it is not limited.
+        fewer_tables: note on controls that have fewer tables.
+        across: for tables of axes, whether a table can move another axis than its argument.
+        products: whether two tables can be multiplied.
+        wraps: whether positions of an unlimited rotary axis are wrapped into one turn.
+        directions: whether tables may depend on the direction of approach.
+        crossed_directions: whether tables that move another axis may depend on it too.
+        knows_machine: whether the control uses a model of the machine: it corrects errors of all axes at the functional point, with the
+            active tool.
+        unread: files that are written but not needed to read the tables.
+        unchecked: assumptions that could not be checked against a public description; listed in every file and report.
     """
 
     name: ClassVar[str]
@@ -64,7 +65,7 @@ class TableFormat(ABC, Generic[C]):
     unchecked: ClassVar[tuple[str, ...]] = ()
 
     def files(self, machine: Machine) -> tuple[str, ...]:
-        """Names of all files that may be written."""
+        """Return the names of all files that may be written."""
         return tuple(
             file.format(axis)
             for file in self.written
@@ -73,39 +74,39 @@ class TableFormat(ABC, Generic[C]):
 
     @abstractmethod
     def write(self, correction: C, notes: Sequence[str] = ()) -> dict[str, str]:
-        """Texts by the names of their files.
+        """Return the texts of the files by file name.
 
         Args:
             correction: the tables.
-            notes: said in comments, where the control reads none of them.
+            notes: texts for comments, placed where the control ignores them.
 
         Raises:
-            InputError: what such tables cannot hold.
+            InputError: the format cannot represent the correction.
         """
 
     @abstractmethod
     def read(self, files: Sequence[Path], machine: Machine) -> C:
-        """The tables of the control's files, all of them together: those that say which table belongs to which axis too.
+        """Return the tables from all files of the control, including those that assign tables to axes.
 
         Raises:
-            InputError: whatever does not fit in a file, or the control would refuse.
+            InputError: a file is invalid, or the control would refuse it.
         """
 
     @abstractmethod
     def loading(self, correction: C, largest: Mapping[str, float]) -> tuple[str, ...]:
-        """How the tables get into the control and are switched on, step by step.
+        """Return instructions to load and activate the tables, one text per step.
 
         Args:
             correction: the tables.
-            largest: correction of every axis that is moved, µm or µrad.
+            largest: largest correction of every axis that is moved, µm or µrad.
         """
 
     def to_read(self, written: Mapping[str, str]) -> tuple[str, ...]:
-        """Names of the files that `read` wants of what was written."""
+        """Return the names of those written files that `read` needs."""
         return tuple(name for name in written if name not in self.unread)
 
     def read_back(self, written: Mapping[str, str], machine: Machine) -> C:
-        """What a control that is given these texts does."""
+        """Return the correction that a control applies with these files."""
         with scratch_folder() as folder:
             for name, text in written.items():
                 (folder / name).write_text(text, encoding="utf-8")

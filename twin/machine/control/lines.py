@@ -1,4 +1,4 @@
-"""Lines of a control's file, and numbers and axes in them that must be what they should."""
+"""Lines of a control's file, with checks of the numbers and axes in them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from twin.machine.machine import Axis, Machine
 UM_IN_MM: Final = 1e-3
 URAD_IN_DEG: Final = 180e-6 / 3.141592653589793
 LARGEST: Final = 1e9
-"""Of any number in a control's file: a thousand kilometres, more than the increments of any scale."""
+"""Largest magnitude of a number in a control's file: a thousand kilometres, more than the increments of any scale."""
 LETTERS: Final = tuple("XYZABCUVW")
-"""What controls that name axes by a letter call them."""
+"""Axis names of controls that name axes by a letter."""
 
 
 @final
@@ -26,8 +26,8 @@ class TableLine:
 
     Attributes:
         path: the file.
-        number: of the line, from 1 on; None: what is not there.
-        text: without blanks at its ends.
+        number: number of the line, from 1 on; None for a missing line.
+        text: text without leading and trailing blanks.
     """
 
     path: Path
@@ -35,18 +35,18 @@ class TableLine:
     text: str
 
     def error(self, what: str, expected: str, value: object = None) -> InputError:
-        """What is wrong here."""
+        """Return an error at this line."""
         return InputError(what, expected=expected, file=self.path, line=self.number, value=value)
 
     def decimal(self, what: str, text: str | None = None) -> float:
         """Return a number of magnitude up to `LARGEST`.
 
         Args:
-            what: it is.
-            text: the number; the whole line's if None.
+            what: name of the number, for the message.
+            text: text of the number; the whole line if None.
 
         Raises:
-            InputError: it is none.
+            InputError: the text is not such a number.
         """
         shown = self.text if text is None else text
         try:
@@ -54,22 +54,22 @@ class TableLine:
         except ValueError:
             value = float("nan")
         if not abs(value) <= LARGEST:
-            raise self.error(f"{what} is no number", f"a number of at most {LARGEST:g}", shown)
+            raise self.error(f"{what} is not a number", f"a number of at most {LARGEST:g}", shown)
         return value
 
     def axis(self, name: str, machine: Machine) -> Axis:
-        """Return the axis of a name.
+        """Return the axis of that name.
 
         Raises:
-            InputError: the machine has none.
+            InputError: the machine has no such axis.
         """
         if name not in machine.by_name:
             raise self.error(f"{machine.name} has no such axis", f"one of {' '.join(machine.names)}", name)
         return machine.by_name[name]
 
 
-def numbered(path: Path) -> list[TableLine]:
-    """Every line of a file.
+def table_lines(path: Path) -> list[TableLine]:
+    """Return all lines of a file.
 
     Raises:
         InputError: the file cannot be read.
@@ -77,18 +77,18 @@ def numbered(path: Path) -> list[TableLine]:
     return [TableLine(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
-def check_rising(at: Sequence[float], lines: Sequence[TableLine]) -> None:
-    """Raise `InputError` unless positions rise from line to line."""
+def check_increasing(at: Sequence[float], lines: Sequence[TableLine]) -> None:
+    """Raise `InputError` unless positions increase from line to line."""
     for before, after, line in zip(at, at[1:], lines[1:], strict=False):
         if after <= before:
-            raise line.error("positions do not rise", f"more than {before:g}", f"{after:g}")
+            raise line.error("positions do not increase", f"more than {before:g}", f"{after:g}")
 
 
-def the_one(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
+def single_file(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
     """Return the only file with a suffix.
 
     Raises:
-        InputError: none has it, or several.
+        InputError: no file, or more than one, has it.
     """
     found = [file for file in files if file.suffix.lower() == suffix]
     if len(found) != 1:
@@ -97,7 +97,7 @@ def the_one(files: Sequence[Path], suffix: str, what: str, expected: str) -> Pat
 
 
 def check_letters(names: Iterable[str], control: str) -> None:
-    """Raise `InputError` unless a control that names its axes by a letter has all of these."""
+    """Raise `InputError` unless all names are axis names of controls that name axes by a letter."""
     for name in names:
         if name not in LETTERS:
             raise InputError(
@@ -106,10 +106,10 @@ def check_letters(names: Iterable[str], control: str) -> None:
 
 
 def unit_of(axis: Axis) -> float:
-    """Mm a µm for a linear axis, degrees a µrad for a rotary one: what a control's file has for one of ours."""
+    """Return the factor from twin's units to those of a control's file: mm per µm for a linear axis, degrees per µrad for others."""
     return UM_IN_MM if axis.linear else URAD_IN_DEG
 
 
-def plain(value: float, digits: int) -> str:
-    """A number with so many digits behind the point; no minus before a zero."""
+def fixed_decimals(value: float, digits: int) -> str:
+    """Return a number with ``digits`` decimals, without a minus sign before zero."""
     return f"{round(value, digits) + 0.0:.{digits}f}"

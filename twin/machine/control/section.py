@@ -1,13 +1,13 @@
-"""What a calibration file says of its machine's control: which tables are switched on, and whether its errors were measured with them.
+"""The `control:` section of a calibration file: which tables are active, and whether the errors were measured with them.
 
     control:
       errors_are: uncorrected
       tables:
         - {file: cec.mpf, format: siemens, classes: [L-POS, L-STR], sha256: 5f…}
 
-``uncorrected``: the errors of the file are those of the bare machine, and the control takes its part out of them by itself. Whoever
-corrects a program must correct only what it leaves. ``remaining``: the errors were measured with the tables on, and are what those
-leave. A program is corrected for them as they are; a new table is added to the old one, never put in its place.
+``uncorrected``: the errors of the file are those of the machine without tables, and the control corrects part of them. A program is
+corrected only for the remainder. ``remaining``: the errors were measured with the tables active and remain with them. A program is
+corrected for all of them; a new table must be added to the old one and cannot replace it.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class TableEntry:
     """One file of the control.
 
     Attributes:
-        file: where it is.
-        format: its kind, one of `twin.machine.control.FORMATS`.
-        classes: classes of ISO/TR 16907 whose errors it takes out, as far as it can.
-        sha256: of the file's bytes when it was entered.
+        file: its path.
+        format: name of its format, one of `twin.machine.control.FORMATS`.
+        classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
+        sha256: SHA-256 of the file when it was recorded.
     """
 
     file: Path
@@ -45,23 +45,19 @@ class TableEntry:
 
     @classmethod
     def of(cls, file: Path, kind: str, classes: Sequence[str]) -> TableEntry:
-        """The entry of a file as it is now.
+        """Create the entry of a file with its current hash.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the file cannot be read.
         """
         return cls(file, kind, tuple(classes), digest(file))
 
     def check(self) -> None:
-        """Nothing, if the file is the one that was entered.
-
-        Raises:
-            InputError: it is another one by now, or cannot be read.
-        """
+        """Raise `InputError` if the file has changed since it was recorded or cannot be read."""
         if digest(self.file) != self.sha256:
             raise InputError(
-                "not the control table the calibration was written with: what the control corrects is not known",
-                expected=f"the file with sha256 {self.sha256[:12]}…, or a `control:` section that says what is on now",
+                "not the control table with which the calibration was written: the active corrections are unknown",
+                expected=f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now",
                 file=self.file,
                 value=digest(self.file)[:12] + "…",
             )
@@ -70,11 +66,11 @@ class TableEntry:
 @final
 @dataclass(frozen=True)
 class ControlSection:
-    """The section as it is written.
+    """The `control:` section of a calibration file.
 
     Attributes:
         errors_are: ``uncorrected`` or ``remaining``.
-        tables: the files that are switched on in the control, at least one.
+        tables: the tables active in the control, at least one.
     """
 
     errors_are: ErrorsAre
@@ -82,22 +78,22 @@ class ControlSection:
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Kinds of its tables, each once."""
+        """Formats of its tables, each once."""
         return tuple(dict.fromkeys(entry.format for entry in self.tables))
 
     @property
     def caution(self) -> str:
-        """What is to be minded where the errors are those its tables leave: a sentence, or nothing."""
-        counted = {form.name for form in FORMATS if form.knows_machine}
-        if self.errors_are == "uncorrected" or counted.isdisjoint(self.formats):
+        """Warning that errors measured with active tables are valid for one tool length only; empty if it does not apply."""
+        using_tool = {form.name for form in FORMATS if form.knows_machine}
+        if self.errors_are == "uncorrected" or using_tool.isdisjoint(self.formats):
             return ""
         return (
-            "The control counts the active tool in: these errors are what it left with the tool that was active while measuring, "
-            "and hold for that length alone."
+            "The control uses the length of the active tool: these errors were measured with its tables active and are valid only for "
+            "the tool length at that time."
         )
 
     def to_entry(self, folder: Path | None) -> dict[str, Any]:
-        """As the file has it; table files named as seen from a folder, if one is given."""
+        """Return the entry for the file, with table files relative to ``folder``, if given."""
 
         def shown(file: Path) -> str:
             return str(file.resolve() if folder is None else os.path.relpath(file.resolve(), folder.resolve()))
@@ -105,20 +101,25 @@ class ControlSection:
         return {
             "errors_are": self.errors_are,
             "tables": [
-                {"file": shown(one.file), "format": one.format, "classes": list(one.classes), "sha256": one.sha256}
-                for one in self.tables
+                {
+                    "file": shown(entry.file),
+                    "format": entry.format,
+                    "classes": list(entry.classes),
+                    "sha256": entry.sha256,
+                }
+                for entry in self.tables
             ],
         }
 
     def of(self, kind: str) -> tuple[TableEntry, ...]:
-        """The tables of one kind."""
+        """Return the tables of one format."""
         return tuple(entry for entry in self.tables if entry.format == kind)
 
 
 def digest(file: Path) -> str:
-    """The sha256 of a file's bytes.
+    """Return the SHA-256 of a file.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: the file cannot be read.
     """
     return sha256(read_bytes(file)).hexdigest()

@@ -1,4 +1,4 @@
-"""Corrections of the three linear axes at the points of a box, linear along each axis between them."""
+"""Corrections of the three linear axes at the points of a spatial grid, with trilinear interpolation."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import Machine
 
 EXACT_UM: Final = 0.005
-"""What the expression of a grid may differ from its points by: the text of them says no more than a tenth of a nanometre, a machine
-less."""
+"""Largest difference between the expression of a grid and its points, far below the resolution of a machine."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class CorrectionGrid(Correction):
-    """Corrections at the points of a box.
+    """Corrections at the points of a spatial grid.
 
     Attributes:
-        machine: three linear axes, and others.
-        at: positions of each linear axis in command order, mm, rising.
+        machine: a machine with three linear axes.
+        at: positions of each linear axis in command order, mm, increasing.
         values: (nodes of the first, of the second, of the third, 3) µm.
     """
 
@@ -70,7 +69,7 @@ class CorrectionGrid(Correction):
         )
 
     def plus(self, old: CorrectionGrid) -> CorrectionGrid:
-        """Both on the same nodes; see `Correction.plus`."""
+        """Add the values at the same nodes; see `Correction.plus`."""
         return replace(self, values=old.values + self.values)
 
     def rounded(self, axis: str) -> int:
@@ -78,7 +77,7 @@ class CorrectionGrid(Correction):
         return 1
 
     def _expression(self, output: int, q: Sequence[Any]) -> Any:
-        """Sums of products of curves of one axis each, which make the same grid within `EXACT_UM`."""
+        """Return the same correction within `EXACT_UM` as a sum of products of curves of one axis each."""
         cores, shapes = self._products
         factors = [
             [ControlCurve(name, nodes, tuple(column)).along(one) for column in shape.T.tolist()]
@@ -97,10 +96,10 @@ class CorrectionGrid(Correction):
 
     @cached_property
     def _products(self) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """The grid as few products of curves (Tucker's decomposition): cores (r, s, t, 3), and a column a curve for every axis.
+        """Tucker decomposition of the grid: cores (r, s, t, 3), and for every axis a matrix with one column per curve.
 
-        A machine's correction is a few curves times straight lines: some ten products instead of every point of the box. Between
-        the points both are averages of what they are at them, so that what holds there holds everywhere.
+        The correction of a machine consists of a few curves times straight lines: some ten products replace all points of the grid.
+        Between the points both are weighted means of their values at the points, so that the tolerance holds everywhere.
         """
         spectra = []
         for i in range(3):
@@ -118,7 +117,7 @@ class CorrectionGrid(Correction):
 
 
 def _place(nodes: tuple[float, ...], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the node before, and the part of the way to the next."""
+    """Return the index of the node before, and the position between it and the next, from 0 to 1."""
     at = np.array(nodes)
     inside = np.clip(q, at[0], at[-1])
     start = np.clip(np.searchsorted(at, inside, side="right") - 1, 0, len(at) - 2)

@@ -1,4 +1,4 @@
-"""Component errors for a control that knows the machine: the linear axes move so that the tool point stays, to first order."""
+"""Component errors for a control with a model of the machine: the linear axes correct the functional point, to first order."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from twin.machine.control.correction import Content, Correction
 from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
-CONSTANT: Final = 1e-12
+DIRECTION_TOLERANCE: Final = 1e-12
 _SIGN: Final = {"tool": 1.0, "work": -1.0, "both": 0.0}
-"""Of a motion of the tool against the work, by the side that moves."""
+"""Sign of the motion of the tool relative to the workpiece, by the side that moves."""
 
 
 @final
 @dataclass(frozen=True)
 class AxisErrors:
-    """Six error motions of one axis as a file has them, µm and µrad.
+    """Six error motions of one axis as in a file, µm and µrad.
 
     Attributes:
         axis: the axis.
-        curves: by component in ``XYZABC``.
+        curves: curves by index of the component in ``XYZABC``.
     """
 
     axis: str
@@ -40,14 +40,14 @@ class AxisErrors:
 
 @final
 @dataclass(frozen=True)
-class Rest:
-    """The machine as drawn with all axes at zero, in its base frame, mm.
+class RestGeometry:
+    """Geometry of the nominal machine with all axes at zero, in its base frame, mm.
 
     Attributes:
-        nose: (3,) the tool frame's place.
-        tool: (3,) unit vector from there to the tip.
-        turns: (3, 3) rotation of every axis's error frame, by axis.
-        places: (3,) its place, by axis.
+        nose: (3,) origin of the tool frame.
+        tool: (3,) unit vector from there to the tool tip.
+        turns: (3, 3) orientation of every axis's error frame, by axis.
+        places: (3,) origin of every axis's error frame, by axis.
     """
 
     nose: np.ndarray
@@ -56,22 +56,24 @@ class Rest:
     places: Mapping[str, np.ndarray]
 
     def centre(self, axis: Axis) -> np.ndarray:
-        """(3,) the point an axis's errors are given at: the nose for a linear axis, its own origin for a rotary one."""
+        """Return the point (3,) to which an axis's errors refer: the spindle nose for a linear axis, else its own origin."""
         return self.nose if axis.linear else self.places[axis.name]
 
 
-def at_rest(machine: Machine) -> Rest:
-    """Return the machine as drawn with all axes at zero."""
+def at_rest(machine: Machine) -> RestGeometry:
+    """Return the geometry of the nominal machine with all axes at zero."""
     pairs = _poses(machine)(np.zeros(len(machine.axes)))
-    turns, places = ([np.array(one) for one in pairs[k::2]] for k in (0, 1))
+    turns, places = ([np.array(part) for part in pairs[k::2]] for k in (0, 1))
     named = [axis.name for axis in machine.axes]
     places = [place.ravel() / MM for place in places]
-    return Rest(places[-1], -turns[-1][:, 2], *(dict(zip(named, part, strict=False)) for part in (turns, places)))
+    return RestGeometry(
+        places[-1], -turns[-1][:, 2], *(dict(zip(named, part, strict=False)) for part in (turns, places))
+    )
 
 
 @lru_cache(maxsize=16)
 def _poses(machine: Machine) -> ca.Function:
-    """Rotation and place (m) of the error frame of every axis, then of the tool frame, in the base frame: of q (axes,) m and rad."""
+    """Return the function q (axes,), m and rad → rotation and origin (m), in the base, of all axes' error frames and the tool frame."""
     q = ca.SX.sym("q", len(machine.axes))
     joints = {frame.axis: frame.joint for frame in machine.frames if frame.role == "motion"}
     poses = [joint_in_base(machine, joints[axis.name], q, None) for axis in machine.axes]
@@ -81,18 +83,18 @@ def _poses(machine: Machine) -> ca.Function:
 
 @lru_cache(maxsize=16)
 def check_linear(machine: Machine) -> np.ndarray:
-    """Return (3, 3) the linear axes' commands that move the tool along the axes of the base frame.
+    """Return the commands (3, 3) of the linear axes that move the tool by one unit along the axes of the base frame.
 
     Raises:
-        InputError: not three linear axes, or one whose direction changes as another axis moves.
+        InputError: there are not three linear axes, or the direction of one changes when another axis moves.
     """
     inverse = np.linalg.inv(_directions(machine, np.zeros(len(machine.axes))))
     rng = np.random.default_rng(0)
     for _ in range(3):
         there = np.array([rng.uniform(*axis.domain) for axis in machine.axes]) * machine.scale
-        if np.abs(_directions(machine, there) @ inverse - np.eye(3)).max() > CONSTANT:
+        if np.abs(_directions(machine, there) @ inverse - np.eye(3)).max() > DIRECTION_TOLERANCE:
             raise InputError(
-                f"{machine.name}: a linear axis changes its direction as another one moves",
+                f"{machine.name}: the direction of a linear axis changes when another axis moves",
                 expected="linear axes that keep their direction",
                 file=machine.path,
             )
@@ -100,25 +102,25 @@ def check_linear(machine: Machine) -> np.ndarray:
 
 
 def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
-    """(3, 3) tool displacement in the base frame, a column a linear axis."""
+    """Return the tool displacement (3, 3) in the base frame, one column per linear axis."""
     turns = _poses(machine)(q)[::2]
     axes = [machine.axes[i] for i in machine.linear]
     columns = [_SIGN[machine.axes[i].side] * np.array(turns[i]) @ machine.axes[i].direction for i in machine.linear]
-    if len(axes) != 3 or abs(np.linalg.det(np.array(columns))) < CONSTANT:
+    if len(axes) != 3 or abs(np.linalg.det(np.array(columns))) < DIRECTION_TOLERANCE:
         raise InputError(
-            f"{machine.name} has not three linear axes across one another",
-            expected="three; linuxcnc, heidenhain and siemens have tables of single axes",
+            f"{machine.name} does not have three independent linear axes",
+            expected="three linear axes, or a format with tables of single axes (linuxcnc, heidenhain, siemens)",
             file=machine.path,
         )
     return np.array(columns).T
 
 
 @lru_cache(maxsize=16)
-def _undone(machine: Machine) -> tuple[ca.Function, BatchFunction]:
-    """What the linear axes do against errors of all: (q m and rad, (6, axes) µm and µrad, length m) → (3,) µm.
+def _correction_function(machine: Machine) -> tuple[ca.Function, BatchFunction]:
+    """Return the function of the linear axes' correction: (q m and rad, errors (6, axes) µm and µrad, length m) → (3,) µm.
 
-    Errors of an axis are a shift of the point `Rest.centre` carried along with it and a turn, along the base frame's directions with
-    all axes at zero.
+    Errors of an axis are a shift of the point `RestGeometry.centre` that moves with it and a rotation, along the directions of the base
+    frame with all axes at zero.
     """
     q, errors = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("errors", 6, len(machine.axes))
     length, rest, parts = ca.SX.sym("length"), at_rest(machine), _poses(machine)(q)
@@ -139,15 +141,15 @@ def _undone(machine: Machine) -> tuple[ca.Function, BatchFunction]:
 @final
 @dataclass(frozen=True, eq=False)
 class Volumetric(Correction):
-    """What the control makes of component errors, with the tool it knows.
+    """Correction that the control calculates from component errors and the active tool.
 
     Attributes:
-        errors: of every axis, each at `Rest.centre`.
-        machine: three linear axes, and rotary ones.
-        tool_length_mm: from the tool frame to the tip.
+        errors: component errors of every axis, at `RestGeometry.centre`.
+        machine: a machine with three linear axes.
+        tool_length_mm: distance from the tool frame to the tool tip.
 
     Raises:
-        InputError: as of `check_linear`.
+        InputError: see `check_linear`.
     """
 
     errors: tuple[AxisErrors, ...]
@@ -163,7 +165,7 @@ class Volumetric(Correction):
         return tuple(self.machine.axes[i].name for i in self.machine.linear) if self.errors else ()
 
     def with_tool(self, tool_length_mm: float) -> Volumetric:
-        """See `Correction.with_tool`: this control counts the active tool's length."""
+        """See `Correction.with_tool`: this control uses the length of the active tool."""
         return self if tool_length_mm == self.tool_length_mm else replace(self, tool_length_mm=tool_length_mm)
 
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
@@ -174,7 +176,7 @@ class Volumetric(Correction):
         errors = [
             curves[name][i](positions) if i in curves.get(name, {}) else 0.0 for name in machine.names for i in range(6)
         ]
-        (expression, batch), row = _undone(machine), self.axes.index(axis)
+        (expression, batch), row = _correction_function(machine), self.axes.index(axis)
         if any(isinstance(one, ca.SX) for one in q):
             return expression(ca.vertcat(*q), ca.reshape(ca.vertcat(*errors), 6, -1), length)[row]
         rows = np.stack(np.broadcast_arrays(*q, *errors), axis=-1)
@@ -191,7 +193,7 @@ class Volumetric(Correction):
         )
 
     def plus(self, old: Volumetric) -> Volumetric:
-        """All components of an axis on the nodes of the one with the most; see `Correction.plus`."""
+        """Add all components of an axis on the nodes of the curve with the most nodes; see `Correction.plus`."""
         found: list[AxisErrors] = []
         for name in self.machine.names:
             own = [curve for one in (*old.errors, *self.errors) if one.axis == name for curve in one.curves.items()]
@@ -206,7 +208,7 @@ class Volumetric(Correction):
 
 
 def _summed(curves: Sequence[tuple[int, ControlCurve]], widest: ControlCurve) -> dict[int, ControlCurve]:
-    """Curves of the same component added up, on the nodes of one of them."""
+    """Return the sums of the curves of each component, on the nodes of ``widest``."""
     values: dict[int, np.ndarray] = {}
     for i, curve in curves:
         values[i] = values.get(i, np.zeros(len(widest.at))) + curve.along(np.array(widest.at))

@@ -1,15 +1,15 @@
-"""What a datum asks of the curves: linear conditions, in the order in which they are fulfilled.
+"""Linear conditions of a datum on the curves, in the order in which they are fulfilled.
 
-An earlier group is never given up for a later one; within a group that cannot be fulfilled whole, the sum of squares is the least.
+Earlier groups have priority over later ones; within a group that cannot be fulfilled completely, the sum of squares is minimised.
 
-1. No mean angle and no slope where a neighbour or a squareness always takes it over: angular error motions of a linear axis that is not
-   next to the tool or the workpiece, the tilt of a rotary axis, fixed tilts, and slopes that are no common turn of all lines.
-2. A common turn of all lines: the direction of the machine frame.
-3. The same for shifts: the mean of a straightness, of a rotary axis across its line, and fixed shifts.
+1. No mean angle and no slope that a neighbour or a squareness can always absorb: angular error motions of a linear axis that is not
+   next to the tool or the workpiece, the tilt of a rotary axis, fixed tilts, and slopes that are not a common rotation of all lines.
+2. A common rotation of all lines: the direction of the machine frame.
+3. The same for shifts: the mean of a straightness, of a rotary axis perpendicular to its line, and fixed shifts.
 4. The mean of a straightness of an axis next to the tool or the workpiece.
 5. The mean of a positioning error: the zero of the scale.
-6. What only the workpiece or the tool could take over: the mean tilt of the spindle, the pattern of the last rotary axis.
-7. Of two locations that stand for the same shift, the smallest ones.
+6. Amounts that only the workpiece or the tool could absorb: the mean tilt of the spindle, the pattern of the last rotary axis.
+7. The smallest values of two locations that describe the same shift.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ END_POINTS: Final = "end points"
 AS_GIVEN: Final = "as given"
 DATUMS: Final[tuple[Datum, ...]] = (MEAN_LINES, END_POINTS, AS_GIVEN)
 MEANING: Final[Mapping[Datum, str]] = {
-    "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, where squareness or a location takes it over "
+    "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, if squareness or a location can absorb it "
     "(twin doc datum)",
     "end points": "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)",
     "as given": "datum as given: means and slopes of the curves act like squareness and locations; convert to mean lines before "
-    "numbers are compared (twin doc datum)",
+    "comparing numbers (twin doc datum)",
 }
-"""One line about each, for below a table of errors."""
-LAST: Final = 6
-"""The group of what stays in the last axes."""
+"""Explanation of each datum, for the note below a table of errors."""
+LAST_AXES: Final = 6
+"""Group of the amounts that stay in the last axes."""
 Weights = tuple[tuple[int, int, np.ndarray], ...]
 """Link, component and (n,) weights at its nodes: a sum of curve values, µm or µrad."""
 
@@ -46,13 +46,13 @@ Weights = tuple[tuple[int, int, np.ndarray], ...]
 @final
 @dataclass(frozen=True)
 class Condition:
-    """A combination of curve values that the datum wants to be zero.
+    """A combination of curve values that the datum requires to be zero.
 
     Attributes:
-        curve: name of the curve it is about; of a pair of curves the first.
+        curve: name of its curve; for a pair of curves, of the first.
         what: ``mean``, ``slope`` (over half the range), ``fixed shift``, ``fixed tilt``.
-        group: place in the order of this module's text, 1 to 6.
-        weights: what is summed.
+        group: number in the list of this module, 1 to 6.
+        weights: weights of the curve values in the sum.
     """
 
     curve: str
@@ -62,7 +62,7 @@ class Condition:
 
 
 def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, ...]:
-    """Every condition of a datum on the axes of a machine."""
+    """Return all conditions of a datum on the axes of a machine."""
     found: list[Condition] = []
     slopes: list[Condition] = []
     tilts: list[np.ndarray] = []
@@ -74,7 +74,7 @@ def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, 
         for c, letter in enumerate(DIRECTIONS):
             curve, mean = f"E_{letter}{name}", link.weights
             if c >= 3:
-                found.append(Condition(curve, "mean", LAST if link.last else 1, ((i, c, mean),)))
+                found.append(Condition(curve, "mean", LAST_AXES if link.last else 1, ((i, c, mean),)))
             elif along(link.axis, letter):
                 found.append(Condition(curve, "mean", 5, ((i, c, mean),)))
             else:
@@ -86,9 +86,9 @@ def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, 
 
 
 def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray], ...]]:
-    """What a fixed vector on the turning side is, component by component, in the fixed frame: two patterns, θ in degrees.
+    """Return the components, in the fixed frame, of a unit vector fixed to the rotating side: two patterns, functions of θ in degrees.
 
-    For u across the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
+    For u perpendicular to the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
     """
     d = np.array(axis.direction)
     found = []
@@ -102,13 +102,13 @@ def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray
 
 
 def along(axis: Axis, letter: str) -> bool:
-    """Whether a component is the one along the axis, or about it."""
+    """Return whether a component is the one along or about the axis."""
     return "XYZ".index(letter) == int(np.argmax(np.abs(axis.direction)))
 
 
 def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
     name = link.axis.name
-    shift, tilt = (LAST, LAST) if link.last else (3, 1)
+    shift, tilt = (LAST_AXES, LAST_AXES) if link.last else (3, 1)
     found = []
     for c, letter in enumerate(DIRECTIONS):
         own = along(link.axis, DIRECTIONS[c % 3])
@@ -123,7 +123,7 @@ def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
 
 
 def _line(link: DatumLink, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) weights of the height and of the slope, over half the range, of a curve's reference line."""
+    """Return the weights (n,) of the height and of the slope, over half the range, of a curve's reference line."""
     if datum != END_POINTS:
         return link.weights, locked(3.0 * link.weights * link.u)
     ends = np.zeros((2, len(link.nodes)))
@@ -132,17 +132,17 @@ def _line(link: DatumLink, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tilt_of_turn(link: DatumLink, component: int) -> np.ndarray:
-    """(3,) slope, over half the range, that a turn of all lines about x, y and z of the machine frame gives a straightness; µm/µrad."""
+    """Return the slopes (3,), over half the range, of a straightness if all lines turn about the machine's x, y or z; µm/µrad."""
     turns = np.array(link.axis.machine_axes)
     half = (link.domain[1] - link.domain[0]) / 2.0 * link.axis.scale
     return np.asarray(np.cross(turns, np.array(link.axis.direction))[:, component] * half)
 
 
 def _intrinsic(slopes: Sequence[Condition], tilts: np.ndarray) -> list[Condition]:
-    """Group 1: the slopes less the common turn of all lines nearest to them. It is what squareness takes over."""
+    """Return the slopes of group 1, without the best common rotation of all lines; squareness can absorb them."""
     if not slopes:
         return []
-    # In angles, so that long and short axes count alike.
+    # In angles, so that long and short axes have equal weight.
     size = np.linalg.norm(tilts, axis=1)
     directions = tilts / size[:, None]
     rest = np.eye(len(slopes)) - directions @ np.linalg.pinv(directions)

@@ -1,4 +1,4 @@
-"""The numbers of a calibration in another datum: the same poses of the tool, other curves, squareness and locations."""
+"""Conversion of a calibration to another datum: the same poses of the tool, other curves, squareness and locations."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from twin.machine.datum.conditions import (
     AS_GIVEN,
     DATUMS,
     END_POINTS,
-    LAST,
+    LAST_AXES,
     MEAN_LINES,
     Condition,
     Datum,
     conditions_of,
 )
-from twin.machine.datum.fit import FITTED, fit, fitted, functions
+from twin.machine.datum.fit import FIT_TOLERANCE, fit, functions, with_values
 from twin.machine.datum.links import DatumLink, Numbers, links_of
 from twin.machine.effects import split_name
 from twin.machine.machine import DIRECTIONS
 from twin.machine.motion_curve import conversion_of
 from twin.numerics.covariance import Covariance
 
-KEPT: Final = 1e-3
-"""µm or µrad: what rounded coefficients may differ from a datum that a file states."""
-SETTLED: Final = 1e-7
-"""µm or µrad: a step of this size ends the iteration."""
+DATUM_TOLERANCE: Final = 1e-3
+"""Tolerance for rounded coefficients when a file's stated datum is checked, µm or µrad."""
+STEP_TOLERANCE: Final = 1e-7
+"""The iteration ends at a step of this size, µm or µrad."""
 STEPS: Final = 20
-RANK: Final = 1e-9
-"""Singular values below this part of the largest are zero."""
+RANK_TOLERANCE: Final = 1e-9
+"""Singular values below this fraction of the largest count as zero."""
 
 
 @final
 @dataclass(frozen=True)
 class Converted:
-    """A calibration's numbers in a datum.
+    """Result of a conversion to a datum.
 
     Attributes:
         numbers: curves without covariance, squareness, locations.
-        names: of the new parameters.
-        matrix: (new, old) first derivative of the new parameters by the old ones.
+        names: names of the new parameters.
+        matrix: (new, old) first derivatives of the new parameters by the old ones.
         old: names of the old parameters.
     """
 
@@ -56,13 +56,13 @@ class Converted:
     old: tuple[str, ...]
 
     def covariance(self, known: Covariance) -> Covariance:
-        """The covariance of the new parameters.
+        """Return the covariance of the new parameters.
 
-        Without those that depend on an old one of unknown uncertainty, and without errors that only the conversion named: the
-        calibration did not say that they are zero.
+        It omits parameters that depend on an old one of unknown uncertainty, and errors that only the conversion introduced: the
+        calibration did not state that they are zero.
         """
         index = {name: i for i, name in enumerate(known.names)}
-        others = [name for name in known.names if name not in self.old]  # of effects: they stay as they are
+        others = [name for name in known.names if name not in self.old]  # parameters of effects: unchanged
         names = (*self.names, *others)
         through = np.zeros((len(names), len(index)))
         through[range(len(self.names), len(names)), [index[name] for name in others]] = 1.0
@@ -71,28 +71,28 @@ class Converted:
             if name in index:
                 through[: len(self.names), index[name]] = self.matrix[:, column]
             else:
-                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK
+                open_[: len(self.names)] |= np.abs(self.matrix[:, column]) > RANK_TOLERANCE
         entity = np.array([name.partition("[")[0] for name in names])
         without = set(entity[open_]) | set(entity) - {name.partition("[")[0] for name in (*self.old, *others)}
         keep = [i for i, name in enumerate(entity) if name not in without]
-        # By a root of the matrix: a variance cannot become negative by rounding.
+        # With a root of the matrix, so that no variance becomes negative by rounding.
         values, vectors = np.linalg.eigh(known.matrix)
         root = through[keep] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         return Covariance(tuple(names[i] for i in keep), locked(root @ root.T))
 
 
 def datum_of(numbers: Numbers) -> Datum:
-    """The datum that the numbers fulfil: mean lines before end points; as given if neither."""
+    """Return the datum that the numbers fulfil: mean lines before end points; as given if neither."""
     return next((datum for datum in (MEAN_LINES, END_POINTS) if violation(numbers, datum) is None), AS_GIVEN)
 
 
 def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
-    """The curve, what it has against a datum (``mean``, ``slope``, …) and how much, µm or µrad; None if nothing beyond rounding."""
+    """Return the largest violation of a datum: curve, kind (``mean``, ``slope``, …) and size, µm or µrad; None if only rounding."""
     if datum == AS_GIVEN:
         return None
     gauge = _Gauge(numbers, datum)
     change = gauge.change(gauge.amounts(numbers))
-    if not len(change) or np.abs(change).max() <= KEPT:
+    if not len(change) or np.abs(change).max() <= DATUM_TOLERANCE:
         return None
     worst = int(np.argmax(np.abs(change)))
     condition = gauge.conditions[worst]
@@ -100,32 +100,32 @@ def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
 
 
 def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> Converted:
-    """The same machine in a datum.
+    """Convert the numbers of a calibration to a datum.
 
     Args:
-        numbers: a calibration's.
-        datum: the rule.
-        names: errors that may change; all of the machine if None. The rule then holds as far as these can take anything over, and poses
-            agree to first order: to the product of two errors, some nanometres.
+        numbers: numbers of the calibration.
+        datum: the new datum.
+        names: errors that may change; all of the machine if None. With a restriction, conditions that these errors cannot absorb remain
+            violated, and poses agree to first order: up to the product of two errors, some nanometres.
 
     Raises:
-        InputError: ``as given``, which is no rule; a curve that its basis cannot hold in the other datum.
+        InputError: the datum is ``as given``, or the basis of a curve cannot represent it in the other datum.
     """
     if datum not in (MEAN_LINES, END_POINTS):
-        raise InputError("no datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
+        raise InputError("not a datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
     gauge = _Gauge(numbers, datum, names)
-    new = _settled(gauge, numbers)
+    new = _iterate(gauge, numbers)
     return _linear(gauge, numbers, new)
 
 
-def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
-    """The converted numbers: steps of first order, each carried out exactly, until nothing is left to do."""
+def _iterate(gauge: _Gauge, numbers: Numbers) -> Numbers:
+    """Return the converted numbers: first-order steps, each applied without approximation, repeated until convergence."""
     values = [link.values(numbers) for link in gauge.links]
     start = [np.array(one) for one in values]
     constants = gauge.constants(numbers)
     for _ in range(STEPS):
         step = gauge.step @ np.concatenate([gauge.measured(values), constants])
-        if np.abs(step).max(initial=0.0) <= SETTLED:
+        if np.abs(step).max(initial=0.0) <= STEP_TOLERANCE:
             break
         inserted, changed = step[: 6 * gauge.gaps], constants + step[6 * gauge.gaps :]
         values = [
@@ -145,7 +145,7 @@ def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
             name = f"E_{letter}{link.axis.name}"
             difference = after[c] - before[c]
             if np.any(difference) and gauge.may_change(name):
-                curve = fitted(numbers.curves.get(name), name, link, difference, numbers)
+                curve = with_values(numbers.curves.get(name), name, link, difference, numbers)
                 if curve is not None:
                     curves[name] = curve
     ordered = {name: curves[name] for name in sorted(curves, key=numbers.machine.motion_names.index)}
@@ -156,12 +156,12 @@ def _settled(gauge: _Gauge, numbers: Numbers) -> Numbers:
         (numbers.location, numbers.machine.location_names),
     ):
         kept = {name: named.get(name, given.get(name, 0.0)) for name in allowed}
-        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FITTED})
+        groups.append({name: v for name, v in kept.items() if name in given or abs(v) > FIT_TOLERANCE})
     return Numbers(numbers.machine, MappingProxyType(ordered), *(MappingProxyType(group) for group in groups))
 
 
 def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
-    """The first derivative of the new parameters by the old ones."""
+    """Return the conversion with the first derivatives of the new parameters by the old ones."""
     names = [f"{name}[{k}]" for name, c in old.curves.items() for k in range(len(c.coefficients))]
     names += [*old.squareness, *old.location]
     column = {name: i for i, name in enumerate(names)}
@@ -170,7 +170,7 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
     rows, into = [], []
     for name, curve in new.curves.items():
         component, _, axis = split_name(name)
-        own = _kept(old, new, name, gauge.links[link_of[axis]] if axis in link_of else None)
+        own = _coefficient_map(old, new, name, gauge.links[link_of[axis]] if axis in link_of else None)
         block = np.zeros((len(curve.coefficients), len(names)))
         if own is not None:
             start = column[f"{name}[0]"]
@@ -195,7 +195,7 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
 
 
 def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.ndarray:
-    """(conditions + constants, parameters) first derivative of the amounts by the parameters, one column each."""
+    """Return the first derivatives (conditions + constants, parameters) of the amounts by the parameters."""
     conditions = len(gauge.conditions)
     found = np.zeros((conditions + len(gauge.names), len(column)))
     for i, link in enumerate(gauge.links):
@@ -211,8 +211,8 @@ def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.n
     return found
 
 
-def _kept(old: Numbers, new: Numbers, name: str, link: DatumLink | None) -> np.ndarray | None:
-    """(new, old) the old coefficients of a curve as new ones; None where there was no curve."""
+def _coefficient_map(old: Numbers, new: Numbers, name: str, link: DatumLink | None) -> np.ndarray | None:
+    """Return the matrix (new, old) from the old coefficients of a curve to new ones; None if there was no curve."""
     was, curve = old.curves.get(name), new.curves[name]
     if was is None:
         return None
@@ -224,11 +224,11 @@ def _kept(old: Numbers, new: Numbers, name: str, link: DatumLink | None) -> np.n
 
 @final
 class _Gauge:
-    """What can be moved without changing a pose, and the step that moves it to a datum.
+    """Gauge freedom of a calibration: the changes that leave every pose unchanged, and the step to a datum.
 
     Args:
-        numbers: a calibration's.
-        datum: the rule.
+        numbers: numbers of the calibration.
+        datum: the datum.
         names: errors that may change; all if None.
     """
 
@@ -243,12 +243,12 @@ class _Gauge:
         )
 
     def may_change(self, name: str) -> bool:
-        """Whether an error may change."""
+        """Return whether an error may change."""
         return self._allowed is None or name in self._allowed
 
     @cached_property
     def free(self) -> np.ndarray:
-        """(unknowns, f) orthonormal directions that leave every error as it is that may not change."""
+        """Orthonormal directions (unknowns, f) that do not change the fixed errors."""
         size = 6 * self.gaps + len(self.names)
         fixed = [np.eye(size)[6 * self.gaps + k] for k, name in enumerate(self.names) if not self.may_change(name)]
         for link, rates in zip(self.links, self.rates, strict=True):
@@ -258,11 +258,11 @@ class _Gauge:
         if not fixed:
             return np.eye(size)
         _, values, right = np.linalg.svd(np.array(fixed), full_matrices=True)
-        return np.asarray(right[int(np.count_nonzero(values > RANK * max(values[0], 1e-3))) :].T)
+        return np.asarray(right[int(np.count_nonzero(values > RANK_TOLERANCE * max(values[0], 1e-3))) :].T)
 
     @cached_property
     def weights(self) -> list[np.ndarray]:
-        """By link (conditions, 6, n): the conditions' weights."""
+        """Weights of the conditions by link, (conditions, 6, n)."""
         found = [np.zeros((len(self.conditions), 6, len(link.nodes))) for link in self.links]
         for row, condition in enumerate(self.conditions):
             for i, c, values in condition.weights:
@@ -271,7 +271,7 @@ class _Gauge:
 
     @cached_property
     def rates(self) -> list[np.ndarray]:
-        """By link (6, n, unknowns): change of its curves by the motions at the gaps and by the constants, to first order."""
+        """First derivatives of the curves by the motions at the gaps and the constants, by link, (6, n, unknowns)."""
         found = []
         for link in self.links:
             own = np.zeros((6, len(link.nodes), len(self.names)))
@@ -283,7 +283,7 @@ class _Gauge:
 
     @cached_property
     def derivative(self) -> np.ndarray:
-        """(conditions, unknowns)."""
+        """First derivatives of the conditions by the unknowns (conditions, unknowns)."""
         size = 6 * self.gaps + len(self.names)
         total = np.zeros((len(self.conditions), size))
         for weights, rates in zip(self.weights, self.rates, strict=True):
@@ -292,59 +292,61 @@ class _Gauge:
 
     @cached_property
     def step(self) -> np.ndarray:
-        """(unknowns, conditions + constants) what to move for each amount that is not zero; group after group."""
+        """Matrix (unknowns, conditions + constants) from the amounts to the change that removes them, group by group."""
         size, count = self.derivative.shape[1], len(self.conditions)
         amounts = np.eye(count + len(self.names))
-        groups = [[k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST + 1)]
+        groups = [
+            [k for k, one in enumerate(self.conditions) if one.group == group] for group in range(1, LAST_AXES + 1)
+        ]
         whole = np.concatenate([self.derivative, np.eye(size)[6 * self.gaps :]])
         step, free = np.zeros((size, count + len(self.names))), self.free
         for rows in (*groups, list(range(count, count + len(self.names)))):
             if not rows or not free.shape[1]:
                 continue
             left, values, right = np.linalg.svd(whole[rows] @ free, full_matrices=True)
-            rank = int(np.count_nonzero(values > RANK * max(values.max(initial=0.0), 1e-3)))
+            rank = int(np.count_nonzero(values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-3)))
             want = amounts[rows] + whole[rows] @ step
             step = step - free @ (right[:rank].T / values[:rank]) @ left[:, :rank].T @ want
             free = free @ right[rank:].T
         return step
 
     def measured(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """(conditions,) the amounts that curves at the nodes have, µm and µrad."""
+        """Return the amounts (conditions,) of curve values at the nodes, µm and µrad."""
         total = np.zeros(len(self.conditions))
         for weights, one in zip(self.weights, values, strict=True):
             total += np.tensordot(weights, one, axes=([1, 2], [0, 1]))
         return total
 
     def amounts(self, numbers: Numbers) -> np.ndarray:
-        """(conditions + constants,) the amounts of a calibration."""
+        """Return the amounts (conditions + constants,) of a calibration."""
         values = [link.values(numbers) for link in self.links]
         return np.concatenate([self.measured(values), self.constants(numbers)])
 
     def constants(self, numbers: Numbers) -> np.ndarray:
-        """(names,) squareness and locations, zero where a calibration has none."""
+        """Return squareness and locations (names,), zero if a calibration has none."""
         named: Mapping[str, float] = {**numbers.squareness, **numbers.location}
         return np.array([named.get(name, 0.0) for name in self.names])
 
     def change(self, amounts: np.ndarray) -> np.ndarray:
-        """(conditions,) how the datum changes the amounts of the curves."""
+        """Return the changes (conditions,) of the amounts of the curves by the conversion."""
         if not self.derivative.size:
             return np.zeros(len(self.conditions))
-        # Which of two locations has a shift is no matter of the lines: their own amounts are left out.
+        # How two locations share a shift does not affect the lines: the amounts of the constants are omitted.
         only = np.concatenate([amounts[: len(self.conditions)], np.zeros(len(self.names))])
         return np.asarray(self.derivative @ (self.step @ only))
 
     def moved(
         self, i: int, values: np.ndarray, inserted: np.ndarray, before: np.ndarray, after: np.ndarray
     ) -> np.ndarray:
-        """(6, n) the curves of a link after a step: constants ``before`` and ``after``, motions inserted at the gaps."""
+        """Return the curves (6, n) of a link after a step: constants ``before`` and ``after``, motions inserted at the gaps."""
         link = self.links[i]
-        was, shall = self._acting(link, before), self._acting(link, after)
+        old, new = self._acting(link, before), self._acting(link, after)
         if link.axis.linear:
-            return link.moved(values + was, np.zeros(6), np.zeros(6), inserted) - shall
-        return link.moved(values, was[:, 0], shall[:, 0], inserted)
+            return link.moved(values + old, np.zeros(6), np.zeros(6), inserted) - new
+        return link.moved(values, old[:, 0], new[:, 0], inserted)
 
     def _acting(self, link: DatumLink, constants: np.ndarray) -> np.ndarray:
-        """(6, n) what squareness and locations do to a link's error frame, µm and µrad."""
+        """Return the contribution (6, n) of squareness and locations to a link's error frame, µm and µrad."""
         total = np.zeros((6, len(link.nodes)))
         for name, amount in zip(self.names, constants, strict=True):
             if split_name(name)[2] == link.axis.name:

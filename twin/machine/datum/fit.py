@@ -1,4 +1,4 @@
-"""Curves in their own basis that take up values at the points of a link."""
+"""Fitting of changed values at the nodes of a link to the curves, each in its own basis."""
 
 from __future__ import annotations
 
@@ -13,46 +13,50 @@ from twin.machine.effects import unit_of
 from twin.machine.motion_curve import Curve, conversion_of
 from twin.numerics.curves import Basis, bases_for, of_legendre
 
-FITTED: Final = 3e-5
-"""µm or µrad: what the curve of a converted error may differ from it, 0.03 nm."""
-MOST: Final = 60
-"""Coefficients of a converted curve at most."""
+FIT_TOLERANCE: Final = 3e-5
+"""Largest difference of a converted curve from the converted values, µm or µrad: 0.03 nm."""
+MAX_COEFFICIENTS: Final = 60
+"""Largest number of coefficients of a converted curve."""
 
 
-def fitted(curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers) -> Curve | None:
-    """A curve with values at the nodes added, in as few coefficients as hold them; None for a new curve of nothing.
+def with_values(
+    curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers
+) -> Curve | None:
+    """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero.
 
     Raises:
-        InputError: no number of coefficients holds them.
+        InputError: no number of coefficients can represent them.
     """
     if curve is None:
-        if np.abs(difference).max() <= FITTED:
+        if np.abs(difference).max() <= FIT_TOLERANCE:
             return None
         basis = bases_for(rotary=not link.axis.linear, endless=link.axis.lower is None)[0]
-        drawn = any(one.illustrative for one in numbers.curves.values())
-        curve = Curve(name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", drawn)
+        illustrative = any(known.illustrative for known in numbers.curves.values())
+        curve = Curve(
+            name, unit_of(name), link.domain, basis.name, (0.0,), None, "from a change of datum", illustrative
+        )
     if curve.domain != link.domain and link.axis.lower is not None:
         curve = _over(curve, link)
     basis, own = curve.family, len(curve.coefficients)
-    for count in range(own, max(MOST, own) + 1):
+    for count in range(own, max(MAX_COEFFICIENTS, own) + 1):
         if basis.misfit(count, rotary=not link.axis.linear) is not None:
             continue
         added = fit(basis, curve.domain, link, count) @ difference
-        if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
+        if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FIT_TOLERANCE:
             total = conversion_of(name, basis, basis, own, count) @ curve.coefficients + added
             return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None)
     raise InputError(
-        f"{name} cannot be written in this datum in basis {basis.name}",
-        expected="a curve over the whole range of its axis, in a basis that holds the constants and waves of the datum",
+        f"{name} cannot be converted to this datum in basis {basis.name}",
+        expected="a curve over the whole range of its axis, in a basis that can represent the constants and waves of the datum",
         value=f"domain {curve.domain[0]:g} to {curve.domain[1]:g}",
     )
 
 
 def _over(curve: Curve, link: DatumLink) -> Curve:
-    """The same curve over the range that all curves of its axis cover.
+    """Return the same curve over the range that all curves of its axis cover.
 
     Raises:
-        InputError: the basis cannot hold it.
+        InputError: the basis cannot represent it.
     """
     values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
     basis, count = curve.family.over(link.domain, len(curve.coefficients))
@@ -62,7 +66,7 @@ def _over(curve: Curve, link: DatumLink) -> Curve:
 
 
 def functions(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) -> np.ndarray:
-    """(n, count) the functions of a basis at a link's nodes, an axis without limits wrapped."""
+    """Return the functions (n, count) of a basis at a link's nodes, wrapped for an unlimited axis."""
     lo, hi = domain
     q = link.nodes
     if link.axis.lower is None and not basis.periodic:
@@ -73,7 +77,7 @@ def functions(basis: Basis, domain: tuple[float, float], link: DatumLink, count:
 
 
 def fit(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) -> np.ndarray:
-    """(count, n) what makes coefficients of values at the nodes, least squares over the range."""
+    """Return the matrix (count, n) from values at the nodes to coefficients, by least squares over the range."""
     legendre = of_legendre(basis, count) if domain == link.domain else None
     if legendre is not None:
         polynomials = np.polynomial.legendre.legvander(link.u, count - 1) * (2.0 * np.arange(count) + 1.0)

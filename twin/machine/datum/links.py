@@ -1,8 +1,8 @@
-"""The chain of a machine as links, one an axis, and what a fixed motion inserted between two of them does to their errors.
+"""The chain of a machine as links, one per axis, and the change of their errors by a fixed motion inserted between two of them.
 
-Between neighbouring axes is a gap, a frame that is fixed to the body between them. Inserting G · G⁻¹ there leaves every pose as it is:
+Between neighbouring axes is a gap: a frame fixed to the body between them. Inserting G · G⁻¹ there leaves every pose unchanged:
 the axis before the gap ends with G, the axis after it begins with G⁻¹. At the ends of the chain, the tool and the workpiece, nothing
-can be inserted; nor at the base, where one of the two sides has no axis.
+can be inserted; nor at the base if one of the two sides has no axis.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Numbers:
     location: Mapping[str, float]
 
     def domain(self, axis: Axis) -> tuple[float, float]:
-        """The range of an axis that all its curves cover, mm or degrees; one turn of an axis without limits."""
+        """Return the range of an axis that all its curves cover, mm or degrees; one turn for an unlimited axis."""
         domains = [curve.domain for name, curve in self.curves.items() if split_name(name)[2] == axis.name]
         if not domains:
             return axis.domain
@@ -60,12 +60,12 @@ class DatumLink:
 
     Attributes:
         axis: the axis.
-        before, after: numbers of the gaps; None where nothing can be inserted.
-        rotation, translation_m: of the axis's error frame at position zero in the frame of the gap before, without errors.
+        before, after: indices of the gaps; None if nothing can be inserted.
+        rotation, translation_m: nominal pose of the axis's error frame at position zero in the frame of the gap before.
         last: whether the axis is next to the tool or to the workpiece.
-        domain: the range that its curves cover, mm or degrees.
+        domain: range that its curves cover, mm or degrees.
         nodes: (n,) positions: the lower end, the points of a Gauss-Legendre rule, the upper end.
-        weights: (n,) of a mean over the range; zero for the ends.
+        weights: (n,) weights of the mean over the range; zero for the ends.
     """
 
     axis: Axis
@@ -80,12 +80,12 @@ class DatumLink:
 
     @property
     def u(self) -> np.ndarray:
-        """(n,) the nodes, from −1 to 1 over the range."""
+        """Nodes (n,), scaled from −1 to 1 over the range."""
         lo, hi = self.domain
         return np.asarray((2.0 * self.nodes - lo - hi) / (hi - lo))
 
     def motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations (n, 3, 3) and translations (n, 3), metres, of the axis's nominal motion at the nodes, in its error frame."""
+        """Return rotations (n, 3, 3) and translations (n, 3), metres, of the axis's nominal motion at the nodes, in its error frame."""
         direction = np.array(self.axis.direction)
         travel = (self.nodes * self.axis.scale)[:, None] * direction
         if self.axis.linear:
@@ -93,7 +93,7 @@ class DatumLink:
         return rotation_exp(travel), np.zeros_like(travel)
 
     def values(self, numbers: Numbers) -> np.ndarray:
-        """(6, n) the axis's curves at the nodes, µm and µrad."""
+        """Return the values (6, n) of the axis's curves at the nodes, µm and µrad."""
         found = np.zeros((6, len(self.nodes)))
         for i, letter in enumerate(DIRECTIONS):
             curve = numbers.curves.get(f"E_{letter}{self.axis.name}")
@@ -103,7 +103,7 @@ class DatumLink:
         return found
 
     def shape(self, name: str) -> np.ndarray:
-        """(6, n) what a unit of a squareness of this axis or of its location does to its error frame."""
+        """Return the contribution (6, n) of one unit of a squareness or location of this axis to its error frame."""
         effect: Effect = Squareness(name, 1.0, self.axis) if self.axis.linear else AxisLocation(name, 1.0)
         found = np.zeros((6, len(self.nodes)))
         for i, values in effect.components({self.axis.name: self.nodes}).items():
@@ -111,13 +111,13 @@ class DatumLink:
         return found
 
     def rates(self, gaps: int) -> np.ndarray:
-        """(6, n, 6·gaps) first derivative of the error frame at the nodes by the motions inserted at the gaps; µm and µrad."""
+        """Return the first derivatives (6, n, 6·gaps) of the error frame at the nodes by the motions at the gaps; µm and µrad."""
         found = np.zeros((6, len(self.nodes), 6 * gaps))
         turns, travel = self.motion()
         if self.before is not None:
             at = travel if self.axis.linear else np.zeros_like(travel)
             inverse = self.rotation.T
-            # The motion at the gap before, seen from where the axis stands.
+            # The motion at the gap before, in the frame of the axis at its position.
             found[:, :, 6 * self.before : 6 * self.before + 6] -= _adjoint(
                 np.broadcast_to(inverse, (len(at), 3, 3)), -(self.translation_m @ self.rotation) - at
             )
@@ -126,16 +126,16 @@ class DatumLink:
         return found
 
     def moved(self, values: np.ndarray, before: np.ndarray, after: np.ndarray, inserted: np.ndarray) -> np.ndarray:
-        """The error frame with motions inserted at the gaps, exactly.
+        """Return the error frame with motions inserted at the gaps, without approximation.
 
         Args:
-            values: (6, n) all that acts in the motion frame at the nodes, µm and µrad.
-            before: (6,) the location so far, µm and µrad; zero of a linear axis.
-            after: (6,) the location that shall be.
+            values: (6, n) errors in the motion frame at the nodes, µm and µrad.
+            before: (6,) the old location, µm and µrad; zero for a linear axis.
+            after: (6,) the new location.
             inserted: (6·gaps,) the motions: µm, and a rotation vector in µrad.
 
         Returns:
-            (6, n) what acts in the motion frame then.
+            (6, n) new errors in the motion frame.
         """
         turns, travel = self.motion()
         frames = _frames(values.T)
@@ -155,12 +155,12 @@ class DatumLink:
 
 
 def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
-    """The links of both sides, those of the tool's first, each from the base outwards; and the number of gaps."""
+    """Return the links of both sides, the tool side first, each from the base outwards, and the number of gaps."""
     machine, model = numbers.machine, numbers.machine.model
     sides = [model.supports[model.frames[f].parentJoint].tolist() for f in (machine.tool_frame, machine.work_frame)]
     root = max(set(sides[0]) & set(sides[1]), key=sides[0].index)
     on_side = [
-        [axis for _, axis in sorted(zip(machine.axis_joints, machine.axes, strict=True), key=lambda one: one[0])
+        [axis for _, axis in sorted(zip(machine.axis_joints, machine.axes, strict=True), key=lambda pair: pair[0])
          if axis.side == side]
         for side in ("tool", "work")
     ]  # fmt: skip
@@ -184,7 +184,7 @@ def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
             if axis.linear:
                 previous, orientation = start, np.eye(3)
             else:
-                # The gap's frame turns with the axis and has the directions of the axis's error frame.
+                # The frame of the gap turns with the axis and has the directions of the axis's error frame.
                 orientation = np.asarray(model.jointPlacements[previous].rotation).T
     return tuple(found), gaps
 
@@ -201,13 +201,13 @@ def _link(
 
 @cache
 def _rule() -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights of the Gauss-Legendre rule from −1 to 1."""
+    """Return points and weights of the Gauss-Legendre rule from −1 to 1."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return locked(x), locked(w)
 
 
 def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:
-    """Placement of a joint's frame in the frame of one before it, all axes at zero."""
+    """Return the placement of a joint's frame in the frame of an earlier joint, all axes at zero."""
     place = pin.SE3.Identity()
     for joint in joints[joints.index(start) + 1 : joints.index(end) + 1]:
         place = place * model.jointPlacements[joint]
@@ -215,7 +215,7 @@ def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:
 
 
 def _adjoint(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """(6, n, 6) motions seen from other frames, (n, 3, 3) and (n, 3) in metres; µm and µrad have one scale."""
+    """Return the adjoint matrices (6, n, 6) of transformations (n, 3, 3) and (n, 3) in metres, for motions in µm and µrad."""
     found = np.zeros((len(translation), 6, 6))
     found[:, :3, :3] = found[:, 3:, 3:] = rotation
     found[:, :3, 3:] = cross_matrix(translation) @ rotation
@@ -223,7 +223,7 @@ def _adjoint(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def _frames(values: np.ndarray) -> np.ndarray:
-    """(n, 4, 4) frames of (n, 6) µm and µrad: translation, then rotation vector."""
+    """Return frames (n, 4, 4) from (n, 6) µm and µrad: translation, then rotation vector."""
     metres = values * SI
     return _matrices(rotation_exp(metres[:, 3:]), metres[:, :3])
 

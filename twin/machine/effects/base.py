@@ -1,4 +1,4 @@
-"""The one thing every effect is: a pure function from axis positions to error components in one axis's frame."""
+"""Base class of all effects: a pure function from axis positions to error components in the frame of one axis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vector = tuple[float, float, float]
 @final
 @dataclass(frozen=True)
 class Frame:
-    """The frame an effect acts in: which axis, and its motion or its location."""
+    """Frame in which an effect acts: the axis, and whether it is its motion frame or its location frame."""
 
     axis: str
     role: Literal["motion", "location"]
@@ -29,11 +29,11 @@ class Frame:
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the model.
+    """One parameter of the model.
 
     Attributes:
         name: ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location.
-        unit: ``um``, ``urad``, or what the effect says.
+        unit: ``um``, ``urad``, or the unit that the effect defines.
         value: in that unit.
     """
 
@@ -52,37 +52,37 @@ class Effect(ABC):
     name: str
     """ISO 230-1 name (``E_XX``, ``E_C0Y``, ``E_X0C``), or the effect's own."""
     frame: Frame
-    """Where it acts."""
+    """Frame in which it acts."""
     history: ClassVar[bool] = False
-    """Whether its value at a reading depends on the readings before, in time."""
+    """Whether its value at a reading depends on earlier readings."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """The numbers it is made of, in the order of `derivatives`."""
+        """Parameters, in the order of `derivatives`."""
 
     @abstractmethod
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """Derivative of `components` by each parameter: µm or µrad a unit of the parameter, by component index."""
+        """Return the derivative of `components` by each parameter: µm or µrad per unit of the parameter, by component index."""
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """Its contribution, by component index in ``XYZABC``: µm for the first three, µrad for the others.
+        """Return the contribution to the frame, by component index in ``XYZABC``: µm for the first three, µrad for the others.
 
-        That of an effect that is proportional to its first parameter; the others have their own.
+        This default applies to effects that are proportional to their first parameter; other effects override it.
 
         Args:
-            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; where they are known also
-                ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
+            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; also, where
+                known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
 
         Raises:
-            InputError: the effect needs a channel that is not given.
+            InputError: a channel that the effect needs is missing.
         """
         size = self.parameters[0].value
         return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Its parameters as an entry of a calibration file has them."""
+        """Parameters by the names used in an entry of a calibration file."""
         return {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in self.parameters}
 
     def _number(self, name: str, unit: str, value: float) -> Parameter:
@@ -90,10 +90,10 @@ class Effect(ABC):
 
 
 class AlongAxis(Effect):
-    """An effect in the motion frame of an axis, along the axis's own command.
+    """An effect in the motion frame of an axis, in the direction of the axis's own motion.
 
     Args:
-        effect: contract §5.
+        effect: name of the effect (contract §5).
         axis: the axis.
     """
 
@@ -109,24 +109,24 @@ class AlongAxis(Effect):
 
 
 def along(axis: Axis, value: Any) -> dict[int, Any]:
-    """A motion of ``value`` (µm or µrad) along the axis's command, as components of its error frame."""
+    """Return a displacement of ``value`` (µm or µrad) along the axis's motion as components of its error frame."""
     start = 0 if axis.linear else 3
     return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
 
 
 def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
-    """A channel beside the positions.
+    """Return a channel that an effect needs besides the positions.
 
     Raises:
-        InputError: it is not given.
+        InputError: the channel is missing.
     """
     if name not in positions:
-        raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="nothing")
+        raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="none")
     return positions[name]
 
 
 def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:
-    """All error frames at the given positions: ``[frame][component]``, metres and radians; 0.0 where nothing acts."""
+    """Return all error frames at the given positions: ``[frame][component]``, metres and radians; 0.0 where no effect acts."""
     index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
     total: list[list[Any]] = [[0.0] * 6 for _ in frames]
     for effect in effects:
@@ -136,19 +136,19 @@ def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions:
     return total
 
 
-def at_rest(machine: Machine, joint: int) -> np.ndarray:
-    """(3, 3) a joint's orientation in the base frame with all axes at zero."""
+def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
+    """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
     data = machine.model.createData()
     pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
     return np.asarray(data.oMi[joint].rotation)
 
 
 def base_vector(turn: np.ndarray, direction: str) -> Vector:
-    """A direction of the base in a frame that is turned by ``turn`` against it."""
+    """Return a direction of the base frame in a frame whose orientation in the base is ``turn``."""
     x, y, z = (float(v) if abs(v) > 1e-12 else 0.0 for v in turn["XYZ".index(direction)])
     return x, y, z
 
 
 def motion_joint(machine: Machine, axis: str) -> int:
-    """The joint of an axis's motion frame."""
+    """Return the index of the joint of an axis's motion frame."""
     return next(frame.joint for frame in machine.frames if (frame.axis, frame.role) == (axis, "motion"))

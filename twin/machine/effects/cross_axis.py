@@ -1,4 +1,4 @@
-"""An error motion that grows with the position of another axis."""
+"""Error motion of one axis that grows with the position of another."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CrossAxis(Effect):
         return ({self._component: other * 1e-3 * positions[self._axis] if self._component < 3 else other},)
 
 
-def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> CrossAxis:
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> CrossAxis:
     name, _, by = where.partition(" by ")
     if name not in machine.motion_names or by not in machine.by_name:
         raise CROSS_AXIS.no_place(machine, where)
@@ -69,34 +69,36 @@ def _title(where: str) -> str:
     return f"tilt of {axis} about {direction_of(name)} changes with {by}"
 
 
-def _shifts(where: str) -> bool:
+def _is_translation(where: str) -> bool:
     return split_name(where.split(" ")[0])[0] < 3
 
 
 def _drawn_against(where: str) -> tuple[str, ...]:
-    """A shift grows with both axes, and is drawn against its own for three places of the other; a tilt with the other alone."""
+    """Return the axis to plot against: for a translation its own (at three positions of the other), for a rotation the other."""
     name, _, by = where.partition(" by ")
-    return (split_name(name)[2] if _shifts(where) else by,)
+    return (split_name(name)[2] if _is_translation(where) else by,)
 
 
 CROSS_AXIS: Final = Specification(
     name="cross_axis",
     kind="machine",
     title=_title,
-    family="errors of one axis that change with another",
+    family="errors of one axis that change with the position of another",
     advice=Advice(
-        "Service: preload and wear of the guideways of both axes, levelling, what hangs over at the end of the travel.",
+        "Service: preload and wear of the guideways of both axes, levelling, overhang at the ends of the travel.",
         f"{EXTENDED}.",
-        "Do not correct one axis alone: that is right at one place of the other only.",
+        "Do not correct one axis by itself: the correction would be right at only one position of the other axis.",
     ),
-    evidence=lambda of: f"{of.where}: one axis's error grows with another axis's position",
+    evidence=lambda fit: f"{fit.where}: the error of one axis grows with the position of another",
     parameters=("coefficient",),
     places=_places,
     open_places=True,
-    expected=lambda machine: "an error motion by an axis: E_ZY by Z",
-    make=_made,
+    expected=lambda machine: "an error motion and an axis, such as E_ZY by Z",
+    make=_make,
     candidates=_candidates,
-    drawn=Drawing(
-        columns=_drawn_against, split=lambda where: where.split(" by ")[1] if _shifts(where) else "", spread=True
+    drawing=Drawing(
+        columns=_drawn_against,
+        split=lambda where: where.split(" by ")[1] if _is_translation(where) else "",
+        spread=True,
     ),
 )

@@ -1,4 +1,4 @@
-"""A shift without a known cause: what was measured and has no name, as a smooth function of columns of the table."""
+"""A measured shift without a known cause, as a smooth function of columns of the measured table."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from twin.machine.effects.waves import APPROACH, Waves, label, terms
 from twin.numerics.elementary import cos, sin
 
 DIRECTIONS: Final = "xyz"
-SEEN: Final = 1e-12
-"""Elements of a rotation below this are rounding."""
+ROTATION_ROUNDING: Final = 1e-12
+"""Elements of a rotation matrix below this are rounding errors."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Turning:
-    """The rotation from the axes a shift is given along to those of the error frame: constant + cosine·cos θ + sine·sin θ.
+class FrameRotation:
+    """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ.
 
     Attributes:
-        constant: (3, 3).
-        axis: name of the rotary axis whose angle is θ; None where nothing turns.
-        cosine, sine: (3, 3); zero where nothing turns.
+        constant: (3, 3) constant part.
+        axis: name of the rotary axis whose angle is θ; None if the rotation is constant.
+        cosine, sine: (3, 3) parts that vary with θ; zero if the rotation is constant.
     """
 
     constant: np.ndarray
@@ -37,9 +37,9 @@ class Turning:
     sine: np.ndarray
 
     def column(self, positions: Mapping[str, Any], direction: int) -> dict[int, Any]:
-        """One direction in the error frame, by component; components that are always zero are left out."""
+        """Return one direction in the error frame, by component; components that are always zero are omitted."""
         constant, cosine, sine = (
-            np.where(np.abs(part[:, direction]) > SEEN, part[:, direction], 0.0)
+            np.where(np.abs(part[:, direction]) > ROTATION_ROUNDING, part[:, direction], 0.0)
             for part in (self.constant, self.cosine, self.sine)
         )
         if self.axis is None:
@@ -54,18 +54,19 @@ class Turning:
 
 @final
 class Empirical(Effect):
-    """One side of the machine shifts with columns of the table, along fixed directions of a frame, without a known cause.
+    """Shift of one side of the machine, along fixed directions of a frame, as a function of columns of the table; cause unknown.
 
     The shift along each of x, y, z is Σ c_k f_k with the functions f_k of `twin.machine.effects.waves`. It is smooth and finite
-    everywhere, but known only within `ranges`.
+    everywhere, but was measured only within `ranges`.
 
     Args:
-        where: its place: ``tool by X_mm, Y_mm``.
-        along: axes of which frame: ``base``, or ``tool`` or ``work``, the frame that the targets of that side are fixed to.
+        where: the side and the columns: ``tool by X_mm, Y_mm``.
+        along: frame whose axes the directions are: ``base``, or ``tool`` or ``work``, the frame to which the targets of that side are
+            fixed.
         columns: one or two columns with their functions.
-        coefficients: µm by direction and function (`twin.machine.effects.waves.label`): ``x[3,1]``; what is absent is zero.
+        coefficients: µm by direction and function (`twin.machine.effects.waves.label`): ``x[3,1]``; absent ones are zero.
         frame: the error frame it acts in.
-        turning: from the axes of ``along`` to that frame.
+        turning: rotation from the axes of ``along`` to that frame.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Empirical(Effect):
         columns: Sequence[Waves],
         coefficients: Mapping[str, float],
         frame: Frame,
-        turning: Turning,
+        turning: FrameRotation,
     ) -> None:
         self.name = f"empirical:{where}"
         self.where = where
@@ -90,22 +91,22 @@ class Empirical(Effect):
 
     @staticmethod
     def names(columns: Sequence[Waves]) -> list[list[str]]:
-        """Names of all coefficients that some columns can have, by direction, in the order of their functions."""
-        own = [label(columns, term) for term in terms(columns)]
-        return [[f"{direction}[{one}]" for one in own] for direction in DIRECTIONS]
+        """Return the names of all coefficients that the columns can have, by direction, in the order of their functions."""
+        labels = [label(columns, term) for term in terms(columns)]
+        return [[f"{direction}[{name}]" for name in labels] for direction in DIRECTIONS]
 
     @property
     def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """By column, the lowest and the highest value measured; columns whose functions need none are left out."""
-        return {one.column: one.range for one in self.columns if one.range is not None}
+        """Lowest and highest value measured, by column; columns whose functions need no range are omitted."""
+        return {column.column: column.range for column in self.columns if column.range is not None}
 
     @property
     def directed(self) -> tuple[str, ...]:
-        """Names of the axes whose direction of approach matters."""
-        return tuple(one.column.removeprefix(APPROACH) for one in self.columns if one.kind == "direction")
+        """Names of the axes whose direction of approach it depends on."""
+        return tuple(column.column.removeprefix(APPROACH) for column in self.columns if column.kind == "direction")
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`; needs its columns (``approach_<axis>``, ``T_<sensor>_degC``)."""
+        """See `Effect.components`; needs a channel for each column (``approach_<axis>``, ``T_<sensor>_degC``)."""
         functions = self._functions(positions)
         found: dict[int, Any] = {}
         for i in range(3):
@@ -132,7 +133,7 @@ class Empirical(Effect):
         return tuple({component: part * functions[k] for component, part in turned[i].items()} for i, k in self._at)
 
     def shift(self, positions: Mapping[str, Any]) -> np.ndarray:
-        """(n, 3) µm along the axes of ``along``, at arrays of positions and channels."""
+        """Return the shift (n, 3) in µm along the axes of ``along``, at arrays of positions and channels."""
         functions = self._functions(positions)
         found = np.zeros((len(np.atleast_1d(functions[0])), 3))
         for (i, k), value in zip(self._at, self.coefficients.values(), strict=True):
@@ -140,16 +141,16 @@ class Empirical(Effect):
         return found
 
     def outside(self, positions: Mapping[str, Any]) -> dict[str, Any]:
-        """By column with a range that is given here: whether it is left by more than rounding, (n,) of arrays."""
+        """Return, by column with a range, whether (n,) values leave it by more than rounding. Other columns are omitted."""
         found = {}
-        for one in self.columns:
-            name = state_name(one.column)
-            if one.range is not None and name in positions:
-                found[one.column] = one.outside(np.asarray(positions[name], dtype=float))
+        for column in self.columns:
+            name = state_name(column.column)
+            if column.range is not None and name in positions:
+                found[column.column] = column.outside(np.asarray(positions[name], dtype=float))
         return found
 
     def _functions(self, positions: Mapping[str, Any]) -> list[Any]:
-        own = [one.values(channel(positions, state_name(one.column), self.name)) for one in self.columns]
+        own = [column.values(channel(positions, state_name(column.column), self.name)) for column in self.columns]
         if len(own) == 1:
             return own[0]
         found = []
@@ -168,12 +169,12 @@ def check_ranges(
 
     Args:
         effects: the empirical effects.
-        state: (n,) positions by axis and channels; what is not given is not checked, and NaN is in every range.
-        lines: (n,) where each is in a file.
-        file: its name.
+        state: (n,) positions by axis, and channels; missing ones are not checked, and NaN counts as within every range.
+        lines: (n,) line of each in the file.
+        file: name of the file.
 
     Raises:
-        InputError: with column, value and range.
+        InputError: a value is outside its range; the error names column, value and range.
     """
     for effect in effects:
         for column, outside in effect.outside(state).items():
@@ -190,7 +191,7 @@ def check_ranges(
 
 
 def state_name(column: str) -> str:
-    """What effects know a column of the table by: ``X_mm`` → ``X``; ``approach_X`` and ``T_bed_degC`` as they are."""
+    """Return the name that effects use for a column of the table: ``X_mm`` → ``X``; ``approach_X`` and ``T_bed_degC`` unchanged."""
     if column.startswith(APPROACH) or column.endswith("_degC"):
         return column
     return column.removesuffix("_mm").removesuffix("_deg")

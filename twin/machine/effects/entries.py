@@ -1,10 +1,10 @@
-"""Effects beside the named error motions, as a calibration file has them: ``effects:`` entries to and from `Effect`.
+"""Conversion between `Effect` and the ``effects:`` entries of a calibration file.
 
     effects:
       - {effect: reversal, where: Y, parameters: {size: 5.1}}
 
-Names, places and parameters are those of the contract's table (§5), and stand in each effect's specification. A payload is no effect by
-itself: it is part of the load of every `gravity_compliance` in the file.
+Names, places and parameters are those of the contract's table (§5) and are defined in each effect's specification. A payload is not an
+effect by itself: it is part of the load of every `gravity_compliance` in the file.
 """
 
 from __future__ import annotations
@@ -54,39 +54,41 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     GRAVITY_COMPLIANCE,
     PAYLOAD,
 )
-"""Everything a machine can have."""
+"""Specifications of all machine effects."""
 
 
 def effect_named(
     effect: str, where: str, numbers: Mapping[str, float], machine: Machine, payloads: Sequence[Payload] = ()
 ) -> Effect:
-    """An effect of the contract's table.
+    """Create an effect from its name, place and parameters.
 
     Args:
         effect: its name.
         where: its place.
         numbers: its parameters by name.
         machine: the machine.
-        payloads: what the machine carries beside what the URDF says.
+        payloads: loads that the URDF does not contain.
 
     Raises:
-        InputError: no such effect, place or parameter; a parameter that is missing.
+        InputError: the effect, place or a parameter is unknown, or a parameter is missing.
     """
-    made = {one.name: one for one in MACHINE_EFFECTS if one.make is not None}
-    found = made.get(effect)
-    if found is None or found.make is None:
-        known = list(made)
+    specifications = {
+        specification.name: specification for specification in MACHINE_EFFECTS if specification.make is not None
+    }
+    specification = specifications.get(effect)
+    if specification is None or specification.make is None:
+        known = list(specifications)
         raise InputError(
             "no such effect", expected=f"one of {', '.join(known)}", value=effect, nearest=nearest(effect, known)
         )
-    values = found.numbers_of(where, numbers)
-    if not found.open_places and where not in found.places(machine):
-        raise found.no_place(machine, where)
-    return found.make(machine, where, values, payloads)
+    values = specification.numbers_of(where, numbers)
+    if not specification.open_places and where not in specification.places(machine):
+        raise specification.no_place(machine, where)
+    return specification.make(machine, where, values, payloads)
 
 
 def payload_named(where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
-    """A payload of the contract's table.
+    """Create a payload from its parameters.
 
     Args:
         where: ``tool`` or ``work``.
@@ -94,16 +96,16 @@ def payload_named(where: str, numbers: Mapping[str, float], machine: Machine) ->
         machine: the machine.
 
     Raises:
-        InputError: no such place or parameter; a parameter that is missing, or that no payload can have.
+        InputError: the place or a parameter is unknown; a parameter is missing or outside its limits.
     """
-    side = next((one for one in ("tool", "work") if one == where), None)
+    side = next((name for name in ("tool", "work") if name == where), None)
     if side is None:
         raise PAYLOAD.no_place(machine, where)
     return Payload.of(side, PAYLOAD.numbers_of(where, numbers)).checked()
 
 
 def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
-    """The entries that `payload_named` reads back, of the payloads some effects have in their load."""
+    """Return the entries of the payloads that act on the given effects, as `payload_named` reads them."""
     carried = [payload for effect in effects if isinstance(effect, GravityCompliance) for payload in effect.payloads]
     return [
         {"effect": PAYLOAD.name, "where": payload.side, "parameters": payload.numbers}
@@ -112,6 +114,6 @@ def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:
-    """The entry that `effect_named` reads back."""
+    """Return the entry of an effect, as `effect_named` reads it."""
     name, _, where = effect.name.partition(":")
     return {"effect": name, "where": where.partition("[")[0], "parameters": effect.numbers}

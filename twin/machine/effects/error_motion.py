@@ -1,4 +1,4 @@
-"""Error motions: one curve a component, a function of the axis's own position (ISO 230-1, 3.4)."""
+"""Error motions: one curve per component, a function of the axis's own position (ISO 230-1, 3.4)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class ErrorMotion(Effect):
 
     Args:
         name: ISO 230-1 name.
-        basis: family of functions.
+        basis: family of basis functions.
         domain: (lo, hi) in mm or degrees.
         coefficients: µm or µrad.
-        wrapped: whether the axis turns without end, so that its position is wrapped into the domain.
+        wrapped: whether the axis has unlimited rotation, so that its position is wrapped into the domain.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class ErrorMotion(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its coefficients, ``E_XX[0]`` and on."""
+        """Coefficients, named ``E_XX[0]``, ``E_XX[1]`` and so on."""
         unit = unit_of(self.name)
         return tuple(Parameter(f"{self.name}[{k}]", unit, value) for k, value in enumerate(self.coefficients))
 
@@ -59,64 +59,68 @@ class ErrorMotion(Effect):
         return q
 
 
-_ANEW: Final = Advice(
-    "Whether the calibration is still this machine's: its date, and what was repaired, moved or levelled since. Then service: guideway "
-    "and bearings of {axis}.",
+_REMEASURE: Final = Advice(
+    "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or levelled since. Then "
+    "service: guideway and bearings of {axis}.",
     f"{EXTENDED}, or measure {{axis}} again (twin identify).",
-    "Do not shift a zero against it: it changes along the travel, a zero does not.",
+    "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
 )
 
 POSITIONING: Final = Specification(
     name="positioning",
     kind="machine",
-    title=lambda where: f"positioning of {split_name(where)[2]}",
-    advice=Advice(_ANEW.look, _ANEW.do, "Do not fill the control's pitch table as well: it would be corrected twice."),
-    evidence=lambda of: f"{of.where}: the axis stands elsewhere along its travel than the model says",
+    title=lambda where: f"positioning error of {split_name(where)[2]}",
+    advice=Advice(
+        _REMEASURE.look,
+        _REMEASURE.do,
+        "Do not also enter it in the control's pitch-error table: it would be corrected twice.",
+    ),
+    evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
     curve=True,
 )
 
 STRAIGHTNESS: Final = Specification(
     name="straightness",
     kind="machine",
-    title=lambda where: f"straightness of {split_name(where)[2]} in {direction_of(where)}",
-    advice=_ANEW,
-    evidence=lambda of: f"{of.where}: the axis runs along another curve than the model says",
+    title=lambda where: f"straightness error of {split_name(where)[2]} in {direction_of(where)}",
+    advice=_REMEASURE,
+    evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
     curve=True,
 )
 
 ANGULAR_ERROR_MOTION: Final = Specification(
     name="angular_error_motion",
     kind="machine",
-    title=lambda where: f"{split_name(where)[2]} tilts about {direction_of(where)} as it travels",
-    family="tilts along the travel",
-    advice=_ANEW,
-    evidence=lambda of: f"{of.where}: the axis turns as it travels, otherwise than the model says",
+    title=lambda where: f"tilt of {split_name(where)[2]} about {direction_of(where)} along its travel",
+    family="tilts of axes along their travel",
+    advice=_REMEASURE,
+    evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
     curve=True,
 )
 
 
-def _turns(where: str) -> str:
+def _rotary_title(where: str) -> str:
     component, _, axis = split_name(where)
     if component < 3:
-        return f"{axis} shifts along {direction_of(where)} as it turns"
-    return f"{axis} tilts about {direction_of(where)} as it turns"
+        return f"shift of {axis} along {direction_of(where)} as it turns"
+    return f"tilt of {axis} about {direction_of(where)} as it turns"
 
 
 ROTARY_ERROR_MOTION: Final = Specification(
     name="error_motion",
     kind="machine",
-    title=_turns,
-    family="errors of rotary axes",
-    advice=_ANEW,
-    evidence=lambda of: f"{of.where}: the axis errs along another curve than the model says",
+    title=_rotary_title,
+    family="error motions of rotary axes",
+    advice=_REMEASURE,
+    evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
     curve=True,
-    seldom=True,
+    rare=True,
     plain_forms=0,
 )
 
 
 def specification_of(axis: Axis, component: int) -> Specification:
-    """What a wrong curve of an axis is, by the component it errs in."""
+    """Return the specification of a wrong error-motion curve of an axis, by component."""
     if not axis.linear:
         return ROTARY_ERROR_MOTION
     if component >= 3:

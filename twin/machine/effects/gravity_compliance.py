@@ -1,4 +1,4 @@
-"""A joint that gives way under the load gravity puts on it: the machine's own weight, and what it carries."""
+"""Joint compliance under gravity: deflection under the machine's own weight and its payloads."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from twin.machine.chain import gravity_load
 from twin.machine.effects import places
 from twin.machine.effects.base import AlongAxis, Frame, Parameter, along
 from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Payload, heaviest_kg, loads, side_of
-from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, Together
+from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
 from twin.machine.machine import Axis, Machine
 from twin.numerics.functions import given
 
 FREE: Final = "payload"
-"""In place of the parameters of a payload: it may be any, a number of its own to each of its four loads."""
+"""Fixed parameter of a form with an unknown payload: each of its four loads has a free coefficient."""
 UNLOADED: Final = 1e-6
-"""N or N·m: rounding of a load that is none."""
+"""N or N·m: loads below this are rounding errors."""
 
 
 @final
 class GravityCompliance(AlongAxis):
-    """The axis moves by compliance times the force or torque gravity exerts along it.
+    """The axis deflects by its compliance times the force or torque of gravity along it.
 
     Args:
         axis: the axis.
-        load: N or N·m along the axis at given positions (`twin.machine.chain.gravity_load`), of own weight and payloads.
+        load: positions → load along the axis by own weight and payloads, N or N·m (`twin.machine.chain.gravity_load`).
         compliance: µm/N or µrad/(N·m).
-        payloads: what the machine carries beside what the URDF says; given, no estimates.
+        payloads: loads that the URDF does not contain; not estimated.
     """
 
     def __init__(
@@ -61,42 +61,42 @@ def _unit(axis: Axis) -> str:
     return "um/N" if axis.linear else "urad/(N.m)"
 
 
-@lru_cache(maxsize=16)  # an effect is built for every step of an estimate; a machine never changes
+@lru_cache(maxsize=16)  # an effect is built in every step of an estimate; a machine is immutable
 def loads_of(machine: Machine) -> Callable[[Mapping[str, Any]], Mapping[str, Sequence[Any]]]:
-    """Of every axis the nine loads of `gravity_load`, at positions as effects are given them (arrays or expressions)."""
+    """Return a function: positions (arrays or expressions) → for every axis the nine loads of `gravity_load`."""
     function = gravity_load(machine)
     batch, names = BatchFunction(function), machine.names
 
-    def found(positions: Mapping[str, Any]) -> Mapping[str, Sequence[Any]]:
-        parts = [positions[one.name] * one.scale for one in machine.axes]
+    def loads_at(positions: Mapping[str, Any]) -> Mapping[str, Sequence[Any]]:
+        parts = [positions[axis.name] * axis.scale for axis in machine.axes]
         if any(isinstance(part, ca.SX) for part in parts):
             every = function(ca.vertcat(*parts))
             return {name: ca.horzsplit(every[k, :]) for k, name in enumerate(names)}
         (values,) = batch(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1))
         return {name: list(values[:, k :: len(names)].T) for k, name in enumerate(names)}
 
-    return found
+    return loads_at
 
 
 def gravity_compliance(
     machine: Machine, axis: str, compliance: float, payloads: Sequence[Payload] = ()
 ) -> GravityCompliance:
-    """The effect on a machine that carries some payloads."""
+    """Create the effect for one axis of a machine with the given payloads."""
     weights, every = loads(payloads), loads_of(machine)
 
     def load(positions: Mapping[str, Any]) -> Any:
-        return sum(weight * one for weight, one in zip(weights, every(positions)[axis], strict=True) if weight != 0.0)
+        return sum(weight * unit for weight, unit in zip(weights, every(positions)[axis], strict=True) if weight != 0.0)
 
     return GravityCompliance(machine.by_name[axis], load, compliance, tuple(payloads))
 
 
 def payloads_of(axis: Axis, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
-    """The payload that a form was refined with; none if it was not."""
+    """Return the payload with which a form was refined; empty if it was not refined."""
     return (Payload.of(side_of(axis), fixed),) if fixed.get(MASS) else ()
 
 
 def _free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payload, ...]:
-    """The payload that a joint would need by itself, from (5,) numbers of its own and its free loads; none if its mass is nothing."""
+    """Return the payload that one joint alone implies, from its (5,) compliance and free loads; empty if its mass is zero."""
     if values[0] == 0.0 or values[1] == 0.0:
         return ()
     shares = [values[1] / values[0], *(values[2:] / values[1])]
@@ -104,66 +104,66 @@ def _free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Pay
 
 
 def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] | None) -> Forms:
-    """A joint that gives way: under its own weight and the payloads that a calibration has, or, if it has none, under any.
+    """Return the forms of a compliance: under own weight and the calibration's payloads, or, if it has none, with an unknown payload.
 
-    Any payload is four numbers to each joint: its mass and its first moments, times the joint's compliance, here as shares of the
-    largest. That it is the same to all joints, and how heavy it can be, is seen to where several are found
-    (`twin.diagnosis.selection.payload`). No such form where the joint's own weight does not load it: nothing distinguishes the two.
+    An unknown payload has four coefficients at each joint: its mass and its first moments times the joint's compliance, as fractions
+    of the largest. `twin.diagnosis.selection.payload` makes it the same for all joints and bounds its mass. The form with an unknown
+    payload is omitted if the joint's own weight does not load it: compliance and payload would be confounded.
     """
-    axis, told = machine.by_name[where], tuple(known or ())
+    axis, payloads = machine.by_name[where], tuple(known or ())
     load = np.stack(loads_of(machine)(state)[where], axis=1)
     first = 1 + 4 * SIDES.index(side_of(axis))
     free = load[:, first : first + 4] * heaviest_kg(machine) * [1.0, *[1e-3 * SOUGHT_MM] * 3]
-    functions = given(np.column_stack([load @ loads(told), load[:, 0], free]))
+    functions = given(np.column_stack([load @ loads(payloads), load[:, 0], free]))
     trials: tuple[Mapping[str, float], ...] = ({},)
     if known is None and np.any(np.abs(load[:, 0]) > UNLOADED):
         trials = ({}, {FREE: 1.0})
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[GravityCompliance, ...]:
-        carried = _free_payload(machine, axis, values) if FREE in fixed else payloads_of(axis, fixed) or told
+        carried = _free_payload(machine, axis, values) if FREE in fixed else payloads_of(axis, fixed) or payloads
         return (gravity_compliance(machine, where, float(values[0]), carried),)
 
     def units(fixed: Mapping[str, float]) -> tuple[GravityCompliance, ...]:
-        return (gravity_compliance(machine, where, 1.0, payloads_of(axis, fixed) or told),)
+        return (gravity_compliance(machine, where, 1.0, payloads_of(axis, fixed) or payloads),)
 
     names = tuple((name, _unit(axis)) for name in ("compliance", "by mass", "by x", "by y", "by z"))
     columns = [(0,), (1, 2, 3, 4, 5)][: len(trials)]
-    together = Together(functions, columns, Frame(where, "motion"), tuple(along(axis, 1.0).items()))
+    together = SharedColumns(functions, columns, Frame(where, "motion"), tuple(along(axis, 1.0).items()))
     return Forms(names, build, units, trials, together=together)
 
 
 GRAVITY_COMPLIANCE: Final = Specification(
     name="gravity_compliance",
     kind="machine",
-    title=lambda where: f"{where} gives way under the weight it carries",
-    family="yielding under weight",
+    title=lambda where: f"deflection of {where} under gravity",
+    family="deflection under gravity",
     advice=Advice(
-        "Service: clamp, drive and bearing of {axis}; what it carries.",
-        f"{EXTENDED}, for this load.",
-        "Do not use it for another load.",
+        "Service: clamp, drive and bearings of {axis}; the load it carries.",
+        f"{EXTENDED}, with this load only.",
+        "Do not use that calibration with another load.",
     ),
-    evidence=lambda of: f"{of.where} gives way under gravity",
+    evidence=lambda fit: f"{fit.where} deflects under gravity",
     parameters=("compliance",),
-    # The softest there is: 5 kN·m/rad is the stiffness of the gear in a small robot's wrist, 1 N/µm that of a weak slide.
-    largest={"urad/(N.m)": 200.0, "um/N": 1.0},
-    one_way=True,
+    # Upper limits of compliance: 5 kN·m/rad is the stiffness of the gear in a small robot's wrist, 1 N/µm that of a weak slide.
+    limits={"urad/(N.m)": 200.0, "um/N": 1.0},
+    non_negative=True,
     places=places.axes,
     make=lambda machine, where, numbers, payloads: gravity_compliance(machine, where, numbers["compliance"], payloads),
     forms=_forms,
-    drawn=Drawing(spread=True),
+    drawing=Drawing(spread=True),
 )
 
 PAYLOAD: Final = Specification(
     name="payload",
     kind="machine",
-    title=lambda where: f"a load on the {where} side that the machine's description does not have",
-    family="loads that the description does not have",
+    title=lambda where: f"load on the {where} side that is missing from the machine description",
+    family="loads missing from the machine description",
     advice=Advice(
-        "Set-up: what was mounted on the {where} side when it was measured; weigh it.",
-        f"{EXTENDED}, for this load.",
-        "Do not use it for another load.",
+        "Set-up: what was mounted on the {where} side during the measurement; weigh it.",
+        f"{EXTENDED}, with this load only.",
+        "Do not use that calibration with another load.",
     ),
-    evidence=lambda of: f"the {of.where} side carries a mass that the URDF does not have: joints give way under it",
+    evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
     parameters=("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",

@@ -1,4 +1,4 @@
-"""An error motion of a rotary axis that repeats with its turn."""
+"""Harmonics of the error motions of a rotary axis."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from twin.machine.effects.base import Effect, Frame, Parameter
 from twin.machine.effects.names import direction_of, split_name, unit_of
 from twin.machine.effects.payload import Payload
-from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, Together
+from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
 from twin.machine.machine import DIRECTIONS, Machine
 from twin.numerics.elementary import cos, sin
 from twin.numerics.functions import Functions, once
 from twin.numerics.waves import highest_order, waves
 
-ORDERS: Final = 30
-"""Harmonics of an error motion that are tried."""
-TEETH: Final = 200
-"""Of a rotary axis's own angle error, which gears and encoders make: as far as the positions measured can tell them from lower ones."""
-FEWEST: Final = 4
-"""Angles below which none is tried."""
+MAX_ORDER: Final = 30
+"""Highest order tried for an error motion."""
+MAX_ANGLE_ORDER: Final = 200
+"""Highest order tried for the axis's own angle error (gears, encoders), if the measured positions separate it from lower orders."""
+MIN_ANGLES: Final = 4
+"""Minimum number of angles for any harmonic to be tried."""
 
 
 @final
@@ -47,12 +47,12 @@ class Harmonic(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Cosine and sine part."""
+        """Coefficients of cosine and sine."""
         return self._number("cos", self._unit, self.cosine), self._number("sin", self._unit, self.sine)
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The order as well."""
+        """Order and coefficients."""
         return {"order": self.order, **super().numbers}
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
@@ -70,7 +70,7 @@ def _places(machine: Machine) -> tuple[str, ...]:
     return tuple(name for name in machine.motion_names if not machine.by_name[name[3:]].linear)
 
 
-def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> Harmonic:
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> Harmonic:
     return Harmonic(where, round(numbers["order"]), numbers["cos"], numbers["sin"])
 
 
@@ -79,21 +79,21 @@ def _angles(state: State, axis: str) -> np.ndarray:
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    return [where for where in _places(machine) if len(_angles(state, where[3:])) >= FEWEST], []
+    return [where for where in _places(machine) if len(_angles(state, where[3:])) >= MIN_ANGLES], []
 
 
 def _turns(state: State, name: str) -> tuple[int, int, Functions]:
-    """Of an axis the highest orders that are tried, of any error motion and of its own angle, and their functions."""
+    """Return the highest order tried for any error motion, that for the axis's own angle, and their functions."""
     distinct = _angles(state, name)
-    most = min(ORDERS, (len(distinct) - 1) // 2 if len(distinct) < 2 * ORDERS else ORDERS)
-    teeth = max(highest_order(distinct, TEETH), most)
+    most = min(MAX_ORDER, (len(distinct) - 1) // 2 if len(distinct) < 2 * MAX_ORDER else MAX_ORDER)
+    teeth = max(highest_order(distinct, MAX_ANGLE_ORDER), most)
     return most, teeth, waves(np.radians(state[name]), 1.0, 1.0, teeth)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     component, _, name = split_name(where)
     axis = machine.by_name[name]
-    # The six error motions of an axis have the same functions.
+    # The six error motions of an axis share these functions.
     most, teeth, functions = once(state, ("turns", name), lambda: _turns(state, name))
     tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
 
@@ -111,37 +111,37 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         build,
         units,
         tuple({"order": float(n)} for n in tried),
-        together=Together(functions, columns, Frame(name, "motion"), ((component, 1.0),)),
+        together=SharedColumns(functions, columns, Frame(name, "motion"), ((component, 1.0),)),
     )
 
 
 def _title(where: str) -> str:
     component, _, axis = split_name(where)
     if component < 3:
-        return f"shift of {axis} along {direction_of(where)} that repeats as it turns"
+        return f"shift of {axis} along {direction_of(where)} that repeats with its rotation"
     if DIRECTIONS[component] == axis:
-        return f"angle error of {axis} that repeats as it turns"
-    return f"wobble of {axis} about {direction_of(where)} that repeats as it turns"
+        return f"angle error of {axis} that repeats with its rotation"
+    return f"wobble of {axis} about {direction_of(where)} that repeats with its rotation"
 
 
 HARMONIC: Final = Specification(
     name="harmonic",
     kind="machine",
     title=_title,
-    family="errors that repeat with the turn",
+    family="errors that repeat with the rotation",
     advice=Advice(
-        "Service: what turns with {axis}: bearing and encoder (once a turn), worm or gear teeth (many times a turn).",
+        "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times per turn).",
         f"{EXTENDED}.",
-        "Do not check {axis} in steps of this period or a multiple: it would not show.",
+        "Do not check {axis} in steps of this period or a multiple of it: the error would not show.",
     ),
-    evidence=lambda of: f"{of.where}: an error that repeats with the turn of the axis",
+    evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
     parameters=("order", "cos", "sin"),
     places=_places,
     expected=lambda machine: "an error motion of a rotary axis",
-    make=_made,
+    make=_make,
     forms=_forms,
     candidates=_candidates,
     curve=True,
     plain_forms=6,
-    drawn=Drawing(period=lambda numbers: 360.0 / numbers.get("order", 1.0)),
+    drawing=Drawing(period=lambda numbers: 360.0 / numbers.get("order", 1.0)),
 )

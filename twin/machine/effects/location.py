@@ -1,4 +1,4 @@
-"""Location: where a rotary axis's average line really lies (ISO 230-1, 3.5; contract §1)."""
+"""Position and orientation of the axis average line of a rotary axis (ISO 230-1, 3.5; contract §1)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.machine.effects.specification import EXTENDING, NOT_TWICE, Advice, Dra
 
 @final
 class AxisLocation(Effect):
-    """``E_X0C``, ``E_Y0C`` (µm), ``E_A0C``, ``E_B0C`` (µrad): constant, in the frame before the axis's error motions.
+    """``E_X0C``, ``E_Y0C`` (µm), ``E_A0C``, ``E_B0C`` (µrad): constant, in the frame that precedes the axis's error motions.
 
     Args:
         name: ISO 230-1 name.
@@ -40,18 +40,18 @@ AXIS_LOCATION: Final = Specification(
     name="axis_location",
     kind="machine",
     title=motion,
-    family="places of rotary axes",
+    family="locations of rotary axes",
     advice=Advice(
-        "Set-up: the place and tilt of {axis}'s axis in the control's kinematics, and how they were measured.",
-        f"Enter the new place in the control, or {EXTENDING}.",
+        "Set-up: position and orientation of rotary axis {axis} in the control's kinematics, and how they were measured.",
+        f"Enter the new values in the control, or {EXTENDING}.",
         NOT_TWICE,
     ),
-    evidence=lambda of: f"{of.where}: the axis's average line lies {of.measure} from where the model has it",
-    largest={"um": 20_000.0, "urad": 20_000.0},
+    evidence=lambda fit: f"{fit.where}: the axis average line differs from the model by {fit.measure}",
+    limits={"um": 20_000.0, "urad": 20_000.0},
     places=lambda machine: machine.location_names,
     forms=lambda machine, where, state, payloads: single(
         ("offset", unit_of(where)), lambda value: AxisLocation(where, value)
     ),
     constant=True,
-    drawn=Drawing(beyond=True),
+    drawing=Drawing(beyond=True),
 )

@@ -1,4 +1,4 @@
-"""ISO 230-1 names of error motions, squareness and location: taken apart, and in words."""
+"""ISO 230-1 names of error motions, squareness and location: their parts, units and descriptions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from twin.machine.machine import DIRECTIONS
 
 
 def split_name(name: str) -> tuple[int, bool, str]:
-    """Take an ISO 230-1 name apart: component index in ``XYZABC``, whether it is of the average line, axis name.
+    """Split an ISO 230-1 name: component index in ``XYZABC``, whether it describes the average line, axis name.
 
     ``E_C0Y`` → (5, True, "Y"); ``E_XX`` → (0, False, "X").
     """
@@ -16,23 +16,23 @@ def split_name(name: str) -> tuple[int, bool, str]:
 
 
 def unit_of(name: str) -> str:
-    """The unit of an ISO 230-1 name: ``um`` of a translation, ``urad`` of a rotation."""
+    """Return the unit of an ISO 230-1 name: ``um`` for a translation, ``urad`` for a rotation."""
     return "um" if split_name(name)[0] < 3 else "urad"
 
 
 def axis_of(where: str) -> str:
-    """The axis that a place is of; the place itself if it is of none: ``E_ZY by Z`` → Y."""
+    """Return the axis of a place, or the place itself if it has none: ``E_ZY by Z`` → Y."""
     first = where.split(" ")[0]
     return split_name(first)[2] if first.startswith("E_") else first
 
 
 def direction_of(name: str) -> str:
-    """The direction of an ISO 230-1 name, along which or about which: x, y or z."""
+    """Return the direction along or about which an ISO 230-1 name acts: x, y or z."""
     return "xyz"[split_name(name)[0] % 3]
 
 
 def motion(name: str) -> str:
-    """An error motion in words: ``E_ZY`` → error of Y in z; ``E_BX`` → tilt of X about y."""
+    """Describe an error motion in words: ``E_ZY`` → error of Y in z; ``E_BX`` → tilt of X about y."""
     component, average, axis = split_name(name)
     direction = direction_of(name)
     if average:

@@ -1,4 +1,4 @@
-"""A mass that the machine's description does not have: it acts through the compliances of the joints that carry it."""
+"""A mass that is missing from the machine description; it acts through the compliances of the joints that carry it."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ NUMBERS: Final = ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm")
 MASS: Final = NUMBERS[0]
 HEAVIEST_KG: Final = 1e5
 FARTHEST_MM: Final = 1e4
-"""The largest mass and distance that a calibration file may name."""
+"""Largest mass and distance accepted in a calibration file."""
 SOUGHT_MM: Final = 500.0
-"""How far a payload's centre of gravity is sought from the frame that carries it, along each axis."""
+"""Search range of a payload's centre of gravity along each axis of the frame that carries it, ± mm."""
 
 
 @final
 @dataclass(frozen=True)
 class Payload:
-    """A mass that the URDF does not have, fixed to the tool frame (spindle nose, flange) or to the work frame.
+    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame.
 
     Attributes:
         side: ``tool`` or ``work``.
-        mass_kg: of it.
-        centre_mm: of gravity, in that frame.
+        mass_kg: mass.
+        centre_mm: centre of gravity in that frame.
     """
 
     side: Side
@@ -40,33 +40,33 @@ class Payload:
 
     @classmethod
     def of(cls, side: Side, numbers: Mapping[str, float]) -> Payload:
-        """A payload from its `numbers`."""
+        """Create a payload from its `numbers`."""
         mass, x, y, z = (float(numbers[name]) for name in NUMBERS)
         return cls(side, mass, (x, y, z))
 
     @classmethod
     def of_shares(cls, side: Side, heaviest: float, shares: Sequence[float] | np.ndarray) -> Payload:
-        """A payload from its mass as a share of the heaviest, and its centre as a share of the farthest that is sought."""
-        share, x, y, z = (float(one) for one in shares)
+        """Create a payload from its mass as a fraction of ``heaviest`` and its centre as fractions of the search range."""
+        share, x, y, z = (float(value) for value in shares)
         return cls(side, heaviest * share, (SOUGHT_MM * x, SOUGHT_MM * y, SOUGHT_MM * z))
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Its parameters by name."""
+        """Parameters by name."""
         return dict(zip(NUMBERS, (self.mass_kg, *self.centre_mm), strict=True))
 
     @property
     def weights(self) -> np.ndarray:
-        """(9,) how much it has of each load of `twin.machine.chain.gravity_load`: kg and kg·m."""
+        """Factors (9,) of the loads of `twin.machine.chain.gravity_load`, kg and kg·m."""
         found, first = np.zeros(9), 1 + 4 * SIDES.index(self.side)
-        found[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * one for one in self.centre_mm)])
+        found[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * value for value in self.centre_mm)])
         return found
 
     def checked(self) -> Payload:
-        """The payload itself.
+        """Return the payload itself if its values are within their limits.
 
         Raises:
-            InputError: a mass or a centre that no payload can have.
+            InputError: the mass or the centre is outside its limits.
         """
         if not 0.0 <= self.mass_kg <= HEAVIEST_KG:
             raise InputError(f"mass of payload {self.side}", expected=f"0 to {HEAVIEST_KG:g} kg", value=self.mass_kg)
@@ -78,15 +78,18 @@ class Payload:
 
 
 def loads(payloads: Sequence[Payload]) -> np.ndarray:
-    """(9,) how much there is of each load of `twin.machine.chain.gravity_load`: the machine's own once, and what it carries."""
+    """Return the factors (9,) of the loads of `twin.machine.chain.gravity_load`: 1 for the machine's own weight, and the payloads'."""
     return np.asarray(np.eye(9)[0] + sum((payload.weights for payload in payloads), np.zeros(9)))
 
 
 def side_of(axis: Axis) -> Side:
-    """The side whose payload an axis carries."""
+    """Return the side whose payload an axis carries."""
     return "tool" if axis.side == "tool" else "work"
 
 
 def heaviest_kg(machine: Machine) -> float:
-    """The largest payload considered: ten times the moving parts' masses in the URDF; robots and tables carry what they weigh."""
+    """Return the largest payload considered, kg: ten times the mass of the moving parts in the URDF.
+
+    Robots and tables carry about their own weight.
+    """
     return 10.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))

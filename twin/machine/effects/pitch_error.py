@@ -1,4 +1,4 @@
-"""A periodic error of a linear axis, as of a ball screw or a scale."""
+"""Periodic positioning error of a linear axis, for example of a ball screw or a scale."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from twin.machine.effects.specification import (
     Advice,
     Drawing,
     Forms,
+    SharedColumns,
     Specification,
     State,
-    Together,
 )
 from twin.machine.machine import Axis, Machine
 from twin.numerics.elementary import cos, sin
@@ -27,14 +27,14 @@ from twin.numerics.functions import once
 from twin.numerics.waves import highest_frequency, waves
 
 LONGEST_PERIOD: Final = 0.5
-"""Share of the travel measured beyond which a wave is no pitch error: fewer than two periods are a curve, whatever its cause."""
-SHORTER: Final = 0.3
-"""Share of a period by which one step of a fit may shorten it."""
+"""Longest period tried, as a fraction of the measured travel: fewer than two periods cannot be distinguished from a smooth curve."""
+MIN_PERIOD_RATIO: Final = 0.3
+"""Smallest fraction to which one step of a fit may shorten a period."""
 
 
 @final
 class PitchError(AlongAxis):
-    """A periodic error of a linear axis: E_aa += A·sin(2πq/p + φ), q in mm.
+    """Periodic positioning error of a linear axis: E_aa += A·sin(2πq/p + φ), q in mm.
 
     Args:
         axis: the axis.
@@ -78,10 +78,10 @@ class PitchError(AlongAxis):
 
 
 def _frequencies(q: np.ndarray) -> np.ndarray:
-    """Of the periods that are tried, a mm: half the resolution of the span a step; the best is refined afterwards."""
+    """Return the frequencies tried, 1/mm, in steps of half the resolution of the measured span; the best one is refined later."""
     span = max(float(np.ptp(q)), 1e-9)
     lowest = 1.0 / (LONGEST_PERIOD * span)
-    # Of an axis that did not move one is enough to say so.
+    # For an axis that did not move, one frequency is enough to report it.
     highest = highest_frequency(q, span) if np.ptp(q) > 0.0 else lowest
     return np.arange(lowest, highest + 1e-9 / span, 0.5 / span)
 
@@ -91,9 +91,9 @@ def _tried(state: State, where: str) -> np.ndarray:
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    told = {where: len(_tried(state, where)) > 0 for where in places.linear(machine)}
-    missing = [(where, f"positions of {where} closer together") for where, some in told.items() if not some]
-    return [where for where, some in told.items() if some], missing
+    resolved = {where: len(_tried(state, where)) > 0 for where in places.linear(machine)}
+    missing = [(where, f"positions of {where} closer together") for where, usable in resolved.items() if not usable]
+    return [where for where, usable in resolved.items() if usable], missing
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
@@ -101,7 +101,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     span = max(float(np.ptp(q)), 1e-9)
     frequencies = _tried(state, where)
     count = len(frequencies)
-    # As `PitchError` has it, for all periods at once.
+    # The functions of `PitchError` for all periods at once.
     functions = waves(q, 2.0 * np.pi / (LONGEST_PERIOD * span), np.pi / span, count)
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[PitchError, ...]:
@@ -115,7 +115,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         build,
         units,
         tuple({"period": float(1.0 / f)} for f in frequencies),
-        together=Together(
+        together=SharedColumns(
             functions,
             [(k, count + k) for k in range(count)],
             Frame(where, "motion"),
@@ -124,12 +124,12 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     )
 
 
-def _kept(effect: PitchError, values: Sequence[float], longest: float) -> PitchError:
-    """A positive amplitude, a period not far from the one before, a phase within half a turn."""
+def _constrain(effect: PitchError, values: Sequence[float], longest: float) -> PitchError:
+    """Return the effect with a positive amplitude, a period close to the previous one and a phase within ±π."""
     amplitude, period, phase = values
     if amplitude < 0.0:
         amplitude, phase = -amplitude, phase + np.pi
-    period = min(max(period, SHORTER * effect.period), longest)
+    period = min(max(period, MIN_PERIOD_RATIO * effect.period), longest)
     return PitchError(effect.axis, amplitude, period, float(np.mod(phase + np.pi, 2.0 * np.pi) - np.pi))
 
 
@@ -139,20 +139,20 @@ PITCH_ERROR: Final = Specification(
     title=lambda where: f"periodic positioning error of {where}",
     family="periodic positioning errors",
     advice=Advice(
-        "Service: what of {axis} has this period: screw (its lead), coupling, gear, or the grating of the scale.",
+        "Service: the part of {axis} that has this period: screw (its lead), coupling, gear, or grating of the scale.",
         f"{EXTENDED}.",
-        "Do not check it in steps of its period or a multiple: it would not show. " + NOT_TWICE,
+        "Do not check {axis} in steps of this period or a multiple of it: the error would not show. " + NOT_TWICE,
     ),
-    evidence=lambda of: f"{of.where} errs periodically along its travel",
+    evidence=lambda fit: f"{fit.where} has a periodic positioning error along its travel",
     parameters=("amplitude", "period", "phase"),
-    largest={"um": 500.0},
+    limits={"um": 500.0},
     places=places.linear,
     make=lambda machine, where, numbers, payloads: PitchError(machine.by_name[where], *numbers.values()),
     forms=_forms,
     candidates=_candidates,
-    bent=("period", "phase"),
-    kept=_kept,
+    nonlinear=("period", "phase"),
+    constrain=_constrain,
     curve=True,
     plain_forms=0,
-    drawn=Drawing(period=lambda numbers: numbers["period"]),
+    drawing=Drawing(period=lambda numbers: numbers["period"]),
 )

@@ -1,4 +1,4 @@
-"""Where effects can act on a machine: the lists that specifications share."""
+"""Places where effects can act on a machine: functions shared by the specifications."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from twin.machine.machine import Machine
 
 
 def axes(machine: Machine) -> tuple[str, ...]:
-    """All axes."""
+    """Return the names of all axes."""
     return machine.names
 
 
 def linear(machine: Machine) -> tuple[str, ...]:
-    """Linear axes."""
+    """Return the names of the linear axes."""
     return tuple(axis.name for axis in machine.axes if axis.linear)
 
 
 def rotary(machine: Machine) -> tuple[str, ...]:
-    """Rotary axes."""
+    """Return the names of the rotary axes."""
     return tuple(axis.name for axis in machine.axes if not axis.linear)
 
 
 def approach(where: str) -> tuple[str, ...]:
-    """The column that says from which side an axis came."""
+    """Return the column with an axis's direction of approach."""
     return (f"approach_{where}",)
 
 
-def single(names: tuple[str, str], of: Callable[[float], Effect]) -> Forms:
-    """The one form of an effect that is proportional to one parameter.
+def single(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
+    """Return the single form of an effect that is proportional to its one parameter.
 
     Args:
-        names: its name and unit.
-        of: the parameter → the effect.
+        names: name and unit of the parameter.
+        make: value of the parameter → the effect.
     """
-    return Forms((names,), lambda values, fixed: (of(float(values[0])),), lambda fixed: (of(1.0),))
+    return Forms((names,), lambda values, fixed: (make(float(values[0])),), lambda fixed: (make(1.0),))

@@ -1,4 +1,4 @@
-"""Lost motion: where an axis really is depends on the side it came from (ISO 230-1, 3.4.16; ISO 230-2, 2.15)."""
+"""Backlash (reversal value): the position of an axis depends on the direction of approach (ISO 230-1, 3.4.16; ISO 230-2, 2.15)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from twin.machine.machine import Axis
 
 @final
 class Reversal(AlongAxis):
-    """Lost motion: E_aa += ± size/2, by the side the axis came from.
+    """Backlash: E_aa += ± size/2, by the direction of approach.
 
     Args:
         axis: the axis.
-        size: actual position coming from below (+) less that coming from above (−), µm or µrad, along the command.
+        size: actual position approached in the + direction minus that approached in the − direction, µm or µrad, along the command.
     """
 
     def __init__(self, axis: Axis, size: float) -> None:
@@ -37,18 +37,20 @@ class Reversal(AlongAxis):
 REVERSAL: Final = Specification(
     name="reversal",
     kind="machine",
-    title=lambda where: f"lost motion of {where}",
-    family="lost motion",
+    title=lambda where: f"backlash of {where}",
+    family="backlash",
     advice=Advice(
-        "Service: nut and preload of {axis}'s screw (a rotary axis: worm or gear), thrust bearing, coupling, seat of the scale.",
-        f"{EXTENDED}: it knows from which side {{axis}} comes. Or enter it as backlash in the control.",
-        f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error and leaves it as large.",
+        "Service: screw nut and preload of {axis} (rotary axis: worm or gear), thrust bearing, coupling, mounting of the scale.",
+        f"{EXTENDED}: it takes the direction of approach of {{axis}} into account. Or enter the value as backlash in the control.",
+        f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error but does not reduce it.",
     ),
-    evidence=lambda of: f"{of.where} stands {abs(of.size):.3g} {of.unit} apart depending on the side it came from",
+    evidence=lambda fit: (
+        f"{fit.where} has {abs(fit.size):.3g} {fit.unit} of backlash: its position depends on the direction of approach"
+    ),
     parameters=("size",),
-    largest={"um": 1000.0, "urad": 5000.0},
+    limits={"um": 1000.0, "urad": 5000.0},
     places=places.axes,
     channels=places.approach,
     make=lambda machine, where, numbers, payloads: Reversal(machine.by_name[where], numbers["size"]),
-    drawn=Drawing(split=lambda where: f"approach_{where}", also=places.approach),
+    drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=places.approach),
 )

@@ -1,4 +1,4 @@
-"""Lost motion that changes along the travel."""
+"""Backlash (reversal value) that varies along the travel."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from twin.machine.effects.specification import (
     Drawing,
     Forms,
     Found,
+    SharedColumns,
     Specification,
     State,
-    Together,
 )
 from twin.machine.machine import Axis, Machine
 from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.functions import Functions, Rows
 
-DEGREES: Final = 4
-"""Largest degree that is tried."""
-PLACES: Final = 201
-"""Positions at which the extremes of a curve are looked for."""
+MAX_DEGREE: Final = 4
+"""Highest degree of polynomial tried."""
+SAMPLES: Final = 201
+"""Number of positions at which the extremes of a curve are searched."""
 
 
 @final
 class ReversalCurve(AlongAxis):
-    """Lost motion that changes along the travel: the curve measured upwards less the one measured downwards, Σ c_k u^k.
+    """Backlash that varies along the travel: the curve measured in the + direction minus that in the − direction, Σ c_k u^k.
 
     u = (2q − lo − hi)/(hi − lo) over the axis's range.
 
     Args:
-        axis: the axis; its range is limited.
+        axis: the axis; its range must be limited.
         coefficients: c_0, c_1, … µm or µrad, along the command.
     """
 
@@ -62,10 +62,10 @@ class ReversalCurve(AlongAxis):
         functions = POWER.functions(positions[self.axis.name], self.axis.domain, len(self.coefficients))
         return tuple(along(self.axis, side * function) for function in functions)
 
-    def lost_motion(self) -> tuple[float, float]:
-        """Smallest and largest reversal over the axis's range, µm or µrad."""
-        q = np.linspace(*self.axis.domain, PLACES)
-        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), PLACES)
+    def reversal_range(self) -> tuple[float, float]:
+        """Return the smallest and largest reversal value over the axis's range, µm or µrad."""
+        q = np.linspace(*self.axis.domain, SAMPLES)
+        sizes = np.broadcast_to(POWER.value(q, self.axis.domain, self.coefficients), SAMPLES)
         return float(sizes.min()), float(sizes.max())
 
 
@@ -74,7 +74,7 @@ def _limited(machine: Machine) -> tuple[str, ...]:
 
 
 def _wanted(names: Sequence[str]) -> tuple[str, ...]:
-    """As many coefficients as are given, two at least."""
+    """Return the names of as many coefficients as there are names, at least two."""
     return tuple(f"c{k}" for k in range(len(names) or 2))
 
 
@@ -83,16 +83,16 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 
 
 def _degrees(state: State, where: str) -> int:
-    """Largest degree that is tried: a curve through every position would foretell none."""
+    """Return the highest degree tried: a curve through every position would not predict any held-out position."""
     side = state.get(f"approach_{where}")
     if side is None:
         return 0
     places = [np.unique(np.round(state[where][side == sign], 3)) for sign in (1.0, -1.0)]
-    return min(DEGREES, min(len(one) for one in places) - 2)
+    return min(MAX_DEGREE, min(len(positions) for positions in places) - 2)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    """Half the side of approach times each orthonormal function of the position; of one degree and more."""
+    """Return the forms: half the direction of approach times orthonormal functions of the position, of degree 1 and higher."""
     axis, side, q = machine.by_name[where], state[f"approach_{where}"], state[where]
     space = CurveSpace(REVERSAL_CURVE.name, POWER, axis.domain, 0, _degrees(state, where) + 1)
 
@@ -105,44 +105,41 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
     columns = [tuple(range(degree + 1)) for degree in range(1, space.count)]
     functions = Functions(len(q), space.count, values)
-    together = Together(functions, columns, Frame(where, "motion"), tuple(along(axis, 1.0).items()))
+    together = SharedColumns(functions, columns, Frame(where, "motion"), tuple(along(axis, 1.0).items()))
     names = tuple((f"g{k}", "um" if axis.linear else "urad") for k in range(space.count))
     trials: tuple[Mapping[str, float], ...] = tuple({} for _ in columns)
     return Forms(names, build, None, trials, together=together, space=space)
 
 
-def _evidence(of: Found) -> str:
-    effect = of.effects[0] if of.effects else None
+def _evidence(fit: Found) -> str:
+    effect = fit.effects[0] if fit.effects else None
     if not isinstance(effect, ReversalCurve):
         return ""
-    low, high = effect.lost_motion()
-    return (
-        f"{of.where} stands apart depending on the side it came from, and by how much changes along its travel: "
-        f"from {low:.3g} {of.unit} to {high:.3g} {of.unit}"
-    )
+    low, high = effect.reversal_range()
+    return f"the backlash of {fit.where} varies along its travel, from {low:.3g} {fit.unit} to {high:.3g} {fit.unit}"
 
 
 REVERSAL_CURVE: Final = Specification(
     name="reversal_curve",
     kind="machine",
-    title=lambda where: f"lost motion of {where} that changes along its travel",
-    family="lost motion that changes along the travel",
+    title=lambda where: f"backlash of {where} that varies along its travel",
+    family="backlash that varies along the travel",
     advice=Advice(
-        "Service: wear of {axis}'s screw and nut where it works most, tension of the screw, friction of the guideway.",
-        f"{EXTENDED}: it knows from which side {{axis}} comes, and where it is.",
-        f"{NOT_TWICE} Do not enter one backlash in the control: it is right at one place only.",
+        "Service: wear of the screw and nut of {axis} where it is used most, tension of the screw, friction of the guideway.",
+        f"{EXTENDED}: it takes direction of approach and position of {{axis}} into account.",
+        f"{NOT_TWICE} Do not enter a single backlash value in the control: it would be right at one position only.",
     ),
     evidence=_evidence,
     parameters=("c0", "c1"),
-    wanted=_wanted,
-    largest={"um": 1000.0, "urad": 5000.0},
+    required=_wanted,
+    limits={"um": 1000.0, "urad": 5000.0},
     places=_limited,
-    expected=lambda machine: "an axis of limited range",
+    expected=lambda machine: "an axis with a limited range",
     channels=places.approach,
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
     forms=_forms,
     candidates=_candidates,
     curve=True,
-    more_of="reversal",
-    drawn=Drawing(split=lambda where: f"approach_{where}", also=lambda where: (f"approach_{where}", where)),
+    variant_of="reversal",
+    drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=lambda where: (f"approach_{where}", where)),
 )

@@ -1,8 +1,8 @@
-"""What is known of an effect beside its formula: one frozen specification in each effect's own file.
+"""Specification of an effect: name, places, parameters, candidate forms, texts and plot, one frozen instance per effect.
 
-Whatever lists, reads, tries, bounds, names, explains or draws effects asks the specification; nothing branches on an effect's name. The
-effects of a machine are in `twin.machine.effects.MACHINE_EFFECTS`; those of an instrument, and mistakes in the calibration, are
-specified where their columns are made (`twin.diagnosis.causes`).
+All code that lists, reads, fits, bounds, names, explains or plots effects uses the specification; no code branches on an effect's
+name. The effects of a machine are in `twin.machine.effects.MACHINE_EFFECTS`; those of an instrument, and mistakes in the calibration,
+are specified where their columns are made (`twin.diagnosis.candidates`).
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ Varies = Literal["never", "with time", "with the frame"]
 State = Mapping[str, np.ndarray]
 EXTENDED: Final = "Compensate with the extended calibration"
 EXTENDING: Final = "compensate with the extended calibration"
-NOT_TWICE: Final = "Not both in the control and in the calibration: it would be corrected twice."
-NOTHING: Final = "Compensate nothing and repair nothing on the machine because of this."
-REST: Final = "Use the rest: it has been taken out of the account."
+NOT_TWICE: Final = "Do not correct this error both in the control and in the calibration: it would be corrected twice."
+NOTHING: Final = "Do not compensate or repair the machine because of this."
+REST: Final = "Use the other results: this error has been removed from the data."
 
 
 @final
 @dataclass(frozen=True)
 class Advice:
-    """What follows from a cause; ``{axis}`` and ``{where}`` stand for its axis and its place.
+    """Advice on a cause; ``{axis}`` and ``{where}`` are replaced by its axis and its place.
 
     Attributes:
-        look: where to look, and who.
-        do: until it is put right.
-        never: what would make it worse.
+        look: where to look, and who should.
+        do: what to do until it is repaired.
+        never: what to avoid because it makes things worse.
     """
 
     look: str
@@ -51,14 +51,14 @@ class Advice:
 @final
 @dataclass(frozen=True)
 class Found:
-    """What a fit found of one cause, for the sentence that says so.
+    """Fitted values of one cause, for the evidence sentence.
 
     Attributes:
         where: its place.
-        size: the linear parameter that is largest against its uncertainty.
-        unit: of that, as people write it.
+        size: the linear parameter with the largest ratio of value to uncertainty.
+        unit: its unit as printed.
         numbers: all parameters by name.
-        effects: the effects that were made of it.
+        effects: the effects built from the fit.
     """
 
     where: str
@@ -69,34 +69,33 @@ class Found:
 
     @property
     def measure(self) -> str:
-        """Size and unit."""
+        """Size with its unit."""
         return f"{self.size:.3g} {self.unit}"
 
 
 @final
 @dataclass(frozen=True)
 class Drawing:
-    """How a cause is drawn.
+    """Description of the plot of a cause.
 
     Attributes:
-        columns: place → columns of the table, or axes, that it is drawn against, as far as they are there; the axes the place names
-            if None.
-        period: numbers of the cause → period that the position is folded into, mm or degrees; 0 for none.
-        split: place → what the readings are drawn apart by: ``approach_X``, or an axis, in three parts; empty for nothing.
-        also: place → columns of the table, or axes, that the cause goes with, if not those it is drawn against.
-        size_of: what stands on the horizontal axis where it is no column: the distance from the instrument, or how far the report of
-            the control is from the command.
-        by_state: whether shifts of the targets are drawn against what it depends on, not against what the cause says of them.
-        spread: whether readings at one position differ by another position or temperature, so that no line joins them.
-        shared: the column in which readings have a name in common with those that the cause changes: ``station`` or ``target``.
-        of_base: whether it shifts the tool side along a direction of the base.
-        beyond: whether it shows as the rotary axes beyond its own turn.
+        columns: place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place.
+        period: parameters of the cause → period over which the position is folded, mm or degrees; 0 for none.
+        split: place → what the readings are grouped by: ``approach_X``, or an axis (three groups); empty for no groups.
+        depends_on: place → columns of the table, or axes, on which the cause depends, if other than those of the horizontal axis.
+        size_of: quantity on the horizontal axis if it is not a column: ``distance`` from the instrument, or ``report``, the difference
+            between the position reported by the control and the command.
+        by_state: whether shifts of the targets are plotted against the quantity they depend on instead of the predicted shift.
+        spread: whether readings at one position differ with another position or temperature, so that no line joins them.
+        shared: column whose value is common to the readings that the cause changes: ``station`` or ``target``.
+        of_base: whether it shifts the tool side along a direction of the base frame.
+        beyond: whether it becomes visible when the other rotary axes turn.
     """
 
     columns: Callable[[str], tuple[str, ...]] | None = None
     period: Callable[[Mapping[str, float]], float] = lambda numbers: 0.0
     split: Callable[[str], str] = lambda where: ""
-    also: Callable[[str], tuple[str, ...]] = lambda where: ()
+    depends_on: Callable[[str], tuple[str, ...]] = lambda where: ()
     size_of: Literal["", "distance", "report"] = ""
     by_state: bool = False
     spread: bool = False
@@ -107,14 +106,14 @@ class Drawing:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Together:
-    """The columns of all trials, worked out together.
+class SharedColumns:
+    """Columns of all trials, computed together.
 
     Attributes:
-        functions: of the state.
-        columns: of each trial, which of the functions its columns are.
-        frame: the frame they act in.
-        parts: the error components of it that they act in, with the share of each.
+        functions: functions of the state.
+        columns: for each trial the indices of the functions that are its columns.
+        frame: frame in which they act.
+        parts: error components of the frame in which they act, each with its factor.
     """
 
     functions: Functions
@@ -126,17 +125,18 @@ class Together:
 @final
 @dataclass(frozen=True, eq=False)
 class Forms:
-    """The forms that an effect can take at one place, where the data show it.
+    """The candidate forms of an effect at one place that the data can show.
 
     Attributes:
         names: (name, unit) of its linear parameters.
-        build: linear parameters and fixed ones → the effects that extend the model.
-        units: fixed parameters → one effect a linear parameter, that parameter being one: what a column is; None where ``together`` is.
+        build: linear and fixed parameters → the effects that extend the model.
+        units: fixed parameters → one effect per linear parameter, with that parameter set to 1, which gives the columns; may be None if
+            ``together`` is set.
         trials: values of the fixed parameters that are tried.
-        tests: how many independent ones that is; the number of trials if None.
-        together: the same columns for all trials, quicker; None where ``units`` are quick enough.
-        space: the functions that the columns of a curve are.
-        drifts: whether a trial is a time constant, and a straight line in time is its limit.
+        tests: number of independent tests this amounts to; the number of trials if None.
+        together: the columns of all trials at once, which is faster; None if ``units`` is fast enough.
+        space: function space of the columns of a curve.
+        is_drift: whether a trial is a time constant, with a straight line in time as its limit.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -144,48 +144,48 @@ class Forms:
     units: Callable[[Mapping[str, float]], tuple[Effect, ...]] | None
     trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
     tests: float | None = None
-    together: Together | None = None
+    together: SharedColumns | None = None
     space: CurveSpace | None = None
-    drifts: bool = False
+    is_drift: bool = False
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """One effect.
+    """Specification of one effect.
 
     Attributes:
-        name: contract §5.
-        kind: whether it sits in the machine, in the file that describes it, or in what measured it.
-        title: place → what it is called where nobody knows the symbols, in lower case.
-        family: what all of its kind are called; the name in words if empty.
-        advice: what follows from it.
-        evidence: what a fit found → what it does, a sentence without a full stop.
+        name: name of the effect (contract §5).
+        kind: whether it belongs to the machine, to its calibration file or to the instrument.
+        title: place → plain description without symbols, in lower case.
+        family: plain name of the kind of effect, in the plural where there is one; the name in words if empty.
+        advice: what to do about it.
+        evidence: fitted values → what the effect does, a sentence without a full stop.
         parameters: their names in a calibration file.
-        wanted: names that were given → the names there have to be; ``parameters`` if None.
-        largest: unit → magnitude of its linear parameters beyond which no machine and no instrument has it.
-        one_way: whether it never is negative.
-        places: machine → where it can act; where a channel is part of the place, without it.
-        open_places: whether there are more, and `make` judges them.
-        expected: machine → those in words; the list of them if None.
-        channels: place → columns of the table that it needs beside the positions.
-        make: machine, place, parameters and payloads → the effect; None for what no calibration file has.
-        forms: machine, place, state, and the payloads of the calibration (None where it says nothing of compliances) → the forms that
-            are tried; those of `make` with its one parameter if None.
-        candidates: machine and state → places that are tried on these data, and (place, what is missing) of the others; `places` by
-            their `channels` if None.
-        bent: non-linear parameters: they are tried at some values and then fitted.
-        kept: effect, its parameters as a step of the fit has them, and the largest value that was tried → the effect with parameters
-            that it can have.
-        varies: whether it can make two readings of one point differ: with time, or from one alignment of the instrument to another.
-        curve: whether it is a function of one axis's position: asked to foretell positions that were left out.
-        more_of: the effect that it is a variant of, with more parameters; what it foretells must be more than that.
+        required: names of the parameters in an entry → the names that it must have; ``parameters`` if None.
+        limits: unit → largest magnitude of its linear parameters that is physically plausible.
+        non_negative: whether its parameter cannot be negative.
+        places: machine → places where it can act; a channel that is part of the place is left out.
+        open_places: whether `places` is incomplete and `make` checks the place.
+        expected: machine → description of the places for an error; the list of them if None.
+        channels: place → columns of the table that it needs besides the positions.
+        make: machine, place, parameters and payloads → the effect; None if it cannot occur in a calibration file.
+        forms: machine, place, state, and the payloads of the calibration (None if it has no compliances) → the candidate forms; if
+            None, the single form of `make` with its one parameter.
+        candidates: machine and state → places that these data can show, and (place, what is missing) of the others; if None, `places`
+            whose `channels` exist.
+        nonlinear: names of the non-linear parameters, which are tried at a set of values and then fitted.
+        constrain: effect, its parameters after a step of the fit, and the largest value tried → the effect with parameters within
+            their limits.
+        varies: whether two readings of one point can differ: with time, or from one alignment of the instrument to another.
+        curve: whether it is a function of one axis's position, to be validated on held-out positions.
+        variant_of: the simpler effect of which it is a variant with more parameters; it must predict better than that effect.
         constant: whether it is a constant of the machine.
-        seldom: whether one look tells that it is there: a mistake, no effect of the contract's table.
-        whole: whether it is there altogether or not at all: its parameter is one.
-        pliable: whether its many numbers take up a little of anything.
-        plain_forms: how many of its forms count as plain; 0: those of others say as much; None: the widest.
-        drawn: how it is drawn.
+        rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
+        all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
+        flexible: whether its many parameters can absorb a part of any other effect.
+        plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
+        drawing: how it is plotted.
     """
 
     name: str
@@ -195,9 +195,9 @@ class Specification:
     evidence: Callable[[Found], str]
     family: str = ""
     parameters: tuple[str, ...] = ()
-    wanted: Callable[[Sequence[str]], tuple[str, ...]] | None = None
-    largest: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    one_way: bool = False
+    required: Callable[[Sequence[str]], tuple[str, ...]] | None = None
+    limits: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    non_negative: bool = False
     places: Callable[[Machine], tuple[str, ...]] = lambda machine: ()
     open_places: bool = False
     expected: Callable[[Machine], str] | None = None
@@ -205,57 +205,59 @@ class Specification:
     make: Callable[[Machine, str, Mapping[str, float], Sequence[Payload]], Effect] | None = None
     forms: Callable[[Machine, str, State, Sequence[Payload] | None], Forms] | None = None
     candidates: Callable[[Machine, State], tuple[list[str], list[tuple[str, str]]]] | None = None
-    bent: tuple[str, ...] = ()
-    kept: Callable[[Any, Sequence[float], float], Effect] | None = None
+    nonlinear: tuple[str, ...] = ()
+    constrain: Callable[[Any, Sequence[float], float], Effect] | None = None
     varies: Varies = "never"
     curve: bool = False
-    more_of: str = ""
+    variant_of: str = ""
     constant: bool = False
-    seldom: bool = False
-    whole: bool = False
-    pliable: bool = False
+    rare: bool = False
+    all_or_nothing: bool = False
+    flexible: bool = False
     plain_forms: int | None = None
-    drawn: Drawing = field(default_factory=Drawing)
+    drawing: Drawing = field(default_factory=Drawing)
 
     @property
     def plural(self) -> str:
-        """What all of its kind are called."""
+        """Plain name of the kind of effect."""
         return self.family or self.name.replace("_", " ")
 
     def bound(self, units: Sequence[str]) -> float:
-        """Magnitude its linear parameters can have; infinite where nothing is known.
+        """Return the largest plausible magnitude of the linear parameters; infinite if unknown.
 
         Args:
-            units: of them; those that can be bounded have one unit.
+            units: units of the parameters; only effects with one unit have a limit.
         """
-        return min((self.largest.get(unit, inf) for unit in units[:1]), default=inf)
+        return min((self.limits.get(unit, inf) for unit in units[:1]), default=inf)
 
     def numbers_of(self, where: str, numbers: Mapping[str, float]) -> dict[str, float]:
-        """Parameters of an entry in a file, in order.
+        """Return the parameters of an entry in a file, in order.
 
         Raises:
-            InputError: one that is missing, or that it does not have.
+            InputError: a parameter is missing or unknown.
         """
-        wanted = self.parameters if self.wanted is None else self.wanted(tuple(numbers))
-        if set(numbers) != set(wanted):
+        required = self.parameters if self.required is None else self.required(tuple(numbers))
+        if set(numbers) != set(required):
             raise InputError(
                 f"parameters of {self.name} {where}",
-                expected=", ".join(wanted),
-                value=", ".join(numbers) or "nothing",
-                nearest=next((near for one in numbers if one not in wanted and (near := nearest(one, wanted))), None),
+                expected=", ".join(required),
+                value=", ".join(numbers) or "none",
+                nearest=next(
+                    (near for name in numbers if name not in required and (near := nearest(name, required))), None
+                ),
             )
-        return {name: float(numbers[name]) for name in wanted}
+        return {name: float(numbers[name]) for name in required}
 
     def no_place(self, machine: Machine, where: str) -> InputError:
-        """The error that says where it can act."""
+        """Return the error for an unknown place, which lists the possible ones."""
         places = self.places(machine)
         expected = f"one of {', '.join(places)}" if self.expected is None else self.expected(machine)
         return InputError(
             f"no such place for {self.name}", expected=expected, value=where, nearest=nearest(where, places)
         )
 
-    def tried_at(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-        """Places at which these data can show it, and (place, column that is missing) of the others."""
+    def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+        """Return the places where these data can show it, and (place, missing column) of the others."""
         if self.candidates is not None:
             return self.candidates(machine, state)
         found, missing = [], []

@@ -1,4 +1,4 @@
-"""A spindle that grows as it turns: the tool side moves with the speed, and follows it slowly."""
+"""Spindle growth: the tool side moves with the spindle speed, with a first-order lag."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy as np
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.machine.effects.thermal_drift import REACH, constants
+from twin.machine.effects.thermal_drift import STEP_FACTORS, constants
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
 from twin.machine.machine import Machine
 
 SPEED: Final = "spindle_rpm"
 TIME: Final = "time_s"
 EXPONENTS: Final = (1.0, 1.5, 2.0)
-"""That are tried: friction of a greased bearing grows with the speed, that of a churning one with its square."""
+"""Exponents tried: the friction of a greased bearing grows with the speed, churning losses with its square."""
 LEAST_EXPONENT: Final = 0.5
 LARGEST_EXPONENT: Final = 3.0
-SPARSE: Final = 3
-"""Of the time constants of a drift, every so many are tried."""
+TIME_CONSTANT_STRIDE: Final = 3
+"""Every n-th of the time constants of a drift is tried."""
 
 
 class _Lag(NamedTuple):
-    """How far the growth has come, and its derivatives by the exponent and the time constant."""
+    """Lagged growth and its derivatives by exponent and time constant."""
 
     value: Any
     by_exponent: Any
@@ -35,15 +35,15 @@ class _Lag(NamedTuple):
 
 @final
 class SpindleGrowth(ToolSideShift):
-    """The tool side moves along a direction of the base: A times the first-order lag of (n/n_max)^p with time constant τ.
+    """The tool side moves along a direction of the base frame: A times the first-order lag of (n/n_max)^p with time constant τ.
 
-    A lag L of what drives it, s: dL/dt = (s − L)/τ (Bryan 1990, CIRP Annals 39, 645, of thermal effects that follow their cause). Of
-    readings, the speed of each holds since the one before it in time, the first since time zero; of a program, the speed that is given
-    holds since time zero.
+    The lag L of its input s obeys dL/dt = (s − L)/τ (Bryan 1990, CIRP Annals 39, 645, on thermal effects that lag behind their cause).
+    In a measured table, the speed of a reading applies from the previous reading in time on, that of the first from time zero on. In a
+    program, the given speed applies from time zero on.
 
     Args:
-        side: which way.
-        amplitude: A, µm, once the speed n_max has been held long enough.
+        side: tool side and direction.
+        amplitude: A, µm, the growth in steady state at n_max.
         exponent: p.
         time_constant: τ, s.
         highest_rpm: n_max.
@@ -61,7 +61,7 @@ class SpindleGrowth(ToolSideShift):
         self.highest_rpm = highest_rpm
 
     def changed(self, amplitude: float, exponent: float, time_constant: float) -> SpindleGrowth:
-        """The same with other numbers."""
+        """Return the same effect with other parameters."""
         return SpindleGrowth(self._side, amplitude, exponent, time_constant, self.highest_rpm)
 
     @property
@@ -75,7 +75,7 @@ class SpindleGrowth(ToolSideShift):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The speed that the amplitude is of as well."""
+        """Parameters and the speed to which the amplitude refers."""
         return {**super().numbers, "highest_rpm": self.highest_rpm}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
@@ -104,16 +104,16 @@ class SpindleGrowth(ToolSideShift):
 
 
 def _step(last: _Lag, driven: Any, by_exponent: Any, passed: Any, constant: float) -> _Lag:
-    """The lag after some seconds of one speed."""
-    left = np.exp(-passed / constant)
+    """Return the lag after ``passed`` seconds at constant speed."""
+    decay = np.exp(-passed / constant)
     return _Lag(
-        driven + (last.value - driven) * left,
-        by_exponent + (last.by_exponent - by_exponent) * left,
-        last.by_constant * left + (last.value - driven) * left * passed / constant**2,
+        driven + (last.value - driven) * decay,
+        by_exponent + (last.by_exponent - by_exponent) * decay,
+        last.by_constant * decay + (last.value - driven) * decay * passed / constant**2,
     )
 
 
-def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> SpindleGrowth:
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> SpindleGrowth:
     side = tool_side(machine, where)
     if side is None:
         raise SPINDLE_GROWTH.no_place(machine, where)
@@ -132,51 +132,52 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     highest = float(state[SPEED].max())
 
-    def of(value: float, fixed: Mapping[str, float]) -> tuple[SpindleGrowth, ...]:
+    def effects(value: float, fixed: Mapping[str, float]) -> tuple[SpindleGrowth, ...]:
         numbers = {"amplitude": value, **fixed, "highest_rpm": highest}
-        return (_made(machine, where, numbers, ()),)
+        return (_make(machine, where, numbers, ()),)
 
-    tried = product(EXPONENTS, constants(state[TIME])[::SPARSE])
+    tried = product(EXPONENTS, constants(state[TIME])[::TIME_CONSTANT_STRIDE])
     trials = tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried)
     return Forms(
         (("amplitude", "um"),),
-        lambda values, fixed: of(float(values[0]), fixed),
-        lambda fixed: of(1.0, fixed),
+        lambda values, fixed: effects(float(values[0]), fixed),
+        lambda fixed: effects(1.0, fixed),
         trials,
         tests=3.0,
     )
 
 
-def _kept(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
+def _constrain(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
     exponent = min(max(values[1], LEAST_EXPONENT), LARGEST_EXPONENT)
-    least, most = (share * effect.time_constant for share in REACH)
+    least, most = (share * effect.time_constant for share in STEP_FACTORS)
     return effect.changed(values[0], exponent, min(max(values[2], least), most, longest))
 
 
 SPINDLE_GROWTH: Final = Specification(
     name="spindle_growth",
     kind="machine",
-    title=lambda where: f"growth along {where.lower()} with the speed of the spindle",
-    family="growth with the speed of the spindle",
+    title=lambda where: f"growth along {where.lower()} with spindle speed",
+    family="growth with spindle speed",
     advice=Advice(
-        "Shop: at which speeds it was measured, and for how long. Service: preload, grease and cooling of the spindle bearings.",
-        f"Run the spindle at the speed of the cut until it has settled, or {EXTENDING} and say speed and time.",
-        "Do not touch off the tool at another speed than it cuts with.",
+        "Shop floor: spindle speeds during the measurement, and how long each was held. "
+        "Service: preload, grease and cooling of the spindle bearings.",
+        f"Run the spindle at cutting speed until it has settled, or {EXTENDING} and give speed and time.",
+        "Do not touch off the tool at a speed other than cutting speed.",
     ),
-    evidence=lambda of: (
-        f"the tool side moves along {of.where} by {of.measure} at the highest speed, and follows the speed with a time constant of "
-        f"{of.numbers['time_constant']:.3g} s"
+    evidence=lambda fit: (
+        f"the tool side moves along {fit.where} by {fit.measure} at the highest speed and follows the speed with a time constant of "
+        f"{fit.numbers['time_constant']:.3g} s"
     ),
     parameters=("amplitude", "exponent", "time_constant", "highest_rpm"),
-    largest={"um": 500.0},
+    limits={"um": 500.0},
     places=directions,
-    expected=lambda machine: "X, Y or Z of the base",
+    expected=lambda machine: "X, Y or Z of the base frame",
     channels=lambda where: (SPEED, TIME),
-    make=_made,
+    make=_make,
     forms=_forms,
     candidates=_candidates,
-    bent=("exponent", "time_constant"),
-    kept=_kept,
+    nonlinear=("exponent", "time_constant"),
+    constrain=_constrain,
     varies="with time",
-    drawn=Drawing(columns=lambda where: (SPEED, TIME), of_base=True),
+    drawing=Drawing(columns=lambda where: (SPEED, TIME), of_base=True),
 )

@@ -1,4 +1,4 @@
-"""Squareness: an axis's mean direction turned out of square with the datum (ISO 230-1, 3.6; contract §1)."""
+"""Squareness error: deviation of an axis's mean direction from square to the datum (ISO 230-1, 3.6; contract §1)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Squareness(Effect):
     """``E_C0Y``, ``E_A0Z``, ``E_B0Z``: the axis's direction n turns right-handed by the angle, e = q · (ω × n).
 
     With n = y: E_XY −= y·E_C0Y; with n = z: E_XZ += z·E_B0Z and E_YZ −= z·E_A0Z. The angle turns about x, y or z of the machine frame,
-    also where the axis's error frame leans against it.
+    even if the axis's error frame is inclined to it.
 
     Args:
         name: ISO 230-1 name.
         angle_urad: the angle.
-        axis: the axis that turns.
+        axis: the axis whose direction turns.
     """
 
     def __init__(self, name: str, angle_urad: float, axis: Axis) -> None:
@@ -61,12 +61,12 @@ SQUARENESS: Final = Specification(
     kind="machine",
     title=_title,
     advice=Advice(
-        "Service: levelling of the machine, fixing of column and guideways; ask for a collision or a move.",
+        "Service: levelling of the machine, fixing of column and guideways; ask whether the machine was moved or had a collision.",
         f"{EXTENDED}. After levelling, measure again.",
-        "Do not level the machine and go on with the numbers of before.",
+        "Do not keep the present values after levelling the machine.",
     ),
-    evidence=lambda of: f"{of.where}: the axes are out of square by {of.measure} more than the model says",
-    largest={"urad": 10_000.0},
+    evidence=lambda fit: f"{fit.where}: the squareness error differs from the model by {fit.measure}",
+    limits={"urad": 10_000.0},
     places=lambda machine: machine.squareness_names,
     forms=lambda machine, where, state, payloads: single(
         ("angle", "urad"), lambda value: Squareness(where, value, machine.by_name[split_name(where)[2]])

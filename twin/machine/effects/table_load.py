@@ -1,4 +1,4 @@
-"""A tilted cradle that droops as it turns."""
+"""Sag of a table's cradle as it swivels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.effects import places
-from twin.machine.effects.base import Effect, Frame, Parameter, Vector, at_rest, base_vector, motion_joint
+from twin.machine.effects.base import Effect, Frame, Parameter, Vector, base_vector, motion_joint, rest_orientation
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Specification, State
 from twin.machine.machine import Machine
@@ -18,12 +18,12 @@ from twin.numerics.elementary import sin
 
 @final
 class TableLoad(Effect):
-    """A tilted cradle droops about the base's x as it turns: a rotation of tilt·sin of its angle (contract §5).
+    """Sag of a cradle about the x direction of the base frame: a rotation of tilt·sin of its angle (contract §5).
 
     Args:
         axis: name of the rotary axis.
-        vector: the base's x in its error frame.
-        tilt: µrad.
+        vector: x direction of the base frame in its error frame.
+        tilt: µrad at 90°.
     """
 
     def __init__(self, axis: str, vector: Vector, tilt: float) -> None:
@@ -43,16 +43,16 @@ class TableLoad(Effect):
         return ({3 + i: part * wave for i, part in enumerate(self._vector) if part != 0.0},)
 
 
-def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> TableLoad:
-    return TableLoad(where, base_vector(at_rest(machine, motion_joint(machine, where)), "X"), numbers["tilt"])
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> TableLoad:
+    return TableLoad(where, base_vector(rest_orientation(machine, motion_joint(machine, where)), "X"), numbers["tilt"])
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    """Of the axes that carry the work those that do not stand upright: such a one turns nothing against gravity."""
+    """Return the rotary axes on the work side, except vertical ones: they move no weight against gravity."""
     found = []
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
-            upright = at_rest(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
+            upright = rest_orientation(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
             if abs(float(upright[2])) < 1.0 - 1e-9:
                 found.append(axis.name)
     return found, []
@@ -61,17 +61,17 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 TABLE_LOAD: Final = Specification(
     name="table_load",
     kind="machine",
-    title=lambda where: f"table on {where} droops as {where} turns",
-    family="droop of the table",
+    title=lambda where: f"table on {where} sags as {where} turns",
+    family="sag of the table",
     advice=Advice(
-        "Set-up: what lay on the table when the calibration was made, and what lies there now. Service: bearings of {axis}.",
-        f"{EXTENDED}, for this load.",
-        "Do not use it for another load.",
+        "Set-up: load on the table during the calibration, and load on it now. Service: bearings of {axis}.",
+        f"{EXTENDED}, with this load only.",
+        "Do not use that calibration with another load.",
     ),
-    evidence=lambda of: f"the cradle on {of.where} droops by {of.measure} when turned",
+    evidence=lambda fit: f"the cradle on {fit.where} sags by {fit.measure} when turned by 90°",
     parameters=("tilt",),
-    largest={"urad": 2000.0},
+    limits={"urad": 2000.0},
     places=places.rotary,
-    make=_made,
+    make=_make,
     candidates=_candidates,
 )

@@ -1,4 +1,4 @@
-"""A warm-up that creeps: the tool side moves with time."""
+"""Warm-up drift: the tool side moves with time."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, 
 from twin.machine.machine import Machine
 from twin.numerics.elementary import exp
 
-STEADY: Final = ("rate",)
-"""Parameters of a drift in a straight line, µm/h: its time constant is longer than the record it was found in."""
+STEADY_PARAMETERS: Final = ("rate",)
+"""Parameter of a linear drift, µm/h: its time constant is longer than the record in which it was found."""
 TIME_CONSTANTS: Final = 36
-"""Time constants that are tried."""
+"""Number of time constants tried."""
 SHORTEST: Final = 1.0 / 40.0
-"""Smallest of them, as a share of the record."""
-REACH: Final = (0.3, 3.0)
-"""Shares of a time constant within which one step of a fit may change it."""
+"""Shortest time constant tried, as a fraction of the record."""
+STEP_FACTORS: Final = (0.3, 3.0)
+"""Smallest and largest factor by which one step of a fit may change a time constant."""
 
 
 @final
 class ThermalDrift(ToolSideShift):
-    """The tool side creeps along a direction of the base as the machine warms up: A·(1 − exp(−t/τ)).
+    """The tool side drifts along a direction of the base frame as the machine warms up: A·(1 − exp(−t/τ)).
 
     Args:
-        side: which way.
+        side: tool side and direction.
         amplitude: A, µm.
         time_constant: τ, s.
     """
@@ -40,7 +40,7 @@ class ThermalDrift(ToolSideShift):
         self.time_constant = time_constant
 
     def changed(self, amplitude: float, time_constant: float) -> ThermalDrift:
-        """The same with other numbers."""
+        """Return the same effect with other parameters."""
         return ThermalDrift(self._side, amplitude, time_constant)
 
     @property
@@ -54,17 +54,17 @@ class ThermalDrift(ToolSideShift):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
         time = channel(positions, "time_s", self.name)
-        left = exp(-time / self.time_constant)
-        by_constant = -self.amplitude * left * time / self.time_constant**2
-        return self._shifted(1.0 - left), self._shifted(by_constant)
+        decay = exp(-time / self.time_constant)
+        by_constant = -self.amplitude * decay * time / self.time_constant**2
+        return self._shifted(1.0 - decay), self._shifted(by_constant)
 
 
 @final
 class SteadyDrift(ToolSideShift):
-    """The tool side creeps along a direction of the base in a straight line: r·t, the limit A/τ of `ThermalDrift` for t ≪ τ.
+    """The tool side drifts along a direction of the base frame at a constant rate: r·t, the limit of `ThermalDrift` for t ≪ τ, r = A/τ.
 
     Args:
-        side: which way.
+        side: tool side and direction.
         rate: r, µm/h.
     """
 
@@ -84,18 +84,18 @@ class SteadyDrift(ToolSideShift):
 
 
 def constants(time_s: np.ndarray) -> tuple[float, ...]:
-    """Time constants that are tried: none longer than the record."""
+    """Return the time constants tried, s; none is longer than the record."""
     span = max(float(np.ptp(time_s)), 1.0)
     return tuple(np.geomspace(SHORTEST * span, span, TIME_CONSTANTS).tolist())
 
 
-def course(of: Found) -> str:
-    """How a drift runs in time."""
-    if "time_constant" in of.numbers:
-        return f", and slows down (time constant {of.numbers['time_constant']:.3g} s)"
-    if "rate" in of.numbers:
-        return f", at {of.numbers['rate']:.3g} µm/h throughout: its time constant is longer than the record"
-    return ", at the same rate throughout"
+def course(fit: Found) -> str:
+    """Describe the course of a drift in time, as the end of a sentence."""
+    if "time_constant" in fit.numbers:
+        return f", slowing down (time constant {fit.numbers['time_constant']:.3g} s)"
+    if "rate" in fit.numbers:
+        return f", at {fit.numbers['rate']:.3g} µm/h throughout (its time constant is longer than the record)"
+    return ", at a constant rate"
 
 
 def _side(machine: Machine, where: str) -> ToolSide:
@@ -105,33 +105,33 @@ def _side(machine: Machine, where: str) -> ToolSide:
     return side
 
 
-def _made(
+def _make(
     machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]
 ) -> ThermalDrift | SteadyDrift:
     side, values = _side(machine, where), numbers.values()
-    return SteadyDrift(side, *values) if set(numbers) == set(STEADY) else ThermalDrift(side, *values)
+    return SteadyDrift(side, *values) if set(numbers) == set(STEADY_PARAMETERS) else ThermalDrift(side, *values)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     side = _side(machine, where)
 
-    def of(value: float, fixed: Mapping[str, float]) -> tuple[ThermalDrift | SteadyDrift, ...]:
+    def effects(value: float, fixed: Mapping[str, float]) -> tuple[ThermalDrift | SteadyDrift, ...]:
         if "time_constant" in fixed:
             return (ThermalDrift(side, value, fixed["time_constant"]),)
         return (SteadyDrift(side, value),)
 
     return Forms(
         (("amplitude", "um"),),
-        lambda values, fixed: of(float(values[0]), fixed),
-        lambda fixed: of(1.0, fixed),
+        lambda values, fixed: effects(float(values[0]), fixed),
+        lambda fixed: effects(1.0, fixed),
         ({}, *({"time_constant": constant} for constant in constants(state["time_s"]))),
         tests=3.0,
-        drifts=True,
+        is_drift=True,
     )
 
 
-def _kept(effect: ThermalDrift, values: Sequence[float], longest: float) -> ThermalDrift:
-    least, most = (share * effect.time_constant for share in REACH)
+def _constrain(effect: ThermalDrift, values: Sequence[float], longest: float) -> ThermalDrift:
+    least, most = (share * effect.time_constant for share in STEP_FACTORS)
     return effect.changed(values[0], min(max(values[1], least), most, longest))
 
 
@@ -141,20 +141,22 @@ THERMAL_DRIFT: Final = Specification(
     title=lambda where: f"warm-up drift along {where.lower()}",
     family="warm-up drift",
     advice=Advice(
-        "Shop: how long the machine ran before work and before it was measured. Service: spindle cooling.",
-        f"Warm the machine up before precise work, or {EXTENDING} and say the time (--time).",
-        "Do not set zero in the first hours: it will be wrong when the machine is warm.",
+        "Shop floor: how long the machine had run before work and before the measurement. Service: spindle cooling.",
+        f"Warm the machine up before precise work, or {EXTENDING} and give the time since start-up.",
+        "Do not set zero points in the first hours: they would be wrong once the machine is warm.",
     ),
-    evidence=lambda of: f"the tool side creeps along {of.where} as the machine warms up{course(of)}",
+    evidence=lambda fit: f"the tool side drifts along {fit.where} as the machine warms up{course(fit)}",
     parameters=("amplitude", "time_constant"),
-    wanted=lambda names: STEADY if set(names) == set(STEADY) else ("amplitude", "time_constant"),
+    required=lambda names: (
+        STEADY_PARAMETERS if set(names) == set(STEADY_PARAMETERS) else ("amplitude", "time_constant")
+    ),
     places=directions,
-    expected=lambda machine: "X, Y or Z of the base",
+    expected=lambda machine: "X, Y or Z of the base frame",
     channels=lambda where: ("time_s",),
-    make=_made,
+    make=_make,
     forms=_forms,
-    bent=("time_constant",),
-    kept=_kept,
+    nonlinear=("time_constant",),
+    constrain=_constrain,
     varies="with time",
-    drawn=Drawing(columns=lambda where: ("time_s",), of_base=True),
+    drawing=Drawing(columns=lambda where: ("time_s",), of_base=True),
 )

@@ -1,4 +1,4 @@
-"""The scale of a linear axis lengthens with its temperature."""
+"""Thermal expansion of the scale of a linear axis."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from twin.machine.effects.specification import EXTENDED, NOT_TWICE, Advice, Draw
 from twin.machine.machine import Axis
 
 REFERENCE_DEGC: Final = 20.0
-"""ISO 1."""
+"""Reference temperature (ISO 1)."""
 
 
 @final
 class ThermalExpansion(AlongAxis):
-    """The scale of a linear axis lengthens: E_aa += c·(T_a − 20 °C)·q.
+    """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q.
 
     Args:
         axis: the axis.
@@ -41,19 +41,19 @@ class ThermalExpansion(AlongAxis):
 THERMAL_EXPANSION: Final = Specification(
     name="thermal_expansion",
     kind="machine",
-    title=lambda where: f"scale of {where} lengthens with its temperature",
-    family="scales lengthening with temperature",
+    title=lambda where: f"thermal expansion of the scale of {where}",
+    family="thermal expansion of scales",
     advice=Advice(
-        "Service: where {axis}'s scale is held, and what the control's own temperature compensation does.",
-        f"{EXTENDED} and say the temperature (--temperature {{axis}}=…).",
-        "Do not set zero or scale anew for one temperature: they are wrong at the next. " + NOT_TWICE,
+        "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation does.",
+        f"{EXTENDED} and give the temperature of {{axis}}.",
+        "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
     ),
-    evidence=lambda of: f"{of.where}'s scale lengthens by {of.measure} as it warms",
+    evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} when it warms",
     parameters=("coefficient",),
-    largest={"um/(m.K)": 100.0},
+    limits={"um/(m.K)": 100.0},
     places=places.linear,
     channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ThermalExpansion(machine.by_name[where], numbers["coefficient"]),
     varies="with time",
-    drawn=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
+    drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
 )

@@ -1,4 +1,4 @@
-"""A structure that grows: the tool side moves with the temperature of a sensor."""
+"""Thermal growth of the structure: the tool side moves with the temperature of a sensor."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from twin.machine.machine import Machine
 
 @final
 class ThermalGrowth(ToolSideShift):
-    """The tool side moves along a direction of the base with a sensor: c·(T − 20 °C).
+    """The tool side moves along a direction of the base frame with the temperature of a sensor: c·(T − 20 °C).
 
     Args:
-        side: which way.
-        sensor: of column ``T_<sensor>_degC``.
+        side: tool side and direction.
+        sensor: name of the sensor, from column ``T_<sensor>_degC``.
         coefficient: c, µm/K.
     """
 
@@ -40,7 +40,7 @@ class ThermalGrowth(ToolSideShift):
         return (self._shifted(warm),)
 
 
-def _made(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
     direction, _, sensor = where.partition(" by ")
     side = tool_side(machine, direction)
     if side is None or not sensor:
@@ -56,7 +56,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    return single(("coefficient", "um/K"), lambda value: _made(machine, where, {"coefficient": value}, ()))
+    return single(("coefficient", "um/K"), lambda value: _make(machine, where, {"coefficient": value}, ()))
 
 
 THERMAL_GROWTH: Final = Specification(
@@ -65,20 +65,20 @@ THERMAL_GROWTH: Final = Specification(
     title=lambda where: f"growth along {where[:1].lower()} with the temperature of {where.partition(' by ')[2]}",
     family="growth with temperature",
     advice=Advice(
-        "Shop and service: what warms at that sensor: coolant, drives, sun, draught.",
-        f"Keep the temperature steady, or {EXTENDING} and say the temperature (--temperature).",
-        "Do not shift a zero against it: the next temperature asks for another.",
+        "Shop floor and service: heat sources near that sensor: coolant, drives, sunlight, draughts.",
+        f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor.",
+        "Do not correct it with a zero offset: it would be wrong at the next temperature.",
     ),
-    evidence=lambda of: f"the tool side moves along {of.where} as that sensor warms",
+    evidence=lambda fit: f"{fit.where}: the tool side moves with the temperature of that sensor",
     parameters=("coefficient",),
-    largest={"um/K": 500.0},
+    limits={"um/K": 500.0},
     places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
     open_places=True,
     channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC",),
-    expected=lambda machine: "X, Y or Z of the base by <sensor>",
-    make=_made,
+    expected=lambda machine: "X, Y or Z of the base frame and a sensor, such as Z by bed",
+    make=_make,
     forms=_forms,
     candidates=_candidates,
     varies="with time",
-    drawn=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
+    drawing=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
 )

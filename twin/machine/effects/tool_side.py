@@ -1,4 +1,4 @@
-"""Shifts of the whole tool side along a direction of the base."""
+"""Shifts of the whole tool side along a direction of the base frame."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.machine.effects.base import Effect, Frame, Vector, at_rest, base_vector
+from twin.machine.effects.base import Effect, Frame, Vector, base_vector, rest_orientation
 from twin.machine.machine import Machine
 
 
 class ToolSide(NamedTuple):
-    """The tool side along one direction of the base.
+    """The tool side and one direction of the base frame.
 
     Attributes:
-        frame: the frame nearest the base on the tool side.
-        direction: ``X``, ``Y`` or ``Z`` of the base.
+        frame: the error frame on the tool side that is nearest the base.
+        direction: ``X``, ``Y`` or ``Z`` of the base frame.
         vector: that direction in the frame.
     """
 
@@ -25,11 +25,11 @@ class ToolSide(NamedTuple):
 
 
 class ToolSideShift(Effect):
-    """The tool side moves along a direction of the base, in proportion to the first parameter.
+    """Shift of the tool side along a direction of the base frame, proportional to the first parameter.
 
     Args:
-        name: of the effect.
-        side: which way.
+        name: name of the effect.
+        side: tool side and direction.
     """
 
     def __init__(self, name: str, side: ToolSide) -> None:
@@ -38,17 +38,17 @@ class ToolSideShift(Effect):
         self._side = side
 
     def _shifted(self, shape: Any) -> dict[int, Any]:
-        """A shift of ``shape`` along the direction, by component."""
+        """Return a shift of ``shape`` along the direction, by component."""
         return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
 
 
 def directions(machine: Machine) -> tuple[str, ...]:
-    """Directions of the base; none where nothing moves on the tool side."""
+    """Return the directions of the base frame; empty if no axis is on the tool side."""
     return ("X", "Y", "Z") if _first(machine) is not None else ()
 
 
 def tool_side(machine: Machine, direction: str) -> ToolSide | None:
-    """The tool side along a direction of the base; None where nothing moves on it, or there is no such direction."""
+    """Return the tool side with a direction of the base frame; None if no axis is on it or the direction is unknown."""
     first = _first(machine)
     if first is None or direction not in tuple("XYZ"):
         return None
@@ -56,10 +56,10 @@ def tool_side(machine: Machine, direction: str) -> ToolSide | None:
 
 
 def _first(machine: Machine) -> tuple[Frame, np.ndarray] | None:
-    """The error frame nearest the base on the tool side, and the base's directions in it (rows), at rest; None if there is none."""
+    """Return the tool side's error frame nearest the base and the base's directions in it (rows) with all axes at zero, or None."""
     supports = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
     sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool"]
     if not sides:
         return None
     first = min(sides, key=lambda frame: supports.index(frame.joint))
-    return Frame(first.axis, first.role), at_rest(machine, first.joint)
+    return Frame(first.axis, first.role), rest_orientation(machine, first.joint)

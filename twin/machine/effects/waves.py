@@ -1,8 +1,8 @@
-"""Smooth functions of the columns of a table: what patterns without a name, and the effect made of one, are sums of.
+"""Smooth functions of the columns of a table, of which empirical effects and patterns of unknown cause are sums.
 
 - ``half_waves`` of a column x over a range: cos(k π (x − low)/(high − low)), k = 1 … order.
 - ``whole_turns`` of a rotary axis at the angle θ: cos(k θ) and sin(k θ), k = 1 … order.
-- ``direction``: the direction an axis was approached from, +1 or −1.
+- ``direction``: the direction of approach of an axis, +1 or −1.
 
 Two columns have the functions of each and all their products. With a direction, each function contains the direction.
 """
@@ -18,7 +18,7 @@ from twin.numerics.elementary import cos, floor, sin
 
 APPROACH: Final = "approach_"
 ROUNDING: Final = 1e-6
-"""Share of a range by which a value may leave it."""
+"""Tolerance for leaving a range, as a fraction of it."""
 TURN_DEG: Final = 360.0
 Kind = Literal["half_waves", "whole_turns", "direction"]
 
@@ -30,10 +30,10 @@ class Waves:
 
     Attributes:
         column: its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``).
-        kind: see the module.
+        kind: kind of functions (see the module).
         order: highest k; one for a direction.
         range: lowest and highest value measured, mm, degrees or °C; None where the functions need none.
-        wrapped: whether the axis turns without end, so that whole turns are taken off its position first.
+        wrapped: whether the axis has unlimited rotation, so that whole turns are first subtracted from its position.
     """
 
     column: str
@@ -44,24 +44,24 @@ class Waves:
 
     @property
     def half_waves(self) -> tuple[int, ...]:
-        """How many half waves each function has; one for a direction."""
+        """Number of half waves of each function; one for a direction."""
         orders = range(1, self.order + 1)
         return tuple(2 * k for k in orders for _ in range(2)) if self.kind == "whole_turns" else tuple(orders)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """How each function is called in a calibration file."""
+        """Name of each function in a calibration file."""
         if self.kind == "whole_turns":
             return tuple(f"{part}{k}" for k in range(1, self.order + 1) for part in "cs")
         return tuple(str(k) for k in range(1, self.order + 1))
 
     def up_to(self, half_waves: int) -> Waves:
-        """The same without the functions of more half waves than this."""
+        """Return the same column with only the functions of at most ``half_waves`` half waves."""
         most = half_waves // 2 if self.kind == "whole_turns" else half_waves
         return replace(self, order=min(self.order, most))
 
     def values(self, x: Any) -> list[Any]:
-        """Its functions at values of the column: arrays or CasADi expressions."""
+        """Return the functions at values ``x`` of the column: arrays or CasADi expressions."""
         if self.kind == "direction":
             return [x]
         orders = range(1, self.order + 1)
@@ -71,7 +71,7 @@ class Waves:
         return [cos(k * pi * share) for k in orders]
 
     def share(self, x: Any) -> Any:
-        """Where values are in the range: 0 to 1 inside; only for half waves."""
+        """Return the position of values in the range, 0 to 1 inside; only for half waves."""
         if self.range is None:
             raise ValueError(f"{self.column} has no range")
         low, high = self.range
@@ -81,7 +81,7 @@ class Waves:
         return (x - low) / (high - low)
 
     def outside(self, x: Any) -> Any:
-        """Whether values leave the range by more than rounding; False where there is none."""
+        """Return whether values leave the range by more than rounding; False if there is no range."""
         if self.range is None:
             return x != x
         share = self.share(x)
@@ -89,7 +89,7 @@ class Waves:
 
 
 def terms(columns: Sequence[Waves]) -> list[tuple[int, ...]]:
-    """Every function of one column or two: the number of the function of each column, from 1, 0 where it is constant in it."""
+    """Return every function of one or two columns, as the number of each column's function from 1; 0 for the constant."""
     first = range(1, len(columns[0].half_waves) + 1)
     if len(columns) == 1:
         return [(i,) for i in first]
@@ -100,5 +100,5 @@ def terms(columns: Sequence[Waves]) -> list[tuple[int, ...]]:
 
 
 def label(columns: Sequence[Waves], term: Sequence[int]) -> str:
-    """How a function of some columns is called in a calibration file: ``3``, ``3,1``, ``c2,0``."""
+    """Return the name of a function in a calibration file: ``3``, ``3,1``, ``c2,0``."""
     return ",".join("0" if i == 0 else own.labels[i - 1] for own, i in zip(columns, term, strict=True))

@@ -1,4 +1,4 @@
-"""An axis's own zero is off by a constant."""
+"""Zero offset: a constant error of an axis along its own motion."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from twin.machine.machine import Axis
 
 @final
 class ZeroOffset(AlongAxis):
-    """The axis's own zero is off by a constant: E_aa += offset.
+    """Zero offset of an axis: E_aa += offset.
 
     Args:
         axis: the axis.
-        offset: actual less commanded, µm or µrad, along the command.
+        offset: actual minus commanded position, µm or µrad, along the command.
     """
 
     def __init__(self, axis: Axis, offset: float) -> None:
@@ -37,16 +37,16 @@ class ZeroOffset(AlongAxis):
 ZERO_OFFSET: Final = Specification(
     name="zero_offset",
     kind="machine",
-    title=lambda where: f"zero of {where} off",
-    family="zeros of axes",
+    title=lambda where: f"zero offset of {where}",
+    family="zero offsets",
     advice=Advice(
-        "Set-up: reference mark and homing of {axis}; ask for a collision.",
+        "Set-up: reference mark and homing of {axis}; ask whether there was a collision.",
         f"Set the zero of {{axis}} in the control, or {EXTENDING}.",
         NOT_TWICE,
     ),
-    evidence=lambda of: f"{of.where}'s zero is off by {of.measure}",
+    evidence=lambda fit: f"the zero of {fit.where} is off by {fit.measure}",
     parameters=("offset",),
-    largest={"um": 20_000.0, "urad": 50_000.0},
+    limits={"um": 20_000.0, "urad": 50_000.0},
     places=places.axes,
     make=lambda machine, where, numbers, payloads: ZeroOffset(machine.by_name[where], numbers["offset"]),
     constant=True,

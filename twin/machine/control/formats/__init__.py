@@ -1,4 +1,4 @@
-"""All table formats, a file each; a new one is its file and a line in `FORMATS`."""
+"""All table formats, one file each; to add one, write its file and add it to `FORMATS`."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FORMATS: Final[tuple[TableFormat[Any], ...]] = (
     SpatialGrid(),
     SiemensEec(),
 )
-"""Every format there is: the one place that names them."""
+"""All formats."""
 
 
 def format_named(name: str) -> TableFormat[Any]:
-    """Return a format.
+    """Return the format of that name.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such format.
     """
     for form in FORMATS:
         if form.name == name:
@@ -42,14 +42,14 @@ def format_named(name: str) -> TableFormat[Any]:
 
 
 def read_tables(kind: str, files: Sequence[Path], machine: Machine) -> Correction:
-    """The tables of one control, from its files.
+    """Return the tables of one control from its files.
 
     Args:
         kind: name of one of `FORMATS`.
-        files: all files of the control together: those that say which table belongs to which axis too.
-        machine: whose axes they move.
+        files: all files of the control, including those that assign tables to axes.
+        machine: the machine whose axes they move.
 
     Raises:
-        InputError: no such format; whatever does not fit in a file.
+        InputError: there is no such format, or a file is invalid.
     """
     return format_named(kind).read(files, machine)

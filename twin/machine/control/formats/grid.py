@@ -1,9 +1,9 @@
-"""Spatial error grid: corrections of the three linear axes at the points of a box, as CSV; a format of ours.
+"""Spatial error grid: corrections of the three linear axes at the points of a box, as CSV; twin's own format.
 
-A head line ``X_mm,Y_mm,Z_mm,dX_um,dY_um,dZ_um``, one point a row, every combination of the positions once, in any order; ``#``
-comments. **The sign is that of the correction**: what is added to the command of the axis. The error of the axes at that point is
-its negative. Between the points linear along each axis (trilinear), outside the box the value of the nearest place on it. One
-tool length and one position of the rotary axes: the comments say which.
+A header line ``X_mm,Y_mm,Z_mm,dX_um,dY_um,dZ_um``, then one point per row: every combination of the positions once, in any order;
+``#`` comments. **The sign is that of the correction**, which is added to the command of the axis. The error of the axes at that point
+is its negative. Values are interpolated trilinearly between the points; outside the box the value of its nearest point applies. The
+grid is valid for one tool length and one position of the rotary axes, which the comments state.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ import numpy as np
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, plain
+from twin.machine.control.lines import TableLine, fixed_decimals
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.machine import Machine
 
 FILE: Final = "grid.csv"
 _DIGITS: Final = 4
-"""Behind the point, mm and µm."""
+"""Number of decimals, mm and µm."""
 
 
 @final
 class SpatialGrid(TableFormat[CorrectionGrid]):
-    """Spatial error grid, a format of ours."""
+    """Spatial error grid, twin's own format."""
 
     name = "grid"
     title = "spatial error grid"
-    what = "(ours)"
-    carries = "all of the three linear axes, at one tool length"
-    leaves = "errors of rotary axes; reversals"
+    what = "(twin's own)"
+    carries = "all errors of the three linear axes, at one tool length"
+    leaves = "errors of rotary axes; backlash"
     correction = CorrectionGrid
     written = (FILE,)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG")
@@ -45,25 +45,30 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
 
     def write(self, correction: CorrectionGrid, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`."""
-        sign = "correction: what is ADDED to the command of an axis; the error there is its negative"
+        sign = "correction: the value is ADDED to the command of the axis; the error is its negative"
         lines = [*(f"# {note}" for note in (sign, *notes)), ",".join(_columns(correction.axes))]
         for q, values in zip(product(*correction.at), correction.values.reshape(-1, 3), strict=True):
-            lines.append(",".join(plain(value, _DIGITS) for value in (*q, *values)))
+            lines.append(",".join(fixed_decimals(value, _DIGITS) for value in (*q, *values)))
         return {FILE: "\n".join(lines) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> CorrectionGrid:
-        """The grid of one file.
+        """Return the grid of one file.
 
         Raises:
-            InputError: more than one file, other columns than the machine's three linear axes want, a point missing or given twice.
+            InputError: there is more than one file, the columns are not those of the machine's three linear axes, or a point is missing
+                or given twice.
         """
         if len(files) != 1:
-            raise InputError("a grid is one file", expected="one", value=" ".join(file.name for file in files))
+            raise InputError(
+                "a grid is a single file", expected="one file", value=" ".join(file.name for file in files)
+            )
         path = files[0]
         names = tuple(machine.axes[i].name for i in machine.linear)
         header, rows, _ = read_table(path)
         if len(names) != 3 or header != _columns(names):
-            raise InputError("columns of a grid", expected=",".join(_columns(names)), file=path, value=",".join(header))
+            raise InputError(
+                "wrong columns for a grid", expected=",".join(_columns(names)), file=path, value=",".join(header)
+            )
         if not rows:
             raise InputError("no points", expected="one or more rows", file=path)
         lines = [TableLine(path, line, ",".join(row)) for line, row in rows]
@@ -77,7 +82,10 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         shape = tuple(len(nodes) for nodes in at)
         if min(shape) < 2:
             raise InputError(
-                "one position of an axis", expected="two or more of each", file=path, value=" × ".join(map(str, shape))
+                "too few positions of an axis",
+                expected="two or more of each axis",
+                file=path,
+                value=" × ".join(map(str, shape)),
             )
         values = np.full((*shape, 3), np.nan)
         for line, found in zip(lines, numbers, strict=True):
@@ -98,9 +106,9 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
     def loading(self, correction: CorrectionGrid, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
-            "grid.csv is a format of ours: corrections (what is added to the commands), um, at points of the box; trilinear "
+            "grid.csv is twin's own format: corrections (added to the commands), um, at the points of a box; trilinear interpolation "
             "between them.",
-            "What reads it has to take the sign from its first line.",
+            "The program that reads it must use the sign stated in its first line.",
         )
 
 

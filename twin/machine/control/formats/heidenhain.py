@@ -1,22 +1,22 @@
-"""HEIDENHAIN: compensation value tables (``.COM``), one an input axis, and the table that assigns them (``.CMA``).
+"""HEIDENHAIN: compensation value tables (``.COM``), one per input axis, and the table that assigns them (``.CMA``).
 
 Checked against public descriptions:
 
 - MANUALplus 620 Technical Manual (01/2012) 6.10.3, www.easymanua.ls/heidenhain/manualplus-620/manual/506189?p=716 and ?p=718:
-  column AXISPOS has the positions of the input axis counted from the machine datum, a column with the name of every axis that is
-  moved its value, BACKLASH the values measured in the negative direction of traverse; in the ``.CMA`` a column an axis names the
-  table that is read at that axis's position ([axis of the column in the .COM] = F(axis of the column of the .CMA)), and ``*`` in
-  ACTIVE switches its line on. Several axes of one ``.COM`` are corrected at once (screw pitch and sag).
+  column AXISPOS contains the positions of the input axis from the machine datum, a column named after an axis the values that move
+  it, BACKLASH the values measured in the negative direction of traverse; in the ``.CMA`` the column of an axis names the table that
+  is read at that axis's position ([axis of the column in the .COM] = F(axis of the column of the .CMA)), and ``*`` in
+  ACTIVE activates its line. Several axes of one ``.COM`` are corrected at once (screw pitch and sag).
 - TNC 407/415/425 Technical Manual, azmanual.top/manuals/797826/heidenhain-tnc-407-243-020-technical-manual.html?page=151 and
   ?page=153, ?page=156: an axis error is entered with its own sign, positive where the travel is too long; the tables' example is
-  drawn as "error in Z"; a table has at most 256 entries (module 9095); of a rotary axis entries from 0 to 360 are used.
-- The frame of a table file (``BEGIN … MM``, head line, rows, ``[END]``): iTNC 530 HSCI Technical Manual,
+  plotted as "error in Z"; a table has at most 256 entries (module 9095); for a rotary axis entries from 0 to 360 are used.
+- The frame of a table file (``BEGIN … MM``, header line, rows, ``[END]``): iTNC 530 HSCI Technical Manual,
   www.easymanua.ls/heidenhain/itnc-530-hsci/manual/716772?p=684.
 
-**Not checked** (`unchecked`, also said in the files and in the account): that ``.COM`` values have the sign of the error as
-linear axis-error compensation has; straight lines between the points and the end value beyond them; that BACKLASH holds whole
-values and not differences; units of a rotary axis (degrees) and the number of digits; column widths. Older controls (TNC 4xx,
-iTNC 530) want a datum and a distance that is a power of two instead of AXISPOS: not written.
+**Not checked** (`unchecked`, also stated in the files and in the report): that ``.COM`` values have the sign of the error as
+linear axis-error compensation has; linear interpolation between the points and the end value beyond them; that BACKLASH contains
+absolute values instead of differences; units of a rotary axis (degrees) and the number of digits; column widths. Older controls
+(TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of AXISPOS; this is not written.
 """
 
 from __future__ import annotations
@@ -29,12 +29,20 @@ from twin._common.errors import InputError
 from twin._common.units import TURN
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms, period_of
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import (
+    TableLine,
+    check_increasing,
+    check_letters,
+    fixed_decimals,
+    single_file,
+    table_lines,
+    unit_of,
+)
 from twin.machine.machine import Axis, Machine
 
 CMA: Final = "CONFIG.CMA"
 _DIGITS: Final = {True: 4, False: 5}
-"""Behind the point: mm of a linear axis, degrees of a rotary one."""
+"""Number of decimals: mm of a linear axis, degrees of a rotary one."""
 _COMMENT: Final = ";"
 
 
@@ -46,7 +54,7 @@ class HeidenhainTables(TableFormat[Terms]):
     title = "HEIDENHAIN"
     what = "`.COM`, `.CMA`"
     carries = "also straightness and squareness (Y by X …); angular errors at one lever"
-    leaves = "other levers"
+    leaves = "angular errors at other levers"
     written = ("{}_CORR.COM", CMA)
     correction = Terms
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
@@ -58,28 +66,29 @@ class HeidenhainTables(TableFormat[Terms]):
     unchecked = (
         "sign of the values: taken as that of the error (actual - nominal), as HEIDENHAIN defines it for linear axis-error "
         "compensation",
-        "straight lines between the points, the end value beyond them; BACKLASH: whole values coming from above",
-        "rotary axes: degrees, wrapped into 0 ... 360 (the TNC 407 knows entries from 0 to 360 only, none below 0); digits and "
+        "linear interpolation between the points, the end value beyond them; BACKLASH: absolute values for the negative direction",
+        "rotary axes: degrees, wrapped into 0 ... 360 (the TNC 407 accepts only entries from 0 to 360); number of digits and "
         "column widths",
     )
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
-        """``X_CORR.COM`` … for every axis that is read, and the ``.CMA``; see `TableFormat.write`.
+        """Return ``X_CORR.COM`` … for every input axis, and the ``.CMA``; see `TableFormat.write`.
 
         Args:
-            correction: single tables; all over one axis have the same nodes, and only one of an axis over itself differs by direction.
-            notes: said behind the end of each file.
+            correction: single tables; all tables of one input axis have the same nodes, and only those of an axis over itself may
+                depend on the direction.
+            notes: comments after the end of each file.
 
         Raises:
-            InputError: an axis that is none of X Y Z A B C U V W; what such tables cannot hold.
+            InputError: an axis is not one of X Y Z A B C U V W, or such tables cannot represent the correction.
         """
         machine, terms = correction.machine, correction.terms
-        check_letters([name for term in terms for name in (term.axis, term.factors[0].of)], self.title)
+        check_letters([name for term in terms for name in (term.axis, term.factors[0].argument)], self.title)
         files: dict[str, str] = {}
-        inputs = [axis for axis in machine.axes if any(term.factors[0].of == axis.name for term in terms)]
+        inputs = [axis for axis in machine.axes if any(term.factors[0].argument == axis.name for term in terms)]
         for axis in inputs:
             name = f"{axis.name}_CORR.COM"
-            columns = self._columns([term for term in terms if term.factors[0].of == axis.name], axis)
+            columns = self._columns([term for term in terms if term.factors[0].argument == axis.name], axis)
             moved = {key: machine.by_name[axis.name if key == "BACKLASH" else key] for key in columns}
             rows = [["NR", "AXISPOS", *columns]]
             for i, q in enumerate(next(iter(columns.values())).at):
@@ -94,7 +103,7 @@ class HeidenhainTables(TableFormat[Terms]):
         return {**files, CMA: _table(CMA, rows, notes)}
 
     def _columns(self, terms: Sequence[ControlTerm], axis: Axis) -> dict[str, ControlCurve]:
-        """Curves by column, the axis's own first, its other direction beside it."""
+        """Return the curves by column, the axis's own first, followed by its other direction."""
         columns: dict[str, ControlCurve] = {}
         for term in sorted(terms, key=lambda term: (term.axis != axis.name, -term.factors[0].direction)):
             curve = term.factors[0]
@@ -102,31 +111,32 @@ class HeidenhainTables(TableFormat[Terms]):
             fits = len(term.factors) == 1 and key not in columns and (curve.direction == 0 or term.axis == axis.name)
             if not fits or len(curve.at) > self.points or any(other.at != curve.at for other in columns.values()):
                 raise InputError(
-                    f"no table of HEIDENHAIN: {term.axis} over {axis.name}",
-                    expected=f"single tables of the same nodes, at most {self.points}; by direction only an axis over itself",
+                    f"not possible as a HEIDENHAIN table: {term.axis} over {axis.name}",
+                    expected=f"single tables with the same nodes, at most {self.points}; by direction only for an axis over itself",
                     value=f"{len(curve.at)} points, direction {curve.direction}, {len(term.factors)} factors",
                 )
             columns[key] = curve
         own = [term.factors[0].direction for term in terms if term.axis == axis.name]
         if sorted(own) not in ([], [BOTH], [DOWN, UP]):
             raise InputError(
-                f"one direction of {axis.name} alone", expected="both, or a table for both", value=str(sorted(own))
+                f"a table for one direction of {axis.name} only",
+                expected="tables for both, or one for both",
+                value=str(sorted(own)),
             )
         return columns
 
     def read(self, files: Sequence[Path], machine: Machine) -> Terms:
-        """Tables from a ``.CMA`` and the ``.COM`` files its active line names.
+        """Return the tables from a ``.CMA`` and the ``.COM`` files named in its active line.
 
         Raises:
-            InputError: no ``.CMA``, no active line or several, a table it names is missing, or one it does not name is there; whatever
-                does not fit in a table.
+            InputError: there is no ``.CMA``, not exactly one active line, a missing or an additional table, or a table is invalid.
         """
-        what = "HEIDENHAIN's tables are read with the one that assigns them"
-        cma = _Rows(the_one(files, ".cma", what, "one .CMA and the .COM files of its active line"))
+        what = "HEIDENHAIN tables are read with the .CMA that assigns them"
+        cma = _Rows(single_file(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
         given = {file.stem.upper(): file for file in files if file is not cma.path}
         active = [(line, row) for line, row in cma.rows if row.get("ACTIVE") == "*"]
         if len(active) != 1:
-            raise InputError("lines with * in ACTIVE", expected="one", file=cma.path, value=len(active))
+            raise InputError("number of lines with * in ACTIVE", expected="one", file=cma.path, value=len(active))
         line, chosen = active[0]
         terms: list[ControlTerm] = []
         for name, table in chosen.items():
@@ -135,26 +145,29 @@ class HeidenhainTables(TableFormat[Terms]):
             axis = line.axis(name, machine)
             file = given.pop(Path(table).stem.upper(), None)
             if file is None:
-                raise line.error("the table is not given", f"{table}.COM", sorted(given))
+                raise line.error("missing table", f"{table}.COM", sorted(given))
             terms += self._terms(_Rows(file), axis, machine)
         if given:
             raise InputError(
-                "tables the active line does not name", expected="them in the .CMA", file=cma.path, value=sorted(given)
+                "tables that the active line does not name",
+                expected="all tables named in the .CMA",
+                file=cma.path,
+                value=sorted(given),
             )
         return Terms(tuple(terms), machine)
 
     def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[ControlTerm]:
-        """The tables of one file."""
+        """Return the tables of one file."""
         path, head = table.path, table.head
         if "AXISPOS" not in head or not table.rows:
-            raise InputError("no positions", expected="a column AXISPOS and rows", file=path, value=" ".join(head))
+            raise InputError("no positions", expected="a column AXISPOS, and rows", file=path, value=" ".join(head))
         if len(table.rows) > self.points:
             raise InputError("too many points", expected=f"at most {self.points}", file=path, value=len(table.rows))
         at, lines = table.column("AXISPOS"), [line for line, _ in table.rows]
-        check_rising(at, lines)
+        check_increasing(at, lines)
         period = period_of(axis)
         if period is not None and at[-1] - at[0] > TURN:
-            raise lines[-1].error("more than a turn", "positions from 0 to 360", at[-1])
+            raise lines[-1].error("more than one turn", "positions from 0 to 360", at[-1])
         two = "BACKLASH" in head
         if two and axis.name not in head:
             raise table.head_line.error("BACKLASH without the axis itself", f"a column {axis.name}")
@@ -171,13 +184,13 @@ class HeidenhainTables(TableFormat[Terms]):
     def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
-            f"Copy the .COM files and {CMA} into the folder of the OEM's tables; open each in the table editor before "
-            "anything moves: the columns must stand where the editor has them.",
-            "Positions (AXISPOS) count from the machine datum (MP_refPosition): so do those of the calibration.",
-            f"Merge {CMA} with one that is there: its line with * in ACTIVE is the one in use.",
-            "Switch nonlinear axis-error compensation on for these axes (MP730 on older controls; the machine configuration on "
+            f"Copy the .COM files and {CMA} into the folder of the OEM tables. Open each in the table editor before "
+            "moving the machine: the columns must be where the editor expects them.",
+            "Positions (AXISPOS) are measured from the machine datum (MP_refPosition), like those of the calibration.",
+            f"If there is a {CMA} already, merge them: the line with * in ACTIVE is the one in use.",
+            "Activate nonlinear axis-error compensation for these axes (MP730 on older controls; the machine configuration on "
             "newer ones).",
-            "BACKLASH columns: set MP_backLash / MP710 of these axes to zero, or the reversal is taken out twice.",
+            "BACKLASH columns: set MP_backLash / MP710 of these axes to zero, or the backlash is corrected twice.",
         )
 
 
@@ -188,25 +201,25 @@ def _table(name: str, rows: Sequence[Sequence[str]], notes: Sequence[str]) -> st
 
 
 def _signed(value: float, digits: int) -> str:
-    text = plain(value, digits)
+    text = fixed_decimals(value, digits)
     return text if text.startswith("-") else f"+{text}"
 
 
 @final
 class _Rows:
-    """A table file: columns by the places of their names in the head line."""
+    """A table file, with its columns named in the header line."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        lines = [line for line in numbered(path) if line.text and not line.text.startswith((_COMMENT, "#"))]
+        lines = [line for line in table_lines(path) if line.text and not line.text.startswith((_COMMENT, "#"))]
         first = lines[0] if lines else TableLine(path, None, "")
         if not first.text.upper().startswith("BEGIN "):
-            raise first.error("no table", "BEGIN … as the first line")
+            raise first.error("not a table", "BEGIN … as the first line")
         if first.text.upper().split()[-1] != "MM":
             raise first.error("not in mm", "BEGIN … MM", first.text)
         ends = [i for i, line in enumerate(lines) if line.text.upper() == "[END]"]
         if ends != [len(lines) - 1] or len(lines) < 3:
-            raise lines[-1].error("no end", "[END] behind the last row", lines[-1].text)
+            raise lines[-1].error("no end", "[END] after the last row", lines[-1].text)
         self.head_line = lines[1]
         self.head = tuple(self.head_line.text.split())
         if len(set(self.head)) != len(self.head):
@@ -219,5 +232,5 @@ class _Rows:
             self.rows.append((line, dict(zip(self.head, cells, strict=True))))
 
     def column(self, name: str) -> tuple[float, ...]:
-        """The numbers of a column."""
+        """Return the numbers of a column."""
         return tuple(line.decimal(name, row[name]) for line, row in self.rows)

@@ -1,19 +1,19 @@
-"""LinuxCNC: joint compensation files (``COMP_FILE``), one joint each, with the lines of the INI file that name them.
+"""LinuxCNC: joint compensation files (``COMP_FILE``), one per joint, with the lines of the INI file that name them.
 
-What the control does with them is read from its source, github.com/LinuxCNC/linuxcnc at 5c41560:
+The behaviour of the control is taken from its source, github.com/LinuxCNC/linuxcnc at 5c41560:
 
-- ``src/emc/motion/usrmotintf.cc`` (`usrmotLoadComp`): three numbers a line, nominal, forward, reverse; **reading stops without a
-  word at the first line that is not three numbers**, a comment or an empty line included. ``COMP_FILE_TYPE = 0``: forward and
-  reverse are the actual positions coming from below and from above, and the trim is nominal − actual. ``COMP_FILE_TYPE = 1``:
+- ``src/emc/motion/usrmotintf.cc`` (`usrmotLoadComp`): three numbers per line, nominal, forward, reverse; **reading stops
+  silently at the first line that is not three numbers**, including a comment or an empty line. ``COMP_FILE_TYPE = 0``: forward and
+  reverse are the actual positions approached in the + and the − direction, and the trim is nominal − actual. ``COMP_FILE_TYPE = 1``:
   they are the trims.
-- ``src/emc/motion/control.c`` (`compute_screw_comp`, and where ``motor_pos_cmd`` is made): the trim is added to the commanded
-  position. Straight lines between the points; below the first its trim, above the last its trim. The forward one while the joint
-  moves up, the reverse one while it moves down, standing still what there was.
-- ``src/emc/motion/motion.h``: 256 points a joint. ``src/emc/motion/command.c``: nominals must rise.
-- linuxcnc.org/docs/html/config/ini-config.html, ``[JOINT_n]``: values in machine units; ``BACKLASH`` is not used beside a
-  ``COMP_FILE``.
+- ``src/emc/motion/control.c`` (`compute_screw_comp`, and the calculation of ``motor_pos_cmd``): the trim is added to the
+  commanded position, with linear interpolation between the points and constant continuation beyond them. The forward trim applies
+  while the joint moves up, the reverse trim while it moves down; at standstill the last one remains.
+- ``src/emc/motion/motion.h``: 256 points per joint. ``src/emc/motion/command.c``: nominal positions must increase.
+- linuxcnc.org/docs/html/config/ini-config.html, ``[JOINT_n]``: values in machine units; ``BACKLASH`` is not used together
+  with a ``COMP_FILE``.
 
-Positions are not wrapped: an axis that turns without end needs as many turns as it makes.
+Positions are not wrapped: the table of an unlimited rotary axis must cover as many turns as the axis makes.
 """
 
 from __future__ import annotations
@@ -26,12 +26,20 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
-from twin.machine.control.lines import TableLine, check_letters, check_rising, numbered, plain, the_one, unit_of
+from twin.machine.control.lines import (
+    TableLine,
+    check_increasing,
+    check_letters,
+    fixed_decimals,
+    single_file,
+    table_lines,
+    unit_of,
+)
 from twin.machine.machine import Axis, Machine
 
 INI: Final = "joints.ini"
 _DIGITS: Final = 6
-"""Behind the point, mm and degrees: a nanometre."""
+"""Number of decimals, mm and degrees: one nanometre."""
 
 
 @final
@@ -40,8 +48,8 @@ class LinuxCnc(TableFormat[Terms]):
 
     name = "linuxcnc"
     title = "LinuxCNC"
-    what = "`.comp`, one a joint"
-    carries = "positioning, reversals; of angular errors what they do along the axis"
+    what = "`.comp`, one per joint"
+    carries = "positioning, backlash; of angular errors the part along the axis"
     leaves = "straightness, squareness"
     written = ("{}.comp", INI)
     correction = Terms
@@ -51,22 +59,23 @@ class LinuxCnc(TableFormat[Terms]):
     directions = True
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
-        """One ``.comp`` a joint of type 0 (actual positions), and the INI lines that name them; see `TableFormat.write`.
+        """Return one ``.comp`` of type 0 (actual positions) per joint, and the INI lines that name them; see `TableFormat.write`.
 
         Args:
-            correction: tables of an axis over itself; two of one axis, of the directions +1 and −1, have the same nodes. The axes are
-                taken as joints 0, 1, … in command order.
-            notes: said behind the last point, where the control no longer reads, and at the head of the INI lines.
+            correction: tables of an axis over itself; those of the directions +1 and −1 of one axis have the same nodes. The axes are
+                joints 0, 1, … in command order.
+            notes: comments after the last point, where the control no longer reads, and at the beginning of the INI lines.
 
         Raises:
-            InputError: an axis that is none of X Y Z A B C U V W, more than 256 points, or what a joint compensation cannot hold.
+            InputError: an axis is not one of X Y Z A B C U V W, there are more than 256 points, or a joint compensation cannot
+                represent the correction.
         """
         machine = correction.machine
         check_letters(machine.names, self.title)
         comments = [f"# {note}" for note in notes]
         files: dict[str, str] = {}
         ini = [
-            "# Lines for the INI file of LinuxCNC; COORDINATES and the units are there already and must say the same.",
+            "# Lines for the INI file of LinuxCNC; COORDINATES and the units exist there already and must agree.",
             *comments,
             "[TRAJ]",
             f"COORDINATES = {' '.join(machine.names)}",
@@ -80,24 +89,36 @@ class LinuxCnc(TableFormat[Terms]):
             up, down = self._both(own, axis)
             scale, name = unit_of(axis), f"{axis.name}.comp"
             rows = [
-                " ".join(plain(value, _DIGITS) for value in (q, q - a * scale, q - b * scale))
+                " ".join(fixed_decimals(value, _DIGITS) for value in (q, q - a * scale, q - b * scale))
                 for q, a, b in zip(up.at, up.values, down.values, strict=True)
             ]
             files[name] = "\n".join([*rows, *comments]) + "\n"
-            ini += [f"[JOINT_{joint}]", "# no BACKLASH beside it", f"COMP_FILE = {name}", "COMP_FILE_TYPE = 0"]
+            ini += [
+                f"[JOINT_{joint}]",
+                "# do not use BACKLASH together with it",
+                f"COMP_FILE = {name}",
+                "COMP_FILE_TYPE = 0",
+            ]
         return {**files, INI: "\n".join(ini) + "\n"}
 
     def _both(self, own: Sequence[ControlTerm], axis: Axis) -> tuple[ControlCurve, ControlCurve]:
-        """The curves coming from below and from above."""
+        """Return the curves of the + and the − direction."""
         curves = [term.factors[0] for term in own]
         by = {curve.direction: curve for curve in curves}
         up, down = by.get(UP, by.get(BOTH)), by.get(DOWN, by.get(BOTH))
         whole = len(own) == (1 if BOTH in by else 2) and all(len(term.factors) == 1 for term in own)
-        if up is None or down is None or not whole or up.at != down.at or {up.of, down.of} != {axis.name} or up.period:
+        if (
+            up is None
+            or down is None
+            or not whole
+            or up.at != down.at
+            or {up.argument, down.argument} != {axis.name}
+            or up.period
+        ):
             raise InputError(
-                f"no joint compensation of LinuxCNC: {axis.name}",
-                expected="one table of an axis over itself, or one for each direction with the same nodes; positions not wrapped",
-                value=[f"over {curve.of}, direction {curve.direction}" for curve in curves],
+                f"not possible as a joint compensation of LinuxCNC: {axis.name}",
+                expected="one table of the axis over itself, or one per direction with the same nodes; positions not wrapped",
+                value=[f"over {curve.argument}, direction {curve.direction}" for curve in curves],
             )
         if len(up.at) > self.points:
             raise InputError(
@@ -106,17 +127,17 @@ class LinuxCnc(TableFormat[Terms]):
         return up, down
 
     def read(self, files: Sequence[Path], machine: Machine) -> Terms:
-        """Tables from an INI file (or its lines) and the ``.comp`` files it names.
+        """Return the tables from an INI file (or its lines) and the ``.comp`` files named in it.
 
         Raises:
-            InputError: no INI file among them, a file it names is missing or one it does not name is there; units other than mm and
-                degrees; whatever LinuxCNC would refuse, or would read less of than is there.
+            InputError: there is no INI file, a file is missing or not named in it, the units are not mm and degrees, or LinuxCNC would
+                refuse a file or not read all of it.
         """
         ini = _Ini(
-            the_one(
+            single_file(
                 files,
                 ".ini",
-                "LinuxCNC's tables are read with the INI file that names them",
+                "LinuxCNC tables are read with the INI file that names them",
                 f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files",
             )
         )
@@ -127,11 +148,11 @@ class LinuxCnc(TableFormat[Terms]):
             if entry.number is None:
                 continue
             if not entry.text:
-                raise entry.error("COMP_FILE names no file", "the name of a .comp file")
+                raise entry.error("COMP_FILE is empty", "the name of a .comp file")
             axis = entry.axis(name, machine)
             file = given.pop(Path(entry.text).name, None)
             if file is None:
-                raise entry.error("the file is not given", entry.text, sorted(given))
+                raise entry.error("missing file", entry.text, sorted(given))
             if kind.text not in ("0", "1"):
                 there = entry if kind.number is None else kind
                 raise there.error(f"COMP_FILE_TYPE of JOINT_{joint}", "0 or 1", kind.text or None)
@@ -139,37 +160,37 @@ class LinuxCnc(TableFormat[Terms]):
         if given:
             raise InputError(
                 "files that no [JOINT_n] COMP_FILE names",
-                expected="them in the INI",
+                expected="all files named in the INI file",
                 file=ini.path,
                 value=sorted(given),
             )
         return Terms(tuple(terms), machine)
 
     def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[ControlTerm]:
-        """The tables of one joint, for one direction or both."""
+        """Return the tables of one joint, one for both directions or one for each."""
         rows: list[tuple[float, float, float]] = []
         lines: list[TableLine] = []
         stopped: TableLine | None = None
-        for line in numbered(path):
+        for line in table_lines(path):
             words = line.text.split()
             if not (len(words) >= 3 and all(re.match(r"[-+]?(\d|\.\d)", word) for word in words[:3])):
                 stopped = stopped or line
                 continue
             if stopped is not None:
                 raise stopped.error(
-                    "points behind a line that is not three numbers: LinuxCNC stops there and never reads them",
-                    "nothing between the points, comments only behind the last",
+                    "points after a line that is not three numbers: LinuxCNC stops there and does not read them",
+                    "no other lines between the points, comments only after the last",
                     line.text,
                 )
             nominal, up, down = (line.decimal("a position", word) for word in words[:3])
             rows.append((nominal, nominal - up, nominal - down) if actual else (nominal, up, down))
             lines.append(line)
         if not rows:
-            raise InputError("no points", expected="nominal, forward and reverse, line by line", file=path)
+            raise InputError("no points", expected="lines with nominal, forward and reverse position", file=path)
         if len(rows) > self.points:
             raise lines[self.points].error("too many points", f"at most {self.points}", len(rows))
         at = tuple(row[0] for row in rows)
-        check_rising(at, lines)
+        check_increasing(at, lines)
         ups, downs = (tuple(row[i] / unit_of(axis) for row in rows) for i in (1, 2))
         sides = [(ups, BOTH)] if ups == downs else [(ups, UP), (downs, DOWN)]
         return [
@@ -183,29 +204,29 @@ class LinuxCnc(TableFormat[Terms]):
         pins = [f"joint.{machine.names.index(name)}.backlash-corr" for name in largest]
         shown = f"halcmd show pin {pins[0]} shows" if len(pins) == 1 else f"halcmd show pin {' or '.join(pins)} show"
         found = [
-            f"Copy the .comp files beside the INI file and its lines of {INI} into the sections that are there ({joints}: "
-            "check it).",
-            "Take BACKLASH out of these sections: it is not used beside a COMP_FILE.",
-            "STEPGEN_MAXACCEL (steppers) 1.5 to 2 times MAX_ACCELERATION: the correction moves on top of the program.",
-            f"Restart LinuxCNC. The tables work from then on; {shown} what is added (mm, degrees).",
-            "To switch off: take the COMP_FILE lines out and restart.",
+            f"Copy the .comp files next to the INI file, and the lines of {INI} into its existing sections ({joints}: "
+            "check this).",
+            "Remove BACKLASH from these sections: it is not used together with a COMP_FILE.",
+            "Set STEPGEN_MAXACCEL (steppers) to 1.5 to 2 times MAX_ACCELERATION: the correction adds to the motion of the program.",
+            f"Restart LinuxCNC. The tables are then active; {shown} the correction (mm, degrees).",
+            "To deactivate them, remove the COMP_FILE lines and restart.",
         ]
         if any(axis.lower is None for axis in machine.axes):
             found.append(
-                "An axis that turns without end: the table covers -360 ... 720 degrees, beyond that its end value is held."
+                "Unlimited rotary axis: the table covers -360 ... 720 degrees; beyond that its end value applies."
             )
         return tuple(found)
 
 
 @final
 class _Ini:
-    """The sections of an INI file, as far as they are needed here."""
+    """The entries of an INI file by section and key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._found: dict[tuple[str, str], TableLine] = {}
         section = ""
-        for line in numbered(path):
+        for line in table_lines(path):
             if line.text.startswith("["):
                 section = line.text.strip("[] ").upper()
             elif "=" in line.text and line.text[0] not in "#;":
@@ -214,14 +235,14 @@ class _Ini:
                 self._found.setdefault((section, key.strip().upper()), entry)
 
     def get(self, section: str, key: str) -> TableLine:
-        """An entry's value; no number and no text where there is none."""
+        """Return the value of an entry; without line number and text if there is none."""
         return self._found.get((section, key), TableLine(self.path, None, ""))
 
     def coordinates(self, machine: Machine) -> list[str]:
-        """The axis that each joint moves.
+        """Return the axis that each joint moves.
 
         Raises:
-            InputError: they are not said, or not each axis once; units other than mm and degrees.
+            InputError: COORDINATES is missing or repeats an axis, or the units are not mm and degrees.
         """
         for key, wanted in (("LINEAR_UNITS", ("mm", "metric")), ("ANGULAR_UNITS", ("degree", "deg"))):
             unit = self.get("TRAJ", key)
@@ -230,5 +251,5 @@ class _Ini:
         entry = self.get("TRAJ", "COORDINATES")
         names = list(entry.text.replace(" ", "").upper())
         if entry.number is None or len(set(names)) != len(names):
-            raise entry.error("[TRAJ] COORDINATES, one joint an axis", " ".join(machine.names), entry.text or None)
+            raise entry.error("[TRAJ] COORDINATES, one joint per axis", " ".join(machine.names), entry.text or None)
         return names

@@ -1,4 +1,4 @@
-"""SINUMERIK 840D sl: sag and angularity compensation (CEC, "cross error compensation"), as a program that writes its system variables.
+"""SINUMERIK 840D sl: sag and angularity compensation (CEC, "cross error compensation"), as a program that writes system variables.
 
 Checked against public descriptions: SINUMERIK Function Manual, Extended Functions, 03/2013, 6FC5397-1BP40-3BA1, chapter K3
 (www.easymanua.ls/siemens/sinumerik-series/manual/275710):
@@ -6,15 +6,15 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 - p. 245, 248, 249, 250: ``$AN_CEC[t,N]`` at ``$AN_CEC_MIN[t] + N·$AN_CEC_STEP[t]``; the setpoint of ``$AN_CEC_INPUT_AXIS[t]`` is
   the argument, ``$AN_CEC_OUTPUT_AXIS[t]`` the axis moved; below MIN the first value, above MAX the last; ``$AN_CEC_DIRECTION[t]``
   0 both, 1 and −1 one direction of the base axis; ``$AN_CEC_IS_MODULO[t] = 1`` repeats from MIN to MAX. The sum of all tables of
-  an axis is put out "as an additional setpoint": values have the sign of the correction. Straight lines between the points: p.
-  237. The machine data to set: MD32710, MD32720, MD18342, SD41300.
+  an axis is output "as an additional setpoint": values have the sign of the correction. Linear interpolation between the points:
+  p. 237. The machine data to set: MD32710, MD32720, MD18342, SD41300.
 - p. 252: ``$AN_CEC_MULT_BY_TABLE[0] = 2`` multiplies table 1 (index 0) by table 2 (index 1): ΔX1 = Z1·β(X1), with Z1 → X1 a
   straight line.
-- p. 264: on the 828D there are 8 tables of 200 points.
-- "AX1" … are machine axes in their order whatever their names (p. 248).
+- p. 264: the 828D has 8 tables of 200 points.
+- "AX1" … are the machine axes by their order, independent of their names (p. 248).
 
-**Not checked** (`unchecked`): that of two tables multiplied only the product moves the axis, as the example of p. 252 needs it
-(its second table alone would move X1 by Z1), and not their single values too. Values of rotary output axes in degrees.
+**Not checked** (`unchecked`): that for two multiplied tables only the product moves the axis and not their single values too, as the
+example of p. 252 requires (its second table alone would move X1 by Z1); that values of rotary output axes are in degrees.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from twin._common.errors import InputError
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
-from twin.machine.control.lines import URAD_IN_DEG, TableLine, plain, unit_of
+from twin.machine.control.lines import URAD_IN_DEG, TableLine, fixed_decimals, unit_of
 from twin.machine.machine import Axis, Machine
 
 FILE: Final = "cec.mpf"
 _FACTOR_DIGITS: Final = 9
-_ROOM: Final = 1.2
-"""Times the largest correction: what a limit of the control is to be set to, so that a table read another way round is stopped."""
+_LIMIT_FACTOR: Final = 1.2
+"""Recommended limit in the control as a multiple of the largest correction, to stop a table that is interpreted differently."""
 _FIELD: Final = re.compile(
     r"^\$AN_CEC(?:_(?P<name>STEP|MIN|MAX|INPUT_AXIS|OUTPUT_AXIS|DIRECTION|MULT_BY_TABLE|IS_MODULO))?\s*"
     r"\[\s*(?P<table>\d{1,9})\s*(?:,\s*(?P<node>\d{1,9})\s*)?\]\s*=\s*(?P<value>.+)$",
@@ -50,17 +50,17 @@ class Siemens(TableFormat[Terms]):
     name = "siemens"
     title = "SINUMERIK 840D sl"
     what = "CEC"
-    carries = "also, by products of two tables, the levers: X by E_BX(X) times Z"
-    leaves = "errors of rotary axes but R-POS"
+    carries = "also angular errors at all levers, by products of two tables: X by E_BX(X) times Z"
+    leaves = "errors of rotary axes except R-POS"
     written = (FILE,)
     correction = Terms
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 200
-    """Of a table of the 828D; the 840D sl has as many as MD18342 says."""
+    """Points of a table of the 828D; on the 840D sl MD18342 sets the number."""
     rounding = (0.0005, 0.0088)
     directions = True
     tables = 62
-    """Where nobody says how many the control has (not checked; two for each of 31 axes)."""
+    """Default number of tables (not checked; two for each of 31 axes)."""
     fewer_tables = "828D: 8"
     across = True
     products = True
@@ -68,27 +68,26 @@ class Siemens(TableFormat[Terms]):
     crossed_directions = True
     unchecked = (
         "products: that only the product moves the axis and not the single values of the two tables too (as the manual's example "
-        "needs it)",
+        "requires)",
         "rotary output axes: values in degrees",
     )
 
     def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
-        """The program: one table a factor; see `TableFormat.write`.
+        """Return the program, with one table per factor; see `TableFormat.write`.
 
         Args:
-            correction: tables, and products of two; nodes of every curve in equal steps. The axes are taken as AX1, AX2, … in command
-                order.
-            notes: said at its head.
+            correction: tables, and products of two; nodes of every curve are equidistant. The axes are AX1, AX2, … in command order.
+            notes: comments at the beginning.
 
         Raises:
-            InputError: steps that are not equal; more tables than there can be.
+            InputError: nodes are not equidistant, or there are too many tables.
         """
         machine = correction.machine
         blocks: list[str] = []
         for term in correction.terms:
             scale = unit_of(machine.by_name[term.axis])
             if len(term.factors) > 2:
-                raise InputError("a product of three tables", expected="two", value=term.axis)
+                raise InputError("a product of three tables", expected="at most two", value=term.axis)
             first, *others = term.factors
             by = len(blocks) + 2 if others else 0
             blocks.append(_block(len(blocks), term.axis, first.scaled(scale), DIGITS, machine, by))
@@ -99,11 +98,10 @@ class Siemens(TableFormat[Terms]):
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> Terms:
-        """Tables from programs that write ``$AN_CEC…``.
+        """Return the tables from programs that write ``$AN_CEC…``.
 
         Raises:
-            InputError: a line that is neither an assignment to a table, a comment, a head nor an end; whatever is missing in a table or
-                does not fit.
+            InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete or invalid.
         """
         found = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
         curves = {index: _curve(index, entry, machine) for index, entry in found.items()}
@@ -112,7 +110,7 @@ class Siemens(TableFormat[Terms]):
             by = entry.fields.get("MULT_BY_TABLE", TableLine(entry.line.path, entry.line.number, "0"))
             number = int(by.decimal("MULT_BY_TABLE"))
             if number and number - 1 not in curves:
-                raise by.error("no such table to multiply by", "the index of one plus 1", by.text)
+                raise by.error("no such table to multiply by", "the index of a table plus 1", by.text)
             if number:
                 factors[index] = number - 1
         terms = []
@@ -125,10 +123,10 @@ class Siemens(TableFormat[Terms]):
             by = found[index].fields["MULT_BY_TABLE"]
             if index in factors.values():
                 what = f"table {index} multiplies another and is itself multiplied"
-                raise by.error(what, "products of two", by.text)
+                raise by.error(what, "products of two tables", by.text)
             other_axis, factor = curves[factors[index]]
             if other_axis.name != axis.name:
-                what = f"tables {index} and {factors[index]} are multiplied and move different axes"
+                what = f"tables {index} and {factors[index]} are multiplied but move different axes"
                 raise by.error(what, axis.name, other_axis.name)
             terms.append(ControlTerm(axis.name, (own, factor)))
         return Terms(tuple(terms), machine)
@@ -138,64 +136,66 @@ class Siemens(TableFormat[Terms]):
         machine = correction.machine
         counts = [len(factor.at) for term in correction.terms for factor in term.factors]
         limits = ", ".join(
-            f"{name} {math.ceil(_ROOM * peak) * 1e-3:.3f} mm"
+            f"{name} {math.ceil(_LIMIT_FACTOR * peak) * 1e-3:.3f} mm"
             if machine.by_name[name].linear
-            else f"{name} {_ROOM * peak * URAD_IN_DEG:.5f} deg"
+            else f"{name} {_LIMIT_FACTOR * peak * URAD_IN_DEG:.5f} deg"
             for name, peak in largest.items()
         )
         moved = ", ".join(largest)
         products = (
-            "Products: a table with $AN_CEC_MULT_BY_TABLE and the one behind it are an angular error times its lever (up to 1). Should "
-            "the control add the single values too, the sum goes over MD32720: an alarm comes, and the correction is held at that "
-            "limit. Then make the tables with --no-products."
+            "Products: a table with $AN_CEC_MULT_BY_TABLE and the one after it are an angular error times its lever (up to 1). If "
+            "the control also adds the single values, the sum exceeds MD32720: it raises an alarm and holds the correction at that "
+            "limit. In that case make the tables without products."
         )
         return (
             f"Check the axes: {axis_numbers(machine, '=')} "
             "(MD10000 $MN_AXCONF_MACHAX_NAME_TAB); input and output axes are written by these numbers.",
             f"MD18342 $MN_MM_CEC_MAX_POINTS[t] for t = 0 ... {len(counts) - 1}: {', '.join(map(str, counts))} or more "
-            "(reorganises memory: back up first; a restart follows). The 828D has 8 tables of 200 points.",
-            f"MD32710 $MA_CEC_ENABLE = 0 for {moved}: tables can be loaded only while it is off.",
+            "(reorganises the memory: back up first; a restart follows). The 828D has 8 tables of 200 points.",
+            f"MD32710 $MA_CEC_ENABLE = 0 for {moved}: tables can be loaded only while this is 0.",
             f"Run {FILE} once as a part program.",
-            f"MD32720 $MA_CEC_MAX_SUM, a limit with an alarm, a little above the largest correction: {limits}.",
-            f"SD41300 $SN_CEC_TABLE_ENABLE[t] = 1 for all of them, then MD32710 $MA_CEC_ENABLE = 1 for {moved}; reset. Axes must be "
+            f"MD32720 $MA_CEC_MAX_SUM, a limit with an alarm, slightly above the largest correction: {limits}.",
+            f"SD41300 $SN_CEC_TABLE_ENABLE[t] = 1 for all tables, then MD32710 $MA_CEC_ENABLE = 1 for {moved}; reset. Axes must be "
             "referenced.",
             *([products] if any(len(term.factors) > 1 for term in correction.terms) else []),
-            "Leadscrew error compensation (MD32700) of the same axis works beside it: what it takes out must not be in the "
-            "calibration again.",
+            "Leadscrew error compensation (MD32700) of the same axis is added to it: errors that it corrects must not be in the "
+            "calibration.",
         )
 
 
 def _block(index: int, moved: str, curve: ControlCurve, digits: int, machine: Machine, by: int) -> str:
-    """Lines of one table, in the control's units."""
+    """Return the lines of one table, in the control's units."""
     step = step_of(curve)
     if step is None:
         raise InputError(
-            "nodes of a CEC table", expected="two or more in equal steps", value=f"{moved} over {curve.of}"
+            "nodes of a CEC table", expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}"
         )
-    side = {0: "both directions", 1: f"{curve.of} moving up", -1: f"{curve.of} moving down"}[curve.direction]
+    side = {0: "both directions", 1: f"{curve.argument} moving up", -1: f"{curve.argument} moving down"}[
+        curve.direction
+    ]
     fields = {
-        "INPUT_AXIS": f"(AX{machine.names.index(curve.of) + 1})",
+        "INPUT_AXIS": f"(AX{machine.names.index(curve.argument) + 1})",
         "OUTPUT_AXIS": f"(AX{machine.names.index(moved) + 1})",
-        "STEP": plain(step, DIGITS),
-        "MIN": plain(curve.at[0], DIGITS),
-        "MAX": plain(curve.at[-1], DIGITS),
+        "STEP": fixed_decimals(step, DIGITS),
+        "MIN": fixed_decimals(curve.at[0], DIGITS),
+        "MAX": fixed_decimals(curve.at[-1], DIGITS),
         "DIRECTION": curve.direction,
         "MULT_BY_TABLE": by,
         "IS_MODULO": int(curve.period is not None),
     }
-    lines = [f"; table {index + 1}: {moved} by {curve.of}, {side}{f', times table {by}' if by else ''}"]
-    lines += [f"$AN_CEC[{index},{n}]={plain(value, digits)}" for n, value in enumerate(curve.values)]
+    lines = [f"; table {index + 1}: {moved} by {curve.argument}, {side}{f', times table {by}' if by else ''}"]
+    lines += [f"$AN_CEC[{index},{n}]={fixed_decimals(value, digits)}" for n, value in enumerate(curve.values)]
     lines += [f"$AN_CEC_{name}[{index}]={value}" for name, value in fields.items()]
     return "\n".join(lines)
 
 
 def _curve(index: int, entry: Entry, machine: Machine) -> tuple[Axis, ControlCurve]:
-    """The axis a table moves, and its curve as written: mm and degrees."""
+    """Return the axis that a table moves, and its curve in the units of the file, mm and degrees."""
     fields = entry.fields
     at, values, period = table_of(f"table {index}", "$AN_CEC", entry)
     for name in ("INPUT_AXIS", "OUTPUT_AXIS"):
         if name not in fields:
-            raise entry.line.error(f"table {index} lacks $AN_CEC_{name}", "it")
+            raise entry.line.error(f"table {index} lacks $AN_CEC_{name}", "an assignment to it")
     of, moved = (axis_of(fields[name], fields[name].text, machine) for name in ("INPUT_AXIS", "OUTPUT_AXIS"))
     side = fields["DIRECTION"].decimal("$AN_CEC_DIRECTION") if "DIRECTION" in fields else 0.0
     direction = {-1.0: DOWN, 0.0: BOTH, 1.0: UP}.get(side)
