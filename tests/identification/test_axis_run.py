@@ -313,9 +313,14 @@ def test_half_the_path_is_half_the_path(machine: Machine, tmp_path: Path) -> Non
         ("reference_mm: 250", "reference_mm: 900", "outside the axis's range", 6),
         ("{mirror: y, source_mm: [-35", "{mirror: q, source_mm: [-35", "no such mirror", 17),
         ("normal: [-1, 0, 0]", "normal: [0, 0, 0]", "no direction", 9),
-        ("normal: [-1, 0, 0]", "normal: [1, 0, 0]", "does not meet mirror x squarely", 13),
-        ("[0, 0, 1]}\nz2".replace("z2", "  z2"), "[0, 0, -1]}\n  z2", "beam z1 does not meet mirror z squarely", 19),
-        ("[-500, 0, 40]", "[0, 0, 40]", "beam x1 leaves from behind", 13),
+        ("normal: [-1, 0, 0]", "normal: [1, 0, 0]", "meets mirror x at too large an angle", 13),
+        (
+            "[0, 0, 1]}\nz2".replace("z2", "  z2"),
+            "[0, 0, -1]}\n  z2",
+            "beam z1 meets mirror z at too large an angle",
+            19,
+        ),
+        ("[-500, 0, 40]", "[0, 0, 40]", "beam x1 starts behind", 13),
         ("noise_um: 0.005", "noise_um: 0", "greater than 0", 23),
         ("noise_um: 0.005", "noise_mm: 0.005", "noise_", 23),
         ("twin.interferometer/1", "twin.machine/1", "wrong kind of file", 3),
@@ -348,7 +353,7 @@ GOOD = "0,-500,-500,-500,0,0,0,0,0,0,1"
         (table([GOOD, GOOD + ",1"]), "12 cells", 4),
         (table([GOOD]).replace("beam_z3_mm", "beam_z4_mm"), "column beam_z3_mm is missing", 2),
         (table([]), "no reading", None),
-        (table(["900" + GOOD[1:]]), "X is commanded outside its range", 3),
+        (table(["900" + GOOD[1:]]), "the command of X is outside its range", 3),
         (table(["0,1,,,,,,,,,1"]), "fewer than 6 beams were read", 3),
         ("", "no header row", None),
     ],
@@ -367,7 +372,7 @@ def test_rows_that_cannot_be_used_are_named(layout: AxisLayout, tmp_path: Path) 
     path.write_text(table([GOOD, "nan" + GOOD[1:], GOOD]).replace("approach", "aproach"))
     found = load_readings(path, layout)
     assert [(note.line, note.text) for note in found.set_aside] == [
-        (4, "a commanded position that is no finite number")
+        (4, "a commanded position is missing or not finite")
     ]
     assert found.notices == ("column aproach is not understood and not used (is it approach?)",)
 

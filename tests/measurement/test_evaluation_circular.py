@@ -121,7 +121,7 @@ def test_as_text() -> None:
     tilt = error_motion(angle, 4.0 * np.sin(np.radians(2.0 * angle)), "tilt", name="E_AC", harmonics=3)
     text = tilt.to_text()
     assert text.startswith("E_AC, tilt error motion by ISO 230-7:2015\n12 angles, 1 turn, values in µrad\n")
-    assert "one turn tells nothing" in text
+    assert "needs two turns" in text
     assert text.splitlines()[-2].split() == ["2", "4.00", "45.0"]  # the crest of sin 2θ
     both = error_motion(angle, np.stack([np.sin(angle), np.cos(angle)]), "axial").to_text()
     assert "Fundamental" in both
@@ -142,13 +142,13 @@ TURN = np.arange(0.0, 360.0, 30.0)
     ("angle", "readings", "kind", "more", "words"),
     [
         (TURN, np.zeros(12), "face", {}, "radial, axial, tilt"),
-        (TURN, np.zeros(11), "radial", {}, "12 a turn"),
+        (TURN, np.zeros(11), "radial", {}, "12 per turn"),
         (TURN, np.zeros((1, 2, 12)), "radial", {}, "1 or 2 dimension"),
-        (TURN, [[0.0] * 12, [0.0]], "radial", {}, "no numbers"),
+        (TURN, [[0.0] * 12, [0.0]], "radial", {}, "not numbers"),
         (TURN, np.full(12, np.nan), "radial", {}, "lack 12 of 12"),
-        (TURN / 2.0, np.zeros(12), "radial", {}, "less than a turn"),
-        ([0.0], [1.0], "radial", {}, "less than a turn"),
-        (np.append(TURN, 360.0), np.zeros(13), "radial", {}, "an angle twice"),
+        (TURN / 2.0, np.zeros(12), "radial", {}, "angles do not cover a turn"),
+        ([0.0], [1.0], "radial", {}, "angles do not cover a turn"),
+        (np.append(TURN, 360.0), np.zeros(13), "radial", {}, "an angle occurs twice"),
         (TURN, np.zeros(12), "radial", {"harmonics": 0}, "at least 1"),
     ],
 )

@@ -378,7 +378,7 @@ def test_worked_by_hand() -> None:
         (400, 4, 5, ("4 targets, at least 5",)),
         (400, 5, 4, ("4 cycles, 5",)),
         (1000, 5, 5, ()),
-        (1500, 7, 5, ("at least 8 asked for over 1500 mm",)),
+        (1500, 7, 5, ("at least 8 required over 1500 mm",)),
         (3000, 15, 2, ("another test", "2 cycles")),
     ],
 )
@@ -453,11 +453,11 @@ GOOD = np.arange(10.0).reshape(2, 5)
         ([0, 1], GOOD, GOOD[:, :4], r"the same shape \(2, 5\)"),
         ([0, 1], GOOD[:, :1], GOOD[:, :1], "at least 2 targets and 2 cycles"),
         ([0], GOOD[:1], GOOD[:1], "at least 2 targets and 2 cycles"),
-        ([7, 7], GOOD, GOOD, "a target twice: '7.0'"),
+        ([7, 7], GOOD, GOOD, "a target occurs twice: '7.0'"),
         ([0, 1], GOOD[0], GOOD, "wrong shape"),
         ([], GOOD, GOOD, "wrong shape"),
-        (["a", "b"], GOOD, GOOD, "no numbers"),
-        ([0, 1], [[1, 2], [3]], GOOD, "no numbers"),
+        (["a", "b"], GOOD, GOOD, "not numbers"),
+        ([0, 1], [[1, 2], [3]], GOOD, "not numbers"),
     ],
 )
 def test_bad_input(target: object, forward: object, backward: object, words: str) -> None:

@@ -199,7 +199,7 @@ def test_results_do_not_change() -> None:
     ("position", "deviation", "more", "words"),
     [
         ([0, 1], [0, 1], {}, "at least 3 points"),
-        ([0, 1, 1], [0, 1, 2], {}, "a position twice: '1.0'"),
+        ([0, 1, 1], [0, 1, 2], {}, "a position occurs twice: '1.0'"),
         ([0, 1, 2], [0, 1], {}, "3 rows"),
         ([0, 1, 2], [0, np.nan, 1], {}, "lack 1 of 3"),
         ([0, 1, 2], [0, 1, 2], {"u_um": -1.0}, "not negative"),

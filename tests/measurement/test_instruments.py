@@ -160,7 +160,7 @@ def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: P
 def test_a_station_on_two_sides_is_refused(dmu50: Machine, tmp_path: Path) -> None:
     text = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,station_carrier\n"
     text += "0,0,0,0,0,K,tool,1,2,3,base\n1,0,0,0,0,K,tool,1,2,3,{}\n"
-    for side, said in (("work", "a station on both sides"), ("bench", "no such station carrier")):
+    for side, said in (("work", "station on both sides"), ("bench", "unknown station carrier")):
         (tmp_path / "m.csv").write_text(text.format(side))
         with pytest.raises(InputError, match=said):
             load(tmp_path / "m.csv", dmu50)

@@ -85,12 +85,12 @@ def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactor
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        ("nan,100,-50,0,0,K,tool,1,2,3", "no finite number"),
-        ("50,100,-50,0,0,K,tool,inf,2,3", "coordinate that is no finite"),
-        ("50,100,-50,0,0,K,tool,nan,2,3", "coordinate that is no finite"),
+        ("nan,100,-50,0,0,K,tool,1,2,3", "not finite"),
+        ("50,100,-50,0,0,K,tool,inf,2,3", "coordinate is not finite"),
+        ("50,100,-50,0,0,K,tool,nan,2,3", "coordinate is not finite"),
         ("50,100,-50,0,0,K,tool,,,", "no coordinate"),
-        ("50,100,-50,190,0,K,tool,1,2,3", "B is commanded outside its range"),
-        ("0,100,-50,0,0,K,tool,0.01,1.5,2.5", "the same as line 3"),
+        ("50,100,-50,190,0,K,tool,1,2,3", "the command of B is outside its range"),
+        ("0,100,-50,0,0,K,tool,0.01,1.5,2.5", "copy of line 3"),
     ],
 )
 def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason: str) -> None:
@@ -136,15 +136,15 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "header", "line", "words"),
     [
-        ([], HEADER, None, "one row a point"),
+        ([], HEADER, None, "one row for each point"),
         (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (is it X_m?)"),
         (rows(0), HEADER.replace("carrier", "side"), 2, "carrier"),
         (rows(0), HEADER.replace("Y_mm", "X_mm"), 2, "each column once"),
         ([*rows(0), ROW.format(x=50).replace("tool", "table")], HEADER, 4, "tool or work"),
-        ([*rows(0), ROW.format(x=50).replace("tool", "work")], HEADER, 4, "one carrier a target"),
+        ([*rows(0), ROW.format(x=50).replace("tool", "work")], HEADER, 4, "one carrier for each target"),
         ([*rows(0), ROW.format(x=50).replace("1.5", "1,5")], HEADER, 4, "11 cells"),
         ([*rows(0), ROW.format(x=50).replace("1.5", "1.5mm")], HEADER, 4, "1.5mm"),
-        ([*rows(0), ROW.format(x=50).replace("K", "")], HEADER, 4, "reflector"),
+        ([*rows(0), ROW.format(x=50).replace("K", "")], HEADER, 4, "no target in this row"),
         ([row + ",2" for row in rows(0, 50)], HEADER + ",approach_X", 3, "+1, -1 or 0"),
         (["50,100,-50,0,0,K,tool,,,"], HEADER, 3, "no usable row of station 1"),
     ],
@@ -212,15 +212,15 @@ def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("tails", "header", "line", "words"),
     [
-        (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "target K at two places: '1, 2, 4'"),
-        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "in part"),
-        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "in part"),
+        (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "two places for target K: '1, 2, 4'"),
+        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "incomplete place of station s"),
+        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "incomplete place of station s"),
         (["s,1,2", "s,,", "s,,"], KNOWN.removesuffix(",place_z_mm"), 3, "place_x_mm, place_y_mm, place_z_mm"),
         (
             ["s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,1"],
             KNOWN + POSE,
             5,
-            "station s at two places",
+            "two places for station s",
         ),
         (["s,,,,0,0,0,0,0,", "s,,,,,,,,,", "s,,,,,,,,,"], KNOWN + POSE, 3, "station_c_deg"),
     ],
@@ -240,7 +240,7 @@ def test_joined_tables_agree_on_places(dmu50: Machine, tmp_path: Path) -> None:
     silent = load(table(tmp_path, *rows(150, 200, 250)), dmu50)
     other = load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
     assert joined([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
-    with pytest.raises(InputError, match="target K at two places"):
+    with pytest.raises(InputError, match="two places for target K"):
         joined([first, other])
 
 

@@ -47,8 +47,8 @@ def test_a_pasted_row_of_a_tracker_is_a_copy(
     found = load(pasted(tracked, dmu50, tmp_path / "m.csv", [3, 400], *without), dmu50)
     assert len(found) == len(tracked)
     assert [(note.line, note.text) for note in found.set_aside] == [
-        (len(tracked) + 2, "the same as line 5 in every column"),
-        (len(tracked) + 3, "the same as line 402 in every column"),
+        (len(tracked) + 2, "copy of line 5: equal in every column"),
+        (len(tracked) + 3, "copy of line 402: equal in every column"),
     ]
 
 
@@ -91,7 +91,7 @@ def test_times_decide(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, lines[7]]) + "\n")
     (note,) = load(path, machine).set_aside
-    assert (note.line, note.text) == (202, "the same as line 8 in every column")
+    assert (note.line, note.text) == (202, "copy of line 8: equal in every column")
     # Times of the minute are shared by different readings: they do not tell.
     coarse = [re.sub(r"(\d+)$", lambda found: str(int(found[1]) // 600), line) for line in lines[1:]]
     path.write_text("\n".join([lines[0], *coarse]) + "\n")
@@ -122,12 +122,12 @@ def shifted(data: Measurements, machine: Machine, path: Path, axis: int, change:
 @pytest.mark.parametrize(
     ("axis", "change", "words", "likely"),
     [
-        (0, 600.0, "X_mm runs 600 … 1100 and X 0 … 500", "X_mm less an offset of 600 mm?"),
-        (0, -250.0, "X_mm runs -250 … 250 and X 0 … 500", "X_mm less an offset of -250 mm?"),
-        (0, 50.0, "X_mm runs 50 … 550 and X 0 … 500", "X_mm less an offset of 50 mm?"),
-        (1, 60.0, "Y_mm runs 60 … 510 and Y 0 … 450", "Y_mm less an offset of 60 mm?"),
-        (2, 400.0, "Z_mm runs 0 … 400 and Z -400 … 0", "Z_mm less an offset of 400 mm?"),
-        (3, -90.0, "B_deg runs -90 … 90 and B 0 … 180", "B_deg less an offset of -90 deg?"),
+        (0, 600.0, "X_mm is 600 … 1100, the range of X 0 … 500", "subtract 600 mm from X_mm?"),
+        (0, -250.0, "X_mm is -250 … 250, the range of X 0 … 500", "subtract -250 mm from X_mm?"),
+        (0, 50.0, "X_mm is 50 … 550, the range of X 0 … 500", "subtract 50 mm from X_mm?"),
+        (1, 60.0, "Y_mm is 60 … 510, the range of Y 0 … 450", "subtract 60 mm from Y_mm?"),
+        (2, 400.0, "Z_mm is 0 … 400, the range of Z -400 … 0", "subtract 400 mm from Z_mm?"),
+        (3, -90.0, "B_deg is -90 … 90, the range of B 0 … 180", "subtract -90 deg from B_deg?"),
     ],
 )
 def test_a_missing_offset_is_named(
@@ -144,7 +144,7 @@ def test_a_missing_offset_is_named(
 
 
 def test_micrometres_are_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="X_mm looks like micrometres, divide by 1000"):
+    with pytest.raises(InputError, match="X_mm looks like micrometres: divide by 1000"):
         load(shifted(tracked, dmu50, tmp_path / "m.csv", 0, 0.0, 1e3), dmu50)
 
 
@@ -155,7 +155,7 @@ def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Me
     replace(tracked, positions=locked(positions)).save(tmp_path / "m.csv", dmu50)
     found = load(tmp_path / "m.csv", dmu50)
     assert len(found) == len(tracked) - 3
-    assert {note.text for note in found.set_aside} == {"X is commanded outside its range 0 … 500 mm"}
+    assert {note.text for note in found.set_aside} == {"the command of X is outside its range 0 … 500 mm"}
 
 
 def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
@@ -167,8 +167,8 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
     replace(tracked, point_mm=locked(points), station=locked(stations)).save(tmp_path / "m.csv", dmu50)
     assert load(tmp_path / "m.csv", dmu50).notices[:3] == (
         "the file says: simulated readings",
-        "station west is not part of the result: none of its 40 rows can be used (no coordinate was measured)",
-        f"target P is not part of the result: none of its {lost} rows can be used (no coordinate was measured)",
+        "station west is not used: none of its 40 rows is usable (no coordinate was measured)",
+        f"target P is not used: none of its {lost} rows is usable (no coordinate was measured)",
     )
     lines = tmp_path / "n.csv"
     lines.write_text(

@@ -478,17 +478,17 @@ def test_a_missing_beam_widens_the_uncertainty() -> None:
     assert u_part[4, 0] > 1.05 * u_whole[4, 0]
     assert np.allclose(np.delete(u_part, 4, axis=0), np.delete(u_whole, 4, axis=0))
     readings[4, :3] = np.nan
-    with pytest.raises(InputError, match="position 5 do not fix its 3 motions"):
+    with pytest.raises(InputError, match="position 5 do not determine its 3 motions"):
         measure(layout, readings, noise=NOISE, installation_u=nothing, poses=start)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"direction": np.tile([0.0, 1.0, 0.0], (6, 1))}, "beam 1 does not meet mirror x squarely"),
-        ({"source": np.zeros((6, 3))}, "beam 1 leaves from behind mirror x"),
-        ({"direction": np.eye(3)[[0, 0, 0, 1, 1, 1]] * 1.1}, "no unit vector"),
-        ({"mirror": np.zeros(5, dtype=int)}, "wrong shape"),
+        ({"direction": np.tile([0.0, 1.0, 0.0], (6, 1))}, "beam 1 meets mirror x at too large an angle"),
+        ({"source": np.zeros((6, 3))}, "beam 1 starts behind mirror x"),
+        ({"direction": np.eye(3)[[0, 0, 0, 1, 1, 1]] * 1.1}, "not a unit vector"),
+        ({"mirror": np.zeros(5, dtype=int)}, "arrays of a layout do not match"),
         ({"beams": ("1", "1", "3", "4", "5", "6")}, "each name once"),
     ],
 )
@@ -504,10 +504,10 @@ def test_arguments_that_cannot_be() -> None:
     nothing = np.zeros(len(layout.installation))
     with pytest.raises(InputError, match="do not match"):
         measure(layout, readings[:, :5], noise=NOISE, installation_u=nothing, poses=start)
-    with pytest.raises(InputError, match="not positive"):
+    with pytest.raises(InputError, match="must be positive"):
         measure(layout, readings, noise=0.0, installation_u=nothing, poses=start)
     for u in (np.zeros(3), np.full(len(nothing), np.inf)):
-        with pytest.raises(InputError, match="uncertainty of the installation"):
+        with pytest.raises(InputError, match="uncertainties of the installation"):
             measure(layout, readings, noise=NOISE, installation_u=u, poses=start)
     with pytest.raises(InputError, match="poses or installation"):
         layout.readings(np.zeros((2, 5)))

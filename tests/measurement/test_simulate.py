@@ -45,7 +45,7 @@ def test_without_noise_the_readings_are_the_truth(dmu50: Machine, calibration: C
         station = setting.stations[measured.station[i]]
         place = np.array(setting.places_mm[measured.target[i]])
         base = carried(truth, measured.positions[i], measured.carrier[i], place)
-        read = seen(np.array(station.origin_mm), np.array(station.turn_rad), base)
+        read = seen(np.array(station.origin_mm), np.array(station.rotation_rad), base)
         assert np.abs(read - measured.point_mm[i]).max() <= 1e-9
 
 
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
-    setting = Setting.drawn(plan, np.random.default_rng(5))
+    setting = Setting.draw(plan, np.random.default_rng(5))
     for instrument in INSTRUMENTS:
         exact, _ = simulate(
             plan, dmu50, calibration, instrument, np.random.default_rng(0), setting=setting, noise=False
@@ -156,7 +156,7 @@ def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: M
     times = np.arange(len(plan), dtype=float)
     times[np.flatnonzero(plan.station == "2")[1]] = np.nan
     timed = replace(plan, time_s=times)
-    with pytest.raises(InputError, match="a drift of no station: '3'; expected one of"):
+    with pytest.raises(InputError, match="drift of an unknown station: '3'; expected one of"):
         shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"3": (1.0, 0.0, 0.0)}))
     with pytest.raises(InputError, match="time_s in every row") as caught:
         shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"2": (1.0, 0.0, 0.0)}))

@@ -89,22 +89,24 @@ def of_beams(layout: MultiAxis) -> np.ndarray:
 
 def joint_covariance(found: Displacement) -> np.ndarray:
     """(n·f, n·f) joint covariance of all motions, position after position."""
-    n, f, p = found.lever.shape
-    flat = found.lever.reshape(n * f, p)
+    n, f, p = found.by_installation.shape
+    flat = found.by_installation.reshape(n * f, p)
     whole = flat @ found.installation_covariance @ flat.T
     for i in range(n):
-        whole[i * f : (i + 1) * f, i * f : (i + 1) * f] += found.own[i]
+        whole[i * f : (i + 1) * f, i * f : (i + 1) * f] += found.noise_covariance[i]
     return np.asarray((whole + whole.T) / 2.0)
 
 
 def u_installation(found: Displacement) -> np.ndarray:
     """(n, f) the installation's part of the standard uncertainties of the motions."""
-    return np.sqrt(np.einsum("nfp,pq,nfq->nf", found.lever, found.installation_covariance, found.lever))
+    return np.sqrt(
+        np.einsum("nfp,pq,nfq->nf", found.by_installation, found.installation_covariance, found.by_installation)
+    )
 
 
 def standard_uncertainty(found: Displacement) -> np.ndarray:
     """(n, f) standard uncertainties of the motions, metres and radians."""
-    return np.sqrt(np.einsum("nii->ni", found.own) + u_installation(found) ** 2)
+    return np.sqrt(np.einsum("nii->ni", found.noise_covariance) + u_installation(found) ** 2)
 
 
 @final

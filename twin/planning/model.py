@@ -280,7 +280,7 @@ def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> Se
     told = SetUp.told(plan, lengths_only=instrument.lengths_only)
     return replace(
         told,
-        rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in told.stations])),
+        rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in told.stations])),
         origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
         place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
     )

@@ -21,7 +21,7 @@ from twin.identification.axis_run.readings import BeamReadings
 from twin.identification.unknowns import Unknowns, spaces_for
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments.multi_axis import turn
+from twin.measurement.instruments.multi_axis import rotation_and_jacobian
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
 from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.spatial import cross_matrix, rotation_exp
@@ -126,9 +126,9 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
     mean = share @ values
     scatter = values - mean[group]
     pooled = scatter.T @ scatter / repeats if repeats else np.full((6, 6), np.nan)
-    own = by_pose @ found.own @ by_pose.transpose(0, 2, 1)
+    own = by_pose @ found.noise_covariance @ by_pose.transpose(0, 2, 1)
     each = pooled / count[:, None, None] if spread == "repeats" else np.einsum("gn,nij->gij", share**2, own)
-    flat = np.einsum("gn,nip->gip", share, by_pose @ found.lever).reshape(6 * len(state), -1)
+    flat = np.einsum("gn,nip->gip", share, by_pose @ found.by_installation).reshape(6 * len(state), -1)
     joint = flat @ found.installation_covariance @ flat.T
     common = np.sqrt(np.diag(joint)).reshape(-1, 6)
     for g in range(len(state)):
@@ -174,7 +174,7 @@ def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacemen
     """(n, 6) error motions row by row, µm and µrad, and (n, 6, 6) their derivatives by the poses."""
     # With M₀ the pose at the reference and P the way out to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
     place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place
-    _, left = turn(found.poses[:, 3:])
+    _, left = rotation_and_jacobian(found.poses[:, 3:])
     values = np.array(found.poses)
     values[:, :3] -= layout.travel(readings.position_mm)
     values[:, :3] += layout.place - place

@@ -20,7 +20,7 @@ from twin._common.files import write_whole
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside
-from twin.measurement.columns import comments_of, csv_text, printed, says_simulated
+from twin.measurement.columns import comment_lines, csv_text, number_cells, simulated_comments
 
 FEWEST_BEAMS: Final = 6
 """Beams without which six motions are not fixed."""
@@ -64,14 +64,14 @@ class BeamReadings:
 
     def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
         """The table as text; reading it gives the same readings."""
-        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": printed(self.position_mm)}
-        columns |= {name: printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": number_cells(self.position_mm)}
+        columns |= {name: number_cells(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
         columns["round"] = list(self.round)
         if np.any(self.approach):
             columns["approach"] = [str(int(value)) for value in self.approach]
         if np.isfinite(self.time_s).any():
-            columns["time_s"] = printed(self.time_s)
-        return csv_text(columns, comments_of(comment, simulated=self.simulated))
+            columns["time_s"] = number_cells(self.time_s)
+        return csv_text(columns, comment_lines(comment, simulated=self.simulated))
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
         """Write the table, whole or not at all."""
@@ -113,10 +113,10 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
         approach=cells.signs("approach"),
         time_s=cells.numbers("time_s"),
         notices=(
-            *(f"the file says: {text}" for text in says_simulated(comments)),
+            *(f"the file says: {text}" for text in simulated_comments(comments)),
             *(not_understood(name, sorted(known)) for name in header if name not in known),
         ),
-        simulated=bool(says_simulated(comments)),
+        simulated=bool(simulated_comments(comments)),
     )
     return _usable(table, layout)
 
@@ -128,14 +128,14 @@ def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
         for row in np.flatnonzero(rows):
             reasons.setdefault(int(row), reason)
 
-    aside(~np.isfinite(table.position_mm), "a commanded position that is no finite number")
-    aside(np.isinf(table.change_mm).any(axis=1), "a reading that is no finite number")
-    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading beyond {LARGEST_MM:g} mm")
+    aside(~np.isfinite(table.position_mm), "a commanded position is missing or not finite")
+    aside(np.isinf(table.change_mm).any(axis=1), "a reading is not finite")
+    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading exceeds {LARGEST_MM:g} mm")
     aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:
         beyond = outside(layout.axis, table.position_mm)
-        aside(beyond, f"{layout.axis.name} is commanded outside its range {lower:g} … {upper:g} mm")
+        aside(beyond, f"the command of {layout.axis.name} is outside its range {lower:g} … {upper:g} mm")
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
     if not np.any(keep):

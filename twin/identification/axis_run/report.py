@@ -28,7 +28,7 @@ def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
             f"beams and stated uncertainties do not go together (chi² {motions.chi2:.0f} for {motions.dof}): "
             "a beam, the layout or its uncertainties are not as stated"
         )
-    own = np.sqrt(np.einsum("nii->ni", motions.displacement.own)).mean(axis=0) * 1e6
+    own = np.sqrt(np.einsum("nii->ni", motions.displacement.noise_covariance)).mean(axis=0) * 1e6
     stray = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > STRAY * own[i]]
     if stray:
         names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in stray)
