@@ -309,10 +309,10 @@ def test_half_the_path_is_half_the_path(machine: Machine, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "said", "line"),
     [
-        ("axis: X", "axis: B", "no linear axis of this machine", 5),
+        ("axis: X", "axis: B", "not a linear axis of this machine", 5),
         ("reference_mm: 250", "reference_mm: 900", "outside the axis's range", 6),
-        ("{mirror: y, source_mm: [-35", "{mirror: q, source_mm: [-35", "no such mirror", 17),
-        ("normal: [-1, 0, 0]", "normal: [0, 0, 0]", "no direction", 9),
+        ("{mirror: y, source_mm: [-35", "{mirror: q, source_mm: [-35", "unknown mirror", 17),
+        ("normal: [-1, 0, 0]", "normal: [0, 0, 0]", "the vector is zero", 9),
         ("normal: [-1, 0, 0]", "normal: [1, 0, 0]", "meets mirror x at too large an angle", 13),
         (
             "[0, 0, 1]}\nz2".replace("z2", "  z2"),

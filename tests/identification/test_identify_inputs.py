@@ -101,9 +101,7 @@ def test_a_dead_sensor_is_refused(
     drill: Machine, stage: Measurements, run: Callable[[Measurements, Machine], object], value: float
 ) -> None:
     dead = np.where(np.isfinite(stage.point_mm), value, np.nan)
-    with pytest.raises(
-        InputError, match=r"reads the same in all 66 rows, while the commands move it by 20 mm"
-    ) as caught:
+    with pytest.raises(InputError, match=r"are equal in all 66 rows, but the commands move it by 20 mm") as caught:
         run(with_points(stage, dead), drill)
     assert (caught.value.file, caught.value.line, caught.value.value) == ("m.csv", 12, f"x_mm {value:g}")
     assert "check the sensor" in caught.value.expected
@@ -112,7 +110,7 @@ def test_a_dead_sensor_is_refused(
 def test_one_dead_target_among_others_is_refused(dmu50: Machine, tracked: Measurements) -> None:
     points = np.array(tracked.point_mm)
     points[tracked.target == "P"] = points[tracked.target == "P"][0]
-    with pytest.raises(InputError, match="a sensor that does not move: target P of station 1"):
+    with pytest.raises(InputError, match="sensor without signal: readings of target P from station 1"):
         identify(with_points(tracked, points), dmu50)
 
 
@@ -127,7 +125,7 @@ def test_a_constant_reading_may_be_right(dmu50: Machine, drill: Machine, stage: 
     assert not prepared(dmu50, turned, None)[1].notices
     little = replace(stage, positions=locked(np.array(stage.positions) * 0.0025))
     (notice,) = prepared(drill, with_points(little, constant), None)[1].notices
-    assert notice.endswith("while the commands move it by 0.05 mm: a dead sensor, or one with coarse steps")
+    assert notice.endswith("but the commands move it by 0.05 mm: the sensor is dead or its resolution is coarse")
 
 
 def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
@@ -150,7 +148,7 @@ def test_a_lone_column_is_taken_for_lengths_aloud(
     lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 30), dmu50, TrackingInterferometer())
     reader, data, _ = prepared(dmu50, lengths, None)
     assert isinstance(reader, TrackingInterferometer)
-    assert data.notices[0].startswith(f"{ASSUMED}x_mm alone is given") and "name the instrument" in data.notices[0]
+    assert data.notices[0].startswith(f"{ASSUMED}x_mm is a length") and "name the instrument" in data.notices[0]
     assert not prepared(dmu50, lengths, TrackingInterferometer())[1].notices
     lengths.save(tmp_path / "m.csv", dmu50)
     with pytest.raises(SystemExit) as stopped:
@@ -186,7 +184,7 @@ def test_a_column_that_moves_in_no_way_like_the_command(
 def test_y_alone_is_accepted_where_it_follows(drill: Machine, stage: Measurements) -> None:
     reader, data, _ = prepared(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
     assert isinstance(reader, LaserTracker)
-    assert data.notices == ("y_mm alone is given: taken as the coordinate of all targets along one line",)
+    assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
 
 
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
@@ -245,7 +243,7 @@ def test_an_axis_that_moves_no_target_is_noticed(dmu50: Machine, tracked: Measur
     positions = np.array(part.positions)
     positions[:, 4] = np.random.default_rng(SEED).uniform(0.0, 360.0, len(part))
     found = prepared(dmu50, replace(part, positions=locked(positions)), None)[1].notices
-    assert "C moved, but it carries the work and no target is there: these readings say nothing of C" in found
+    assert "C moved, but it carries the work side, which has no target: its errors are not identifiable" in found
 
 
 @pytest.mark.parametrize("wrong", ["readings", "commands"])
@@ -262,7 +260,7 @@ def test_a_mirrored_plane_is_noticed(dmu50: Machine, wrong: str) -> None:
         data = replace(data, positions=locked(np.abs(q - [500.0, 0.0, 0.0, 0.0, 0.0])))
     (notice,) = prepared(dmu50, data, None)[1].notices
     assert notice.startswith("station 1 reads x_mm and y_mm only, and sees their plane from the machine's -z")
-    assert "wrong sign (a mirrored axis)" in notice
+    assert "wrong sign (mirrored axis)" in notice
 
 
 @pytest.mark.parametrize("command", NAMES)

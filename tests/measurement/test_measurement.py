@@ -213,8 +213,8 @@ def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> No
     ("tails", "header", "line", "words"),
     [
         (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "two places for target K: '1, 2, 4'"),
-        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "incomplete place of station s"),
-        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "incomplete place of station s"),
+        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "incomplete place of target K"),
+        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "incomplete place of target K"),
         (["s,1,2", "s,,", "s,,"], KNOWN.removesuffix(",place_z_mm"), 3, "place_x_mm, place_y_mm, place_z_mm"),
         (
             ["s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,1"],

@@ -87,7 +87,7 @@ def unseen_mm(machine: Machine, data: Measurements, other: Measurements) -> floa
     """Error at other poses of the machine as drawn, station and target fitted."""
     _, solution = fitted(machine, data, Unknowns(machine, (), ()))
     network = Network(machine, other, LaserTracker(), Unknowns(machine, (), ()))
-    return rms_mm(1e3 * network.difference(solution.theta, solution.setup, np.arange(len(other))))
+    return rms_mm(1e3 * network.residuals_m(solution.theta, solution.setup, np.arange(len(other))))
 
 
 def test_the_robot_is_two_files_and_its_joints_reach_their_goals(robot: Robot) -> None:
@@ -116,7 +116,7 @@ def test_geometric_identification_halves_the_error_at_poses_it_never_saw(robot: 
     """From 0.84 mm to 0.45 mm and less, as published beside the data."""
     first, second = (robot.data.select(rows) for rows in halves(robot))
     before = unseen_mm(robot.machine, first, second)
-    after = rms_mm(found.predicted_mm(second))
+    after = rms_mm(found.residuals_mm(second))
     assert found.converged
     assert 0.80 <= before <= 0.87
     assert after <= 0.45
@@ -140,7 +140,7 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
     given = geometric(robot.as_given, first)
     # Both are nearly the least-squares answer: where the model leaves 0.25 mm a coordinate, priors of errors and set-up pull what is
     # centimetres off by micrometres.
-    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=5e-3)
+    np.testing.assert_allclose(given.residuals_mm(second), found.residuals_mm(second), atol=5e-3)
     difference = {name: value - found.calibration.location[name] for name, value in given.calibration.location.items()}
     # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis).
     # A millirad of tilt between drawing and axis turns 10 mm by 10 µm.
@@ -243,7 +243,7 @@ def test_a_plate_shows_scale_and_squareness_as_published(drill: Machine, plate: 
     left = {}
     for wanted in ((), SCALES, (SQUARENESS,), (*SCALES, SQUARENESS)):
         network, solution = fitted(drill, plate, straight(drill, *wanted))
-        left[wanted] = 1e3 * rms_mm(1e3 * network.difference(solution.theta, solution.setup, np.arange(len(plate))))
+        left[wanted] = 1e3 * rms_mm(1e3 * network.residuals_m(solution.theta, solution.setup, np.arange(len(plate))))
     # Printed to 0.1 µm.
     assert left[()] == pytest.approx(10.8, abs=0.05)
     assert left[SCALES] == pytest.approx(8.3, abs=0.05)

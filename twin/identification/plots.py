@@ -448,7 +448,7 @@ def _fitted(found: Identification, masks: Sequence[np.ndarray]) -> tuple[np.ndar
     solution = found.solution
     by_direction = solution.spectrum.scale[:, None] * solution.basis / np.sqrt(solution.stiffness)
     total, trace = np.zeros((len(masks), by_direction.shape[1])), np.zeros(len(masks))
-    for piece in found.network.pieces(solution.theta, solution.setup):
+    for piece in found.network.chunks(solution.theta, solution.setup):
         taken = piece.jacobian @ by_direction
         for i, mask in enumerate(masks):
             of = taken[mask[piece.rows]]

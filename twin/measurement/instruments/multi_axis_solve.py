@@ -45,7 +45,7 @@ class Displacement:
 
     poses: np.ndarray
     installation: np.ndarray
-    own: np.ndarray
+    noise_covariance: np.ndarray
     by_installation: np.ndarray
     installation_covariance: np.ndarray
     residual: np.ndarray
@@ -162,7 +162,7 @@ def measure(
     return Displacement(
         poses=locked(found),
         installation=locked(installation),
-        own=locked(step.inverse @ step.inverse.transpose(0, 2, 1)),
+        noise_covariance=locked(step.inverse @ step.inverse.transpose(0, 2, 1)),
         by_installation=locked(by_installation),
         installation_covariance=locked(covariance),
         residual=locked(np.where(run.weight > 0.0, step.residual, np.nan)),
