@@ -165,5 +165,5 @@ def test_uncertainty_over_a_plane(dmu50: Machine, found: Identification, tmp_pat
     plane = over.positions[:, 1] == 225.0
     assert shown == pytest.approx(over.uncertainty.expanded_um[plane].max())
     renders(figure, tmp_path / "u.png")
-    with pytest.raises(InputError, match="no plane of this map"):
+    with pytest.raises(InputError, match="not a plane of this map"):
         plot_uncertainty(over, "X", "B")

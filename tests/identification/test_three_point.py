@@ -65,5 +65,5 @@ def test_six_equations_throw_information_away() -> None:
 def test_reflectors_in_a_line_are_refused() -> None:
     line = np.outer([0.0, 1.0, 2.0], [0.05, 0.02, -0.03])
     for equations in ("six", "nine"):
-        with pytest.raises(InputError, match="apart from one line"):
+        with pytest.raises(InputError, match="not on a line"):
             three_point(np.zeros((1, 3, 3)), line, "X", equations=equations)  # type: ignore[arg-type]

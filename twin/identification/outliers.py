@@ -155,7 +155,7 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
 
 
 def many_outliers_notice(rows: RowAssessment) -> tuple[str, ...]:
-    """Return a notice if so many rows are outliers that the model is probably wrong, not the readings."""
+    """Return a notice if the share of outliers indicates that the model is wrong, not the readings."""
     share = float(np.mean(rows.bad)) if len(rows.bad) else 0.0
     if share <= MANY_OUTLIERS:
         return ()

@@ -106,7 +106,7 @@ class Identification:
         return _rms_um(self.residual_mm)
 
     def evaluated_with(self, calibration: Calibration) -> Identification:
-        """Return the result with the residuals recomputed from a calibration, as it was read back from its file."""
+        """Return the result with the residuals recomputed from a calibration that was read back from its file."""
         residual, whitened = residuals_of(calibration, self.network, self.setup)
         read = self.network.read
         return replace(

@@ -368,7 +368,7 @@ def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _newton(
-    spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float, weakest: float
+    spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, noise: float, weakest: float
 ) -> tuple[np.ndarray, float]:
     """Return the Gauss-Newton step for readings and prior, and the change of the residuals, root of the sum of squares.
 
@@ -382,7 +382,7 @@ def _newton(
     basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
     values = spectrum.values
     prior = noise**2 * _with_prior(values, noise)
-    right = -prior * (basis.T @ off) if noise > 1.0 else np.zeros(len(values))
+    right = -prior * (basis.T @ deviation) if noise > 1.0 else np.zeros(len(values))
     right[: len(along)] += values[: len(along)] * along
     if noise <= 1.0:
         # Hardly determined directions keep their values: derivatives across a plane of points hold over a short distance only.
