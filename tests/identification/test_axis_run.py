@@ -1,4 +1,4 @@
-"""One linear axis under a multi-axis interferometer: against Pinocchio, truths over seeded draws, and three reflectors."""
+"""One linear axis under a multi-axis interferometer: compared with Pinocchio, with simulated truths, and with three reflectors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def layout(machine: Machine) -> AxisLayout:
 
 
 def run_of(rounds: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, sides and rounds of a run forth and back."""
+    """Return positions, sides and rounds of a run back and forth."""
     n = len(FORTH)
     return (
         np.tile(np.concatenate([FORTH, FORTH[::-1]]), rounds),
@@ -54,7 +54,7 @@ def run_of(rounds: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def drawn(machine: Machine, seed: int, axis: str = "X") -> Calibration:
-    """Six curves of degree 2 to 5, some micrometres and tens of microradians."""
+    """Return six random curves of degree 2 to 5, some micrometres and tens of microradians."""
     rng = np.random.default_rng(seed)
     curves = {}
     lower, upper = machine.by_name[axis].lower, machine.by_name[axis].upper
@@ -68,20 +68,20 @@ def drawn(machine: Machine, seed: int, axis: str = "X") -> Calibration:
 
 
 def fine(name: str, values: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """What the datum leaves of a curve: no mean over the travel, and no mean slope of a straightness."""
+    """Return a curve in the datum: without its mean over the travel and, for a straightness, without its mean slope."""
     degree = 1 if name[2] in "YZ" else 0
     return values - np.polyval(np.polyfit(q, values, degree), q)
 
 
 def without_datum(curve: Curve, q: np.ndarray) -> np.ndarray:
-    """A power curve over 0 to 500 mm less its mean and, of a straightness, its mean slope: by Legendre polynomials."""
+    """Return a power curve over 0 to 500 mm without its mean and, for a straightness, its mean slope: by Legendre polynomials."""
     legendre = np.polynomial.legendre.poly2leg(np.array(curve.coefficients))
     legendre[: 2 if curve.name[2] in "YZ" else 1] = 0.0
     return np.asarray(np.polynomial.legendre.legval((2.0 * q - 500.0) / 500.0, legendre))
 
 
 def test_the_carriage_is_where_pinocchio_has_it(machine: Machine, layout: AxisLayout) -> None:
-    """The whole chain of the machine, every error frame a free-flyer joint; X stands on nothing that errs."""
+    """The whole chain of the machine, every error frame a free-flyer joint; X stands on an error-free base."""
     calibration = drawn(machine, 1)
     found = carriage_poses(layout, machine, calibration, FORTH)
     frame = next(f for f in machine.frames if (f.axis, f.role) == ("X", "motion"))
@@ -104,7 +104,7 @@ def test_the_carriage_is_where_pinocchio_has_it(machine: Machine, layout: AxisLa
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 def test_exact_readings_give_the_motions_back(machine: Machine, layout: AxisLayout, axis: str) -> None:
-    """Of every linear axis; up to constants and, where the reference itself leans, the slope of a straightness."""
+    """For every linear axis; up to constants and, if the reference itself is tilted, the slope of a straightness."""
     own = machine.by_name[axis]
     assert own.lower is not None and own.upper is not None
     q = np.linspace(own.lower, own.upper, 15)
@@ -133,7 +133,7 @@ def test_exact_readings_give_the_motions_back(machine: Machine, layout: AxisLayo
 
 
 def test_uncertainties_cover_the_truth(machine: Machine, layout: AxisLayout) -> None:
-    """40 machines and layouts drawn: every curve at five positions against its standard uncertainty."""
+    """40 random machines and layouts: every curve at five positions compared with its standard uncertainty."""
     positions, side, rounds = run_of()
     at = np.linspace(20.0, 480.0, 5)
     scores, chances, shares = [], [], []
@@ -163,7 +163,7 @@ def test_uncertainties_cover_the_truth(machine: Machine, layout: AxisLayout) -> 
 
 
 def test_against_three_reflectors_on_the_same_positions(machine: Machine, layout: AxisLayout) -> None:
-    """Without noise both say the same; with their own, beams and a tracker at 2 m, the beams' angles are far better."""
+    """Without noise both agree; with the noise of beams and of a tracker at 2 m, the beams' angles are far better."""
     calibration = drawn(machine, 3)
     places = np.array([[0.10, -0.05, -0.03], [-0.08, 0.06, -0.07], [0.02, 0.11, -0.12]])
 
@@ -193,7 +193,7 @@ def test_against_three_reflectors_on_the_same_positions(machine: Machine, layout
 
 
 def test_repeats_tell_what_the_beams_noise_does_not(machine: Machine, layout: AxisLayout) -> None:
-    """A carriage that comes back to 0.5 µm and 1 µrad: seen in its repeatability, taken in by ``repeats``."""
+    """A carriage with a repeatability of 0.5 µm and 1 µrad: it is found, and included by ``repeats``."""
     calibration = drawn(machine, 5)
     positions, side, rounds = run_of(5)
     rng = np.random.default_rng(6)
@@ -384,7 +384,7 @@ def test_too_few_positions(machine: Machine, layout: AxisLayout) -> None:
 
 
 def test_readings_of_another_layout_are_refused(machine: Machine, layout: AxisLayout) -> None:
-    """Beams of y and z swapped with those of x: no pose of the carriage makes them."""
+    """Beams of y and z swapped with those of x: no pose of the carriage agrees with them."""
     readings, _ = simulate_run(layout, machine, drawn(machine, 19), FORTH, np.random.default_rng(20))
     swapped: BeamReadings = dataclasses.replace(readings, change_mm=readings.change_mm[:, [3, 0, 1, 2, 4, 5, 6, 7, 8]])
     try:

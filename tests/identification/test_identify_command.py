@@ -1,4 +1,4 @@
-"""`twin identify` as its users meet it, and what it leaves on disk."""
+"""`twin identify` as a user calls it, and the files it writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What data cannot tell is named, not guessed: too few targets, axes that rest, places and stations nobody knows."""
+"""Errors that data do not determine are named, not guessed: too few targets, axes at rest, unknown places and stations."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def truth(errors: dict[str, dict], tmp_path: Path) -> TruthMachine:
 def test_targets_nobody_placed_and_linear_axes_alone(
     dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]
 ) -> None:
-    """Angular error times an unknown distance looks like straightness: said, and allowed for; with the places it is gone."""
+    """Angular error times an unknown distance looks like straightness: stated, and included in u; with known places it is gone."""
     plan = as_the_thesis(dmu50)
     data = read_by_truth(plan.select(plan.carrier == "tool"), truth)
     unknown, known = identify(data, dmu50), identify(with_places(data), dmu50)
@@ -62,8 +62,8 @@ def test_axes_that_rest_are_named(dmu50: Machine, truth: TruthMachine) -> None:
 
 
 def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
-    """Through the origin of X's error frame. Nothing tells a turn about that line: E_AX is named and not reported;
-    what does not hang on it is exact.
+    """Through the origin of X's error frame. A rotation about that line is undetermined: E_AX is named, not reported; errors that do not
+    depend on it are exact.
     """
     errors = in_datum(np.random.default_rng(52), ("E_XX", "E_BX", "E_CX"), constants=False)
     truth = written(tmp_path / "t.yaml", errors)
@@ -88,7 +88,7 @@ def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
 
 
 def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]) -> None:
-    """Their line is oblique, so that it is a mixture of three angles that nothing tells: what is reported still holds within 4 u."""
+    """Their line is oblique, so that a combination of three angles is undetermined: reported values still hold within 4 u."""
     plan = as_the_thesis(dmu50)
     data = with_places(read_by_truth(plan.select(np.isin(plan.target, ("P", "Q"))), truth))
     found = identify(data, dmu50)
@@ -101,7 +101,7 @@ def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: di
 
 
 def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict[str, dict]) -> None:
-    """E_X0B, E_Y0B, E_Y0C: named with the reason where no place is known; found where all are."""
+    """E_X0B, E_Y0B, E_Y0C: named with the reason if no place is known; found if all are."""
     more = {**errors, "location": {**errors["location"], "E_X0B": 12.0, "E_Y0B": -7.0, "E_Y0C": 9.0}}
     truth = written(tmp_path / "t.yaml", more)
     data = read_by_truth(as_the_thesis(dmu50), truth)

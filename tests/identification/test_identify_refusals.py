@@ -1,4 +1,4 @@
-"""Data that are wrong: readings that stray, beams that break, columns that were mixed up. Each is found, named, and kept out."""
+"""Wrong data: outliers, broken beams, exchanged columns. Each is detected, named and excluded."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def displaced(data: Measurements, rows: np.ndarray, by_mm: np.ndarray) -> Measur
 
 
 def check_as_without(found: Identification, without: Identification) -> None:
-    """Within 0.2 of the stated standard uncertainty, every curve where it was measured and every number."""
+    """Check every curve where it was measured, and every number, within 0.2 of the stated standard uncertainty."""
     assert set(found.calibration.curves) == set(without.calibration.curves)
     for name in without.calibration.curves:
         q = thesis_plan.POSITIONS[name[3]]
@@ -50,7 +50,7 @@ def check_as_without(found: Identification, without: Identification) -> None:
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 def test_stray_readings_are_found(dmu50: Machine, data: Measurements, seed: int) -> None:
-    """Twelve readings off by 0.1 to 5 mm in any direction: all of them, none else, and the estimate as if they were not there.
+    """Twelve readings with errors of 0.1 to 5 mm in any direction: exactly these are found, and the estimate is the one without them.
 
     The tracker's standard deviation across the beam is 14 µm, and the limit 5.3 of them (one false alarm in a hundred data sets).
     """
@@ -89,7 +89,7 @@ def test_a_broken_beam(dmu50: Machine, data: Measurements) -> None:
 
 
 def test_a_wrong_command(dmu50: Machine, data: Measurements) -> None:
-    """One row says another position, 12 mm off, and one another by a whole step: set aside before anything is estimated."""
+    """One row has a command 12 mm off, and one a command off by a whole step: set aside before the estimate."""
     positions = np.array(data.positions)
     first = np.flatnonzero(data.approach[:, 1] != 0)[17]
     second = np.flatnonzero(data.approach[:, 4] != 0)[40]
@@ -134,7 +134,7 @@ def test_a_wrong_sign_is_named(dmu50: Machine, data: Measurements, axis: int, co
 
 @pytest.mark.parametrize("change", ["swap", "sign"])
 def test_a_mirror_is_named(dmu50: Machine, data: Measurements, change: str) -> None:
-    """Measured coordinates of a left-handed frame: two columns swapped, or one with the wrong sign."""
+    """Measured coordinates in a left-handed frame: two columns swapped, or one with the wrong sign."""
     points = data.point_mm[:, [1, 0, 2]] if change == "swap" else data.point_mm * [1.0, -1.0, 1.0]
     with pytest.raises(InputError, match="readings of station 1 are in a left-handed frame") as caught:
         identify(replace(data, point_mm=locked(np.array(points))), dmu50)

@@ -1,4 +1,4 @@
-"""Error motions of a rotary axis: against the discrete Fourier transform and a fitted circle, and what must not matter."""
+"""Error motions of a rotary axis: compared with the discrete Fourier transform and a fitted circle, and their invariances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = st.sampled_from(("radial", "axial", "tilt"))
 
 
 def angles(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Over a turn, uneven by up to a fifth of a step."""
+    """Return angles over a turn, uneven by up to a fifth of a step."""
     return (np.arange(count) + rng.uniform(-0.1, 0.1, count)) * 360.0 / count
 
 
@@ -56,7 +56,7 @@ def test_what_was_put_in_comes_out(seed: int, count: int, kind: str) -> None:
 
 @given(seed=SEEDS, count=COUNTS, turns=st.integers(1, 5), eccentricity=st.floats(0.0, 100.0), at=st.floats(0.0, 6.28))
 def test_how_the_artefact_sits(seed: int, count: int, turns: int, eccentricity: float, at: float) -> None:
-    """Once per turn and a constant: no error of a radial or tilt motion, all the error of an axial one."""
+    """A once-per-turn component and a constant: no error of a radial or tilt motion, but an error of an axial one."""
     rng = np.random.default_rng(seed)
     angle = angles(rng, count)
     readings = rng.normal(0.0, 1.0, (turns, count))
@@ -79,7 +79,7 @@ def test_how_the_artefact_sits(seed: int, count: int, turns: int, eccentricity: 
 
 
 def test_centre_is_that_of_the_circle_fitted_to_the_polar_plot() -> None:
-    """Geometrically, in the plane, at a radius of 50 mm: where the linear circle ought to agree."""
+    """Fitted geometrically, in the plane, at a radius of 50 mm, where the linear circle agrees."""
     rng = np.random.default_rng(2307)
     angle, radius_um = angles(rng, 72), 50_000.0
     readings = 20.0 * np.cos(np.radians(angle) - 1.0) + 3.0 * np.cos(3.0 * np.radians(angle)) + rng.normal(0.0, 0.5, 72)

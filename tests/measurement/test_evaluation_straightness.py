@@ -1,4 +1,4 @@
-"""Straightness about three reference lines: against linear programming, polyfit and brute force, and its properties."""
+"""Straightness about three reference lines: compared with linear programming, polyfit and brute force, and its properties."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS = ("noise", "walk", "steps", "bow", "line")
 
 
 def drawn(seed: int, count: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in mm, unevenly spread, and deviations of some µm: smooth, rough, with many equal values, or none."""
+    """Return random positions in mm, unevenly spaced, and deviations of some µm: smooth, rough, with many equal values, or none."""
     rng = np.random.default_rng(seed)
     position = np.sort(rng.choice(5000, count, replace=False)) * 0.1 - 100.0
     if kind == "noise":
@@ -128,7 +128,7 @@ def test_properties(seed: int, count: int, kind: str, offset: float, slope: floa
 
 @given(seed=SEEDS, count=st.integers(3, 12), kind=st.sampled_from(("noise", "walk", "bow")))
 def test_covariance_is_the_lines_sensitivity(seed: int, count: int, kind: str) -> None:
-    """Each line's own numbers, computed again with one deviation changed after another."""
+    """The parameters of each line, recomputed with one deviation changed after another."""
     position, deviation = drawn(seed, count, kind)
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(count, count))

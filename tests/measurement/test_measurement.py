@@ -1,4 +1,4 @@
-"""The measurement table: what it says, round trip, what is set aside and what is refused."""
+"""The measurement table: content, round trip, rows set aside and tables refused."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason
 
 
 def test_notes_are_grouped_by_reason() -> None:
-    """One line a reason: count, first lines, the worst row; a single row as it is."""
+    """One line for each reason: count, first lines, the worst row; a single row unchanged."""
     off = [RowNote(line, f"{line} µm off", kind="too far off", size=float(line)) for line in (4, 9, 7)]
     alike = [RowNote(line, "no coordinate was measured") for line in range(10, 1010)]
     assert grouped_notes([off[0], *alike, RowNote(3, "12 mm off", kind="off", size=12.0), *off[1:]]) == [
@@ -189,7 +189,7 @@ POSE = ",station_x_mm,station_y_mm,station_z_mm,station_a_deg,station_b_deg,stat
 
 
 def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> None:
-    """Said in one row, it holds for the target, or the station, in every row; the others stay unknown."""
+    """Given in one row, it holds for the target, or the station, in every row; the others stay unknown."""
     lines = [
         "0,100,-50,0,0,K,tool,1,2,3,s,,,," + ",,,,,",
         "50,100,-50,0,0,K,tool,1,2,3,s,1.5,-2,30," + ",,,,,",

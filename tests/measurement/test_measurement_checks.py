@@ -1,4 +1,4 @@
-"""Rows that agree, positions outside the range, stations without a reading: refused, set aside or named while a table is read."""
+"""Equal rows, positions outside the range, stations without a reading: refused, set aside or reported while a table is read."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ SEED = 20
 
 @pytest.fixture(scope="module")
 def tracked(dmu50: Machine) -> Measurements:
-    """The thesis's plan before a laser tracker, hundredths of a micrometre written; four rounds."""
+    """Return the thesis's plan measured by a laser tracker, written to hundredths of a micrometre; four rounds."""
     rng = np.random.default_rng(SEED)
     data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
     return replace(data, point_mm=locked(np.round(data.point_mm, 5)))
 
 
 def pasted(data: Measurements, machine: Machine, path: Path, rows: list[int], *without: str) -> Path:
-    """The table as a file with some rows once more at its end; columns that begin with ``without`` left out."""
+    """Return the table as a file with some rows repeated after the last; columns that begin with ``without`` are left out."""
     lines = [line.split(",") for line in data.to_csv(machine).splitlines() if not line.startswith("#")]
     lines += [lines[row + 1] for row in rows]
     keep = [i for i, name in enumerate(lines[0]) if not name.startswith(without or "-")]
@@ -62,7 +62,7 @@ def test_a_table_pasted_twice(dmu50: Machine, tracked: Measurements, tmp_path: P
 
 
 def gauge(machine: Machine, path: Path, *, step_mm: float, noise_mm: float, times: bool = False) -> Path:
-    """A drill's x before a gauge with coarse steps: 5 positions, 40 readings of each, no rounds."""
+    """Return a drill's x measured by a gauge with coarse steps: 5 positions, 40 readings of each, no rounds."""
     rng = np.random.default_rng(SEED)
     x = np.tile(np.linspace(0.0, 200.0, 5), 40)
     read = np.round((x * (1.0 + 30e-6) + rng.normal(0.0, noise_mm, len(x))) / step_mm) * step_mm
@@ -84,7 +84,7 @@ def test_equal_readings_of_a_coarse_gauge_are_no_copies(tmp_path: Path, step_mm:
 
 
 def test_times_decide(tmp_path: Path) -> None:
-    """The same gauge with times: no reading is taken twice at one moment, so that the pasted row is found."""
+    """The same gauge with times: no reading is taken twice at one time, so that the pasted row is found."""
     machine = Machine.load(write_drill(tmp_path))
     path = gauge(machine, tmp_path / "m.csv", step_mm=0.01, noise_mm=0.003, times=True)
     assert not load(path, machine).set_aside
@@ -102,7 +102,7 @@ def test_times_decide(tmp_path: Path) -> None:
 def test_a_row_that_differs_in_any_column_is_no_copy(
     dmu50: Machine, tracked: Measurements, tmp_path: Path, column: str
 ) -> None:
-    """The last, which is not understood, too."""
+    """Also in the last column, which is unknown."""
     lines = pasted(tracked, dmu50, tmp_path / "m.csv", [3]).read_text().splitlines()
     text = [f"{lines[0]},{column}", *(f"{line},0.01" for line in lines[1:-1]), f"{lines[-1]},0.02"]
     (tmp_path / "m.csv").write_text("\n".join(text) + "\n")
@@ -159,7 +159,7 @@ def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Me
 
 
 def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
-    """A notice where other stations remain; refused where it is the only one. A target likewise."""
+    """A notice if other stations remain; refused if it is the only one. The same for a target."""
     points, stations = np.array(tracked.point_mm), np.array(tracked.station)
     stations[:40], points[:40] = "west", np.nan
     points[tracked.target == "P"] = np.nan

@@ -1,4 +1,4 @@
-"""Simulated measurements against the truth machine that shares no code with `twin`."""
+"""Simulated measurements compared with the truth machine, which shares no code with `twin`."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan
 
 
 def placed(plan: Measurements) -> Measurements:
-    """Target K and station 1 known."""
+    """Return the plan with target K and station 1 known."""
     places, poses = np.array(plan.place_mm), np.array(plan.station_pose)
     places[plan.target == "K"] = [12.0, -34.0, 56.0]
     poses[plan.station == "1"] = [0.0, -1900.0, 150.0, 0.0, 0.0, 90.0]
@@ -107,7 +107,7 @@ def shop(
 
 
 def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """Bit for bit, noise included; the air the instrument assumes does nothing either."""
+    """Bit for bit, noise included; the air that the instrument assumes has no influence either."""
     for instrument in INSTRUMENTS:
         without = shop(plan, dmu50, calibration, instrument, None)
         for around in (Surroundings(), Surroundings(air=Air())):
@@ -116,7 +116,7 @@ def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibrati
 
 
 def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """A degree more: −0.95 µm/m by Birch and Downs, along the beam; of an interferometer, on what it counts and not the dead path."""
+    """One degree more: −0.95 µm/m by Birch and Downs, along the beam; for an interferometer, without the dead path."""
     warm = Surroundings(air=Air(temperature_degC=21.0))
     assert (warm.scale - 1.0) * 1e6 == pytest.approx(-0.95, abs=0.01)
     tracker = LaserTracker()
@@ -135,7 +135,7 @@ def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration
 
 
 def test_a_station_drifts_with_time(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """In the base frame, linear in the time since the plan's first point; the other station stands."""
+    """In the base frame, linear in the time since the plan's first point; the other station does not move."""
     timed = replace(plan, time_s=5000.0 + 60.0 * np.arange(len(plan)))
     rate = np.array([12.0, -7.0, 3.0])
     around = Surroundings(drift_um_per_h={"1": (12.0, -7.0, 3.0)})
@@ -165,7 +165,7 @@ def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: M
 
 
 def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pytest.CaptureFixture[str]) -> None:
-    """A plan by its bare name; what the shop did stands in the file; bad options say what they want."""
+    """A plan by its bare name; the ambient influences are in the file; bad options are explained."""
     out = tmp_path / "measured.csv"
     with pytest.raises(SystemExit) as stopped:
         cli.main(["simulate", "thesis_plan.csv", "-o", str(out), "--air", "21,1013.25,50", "--drift", "1=5,0,-2.5"])
