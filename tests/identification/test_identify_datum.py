@@ -62,7 +62,7 @@ def test_axes_that_rest_are_named(dmu50: Machine, truth: TruthMachine) -> None:
 
 
 def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
-    """Through the origin of X's error frame. A rotation about that line is undetermined: E_AX is named, not reported; errors that do not
+    """Through the origin of X's error frame. A rotation about it is undetermined: E_AX is named, not reported; errors that do not
     depend on it are exact.
     """
     errors = in_datum(np.random.default_rng(52), ("E_XX", "E_BX", "E_CX"), constants=False)
@@ -88,7 +88,7 @@ def test_two_targets_on_a_line_along_x(dmu50: Machine, tmp_path: Path) -> None:
 
 
 def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]) -> None:
-    """Their line is oblique, so that a combination of three angles is undetermined: reported values still hold within 4 u."""
+    """On an oblique line, so that a combination of three angles is undetermined: reported values still hold within 4 u."""
     plan = as_the_thesis(dmu50)
     data = with_places(read_by_truth(plan.select(np.isin(plan.target, ("P", "Q"))), truth))
     found = identify(data, dmu50)

@@ -217,7 +217,7 @@ def test_report_gear_ratio(stage: Stage) -> None:
     assert rows["Reference"][2:4] == [truncated(slope, 5), truncated(height, 5)]
     assert rows["Reference"][4] == f"{len(targets):.5f}"
     assert rows["Reference"][5] == truncated(float(residual[0]), 8)
-    # What is left is the deviations' own sum of squares, mm².
+    # The residual is the deviations' own sum of squares, mm².
     left = np.sum(stage.result.forward**2) + np.sum(stage.result.backward**2)
     assert left * 1e-6 == pytest.approx(float(rows["Reference"][5]), abs=1e-8)
 

@@ -142,7 +142,7 @@ def test_a_perfect_axis_can_be_drawn(tmp_path: Path) -> None:
 
 
 def test_only_the_plots_need_matplotlib() -> None:
-    """They do not change its global state, which belongs to the user's notebook."""
+    """The global state of matplotlib, which belongs to the user's notebook, does not change."""
     code = (
         "import sys; import twin.measurement.evaluation; assert 'matplotlib' not in sys.modules; "
         "import twin.measurement.evaluation.plots; assert 'matplotlib.pyplot' not in sys.modules"

@@ -53,7 +53,7 @@ def test_axes_turned_in_space(c: float, b: float, a: float, setup: tuple[float, 
     travel = np.linspace(0.0, 400.0, 9)[:, None]
     path = {axis: travel * (askew @ direction) for axis, direction in directions.items()}
     for name, expected in (("E_C0Y", c), ("E_B0Z", b), ("E_A0Z", a)):
-        # Small angles: what is left out is a product of two of them, at most some 10 × 1e-4 × 1e-4 rad = 0.1 µrad.
+        # Small angles: neglected are products of two of them, at most some 10 × 1e-4 × 1e-4 rad = 0.1 µrad.
         assert between(name, path).value_urad == pytest.approx(expected, abs=0.1)
 
 

@@ -408,7 +408,7 @@ def errors_of_algorithm_2(times: float) -> tuple[float, float, int]:
 
 
 def test_algorithm_2_is_not_independent_of_the_installation() -> None:
-    """Ten times the installation error gives ten times the error of x: their 1.884 nm is not due to 0.1 nm of noise."""
+    """Ten times the installation error gives ten times the error of x: 1.884 nm is not due to 0.1 nm of noise, θ is not independent."""
     one, ten = errors_of_algorithm_2(1.0), errors_of_algorithm_2(10.0)
     assert one[0] == pytest.approx(1.5, rel=0.2)
     assert ten[0] / one[0] == pytest.approx(10.0, rel=0.15)  # the noise's own part is 0.2 of 1.5 nm
@@ -418,7 +418,7 @@ def test_algorithm_2_is_not_independent_of_the_installation() -> None:
 
 
 def test_the_angles_of_the_beams_are_not_among_what_is_solved() -> None:
-    """Of their 36 accurate unknowns six are not: a third of each α is in the truncated part of Algorithm 2, whatever the noise."""
+    """Six of their 36 accurate unknowns are not: a third of each α is in the truncated part of Algorithm 2."""
     for seed in range(5):
         layout, _, readings, start = simulated(1.0, seed)
         told = self_calibrate(layout, readings, noise=NOISE, tolerance=1e-6, poses=start).determinability
