@@ -192,7 +192,7 @@ def test_against_three_reflectors_on_the_same_positions(machine: Machine, layout
     assert np.all(of_beams.std(axis=0)[:3] < 0.2 * of_three.std(axis=0)[:3])
 
 
-def test_repeats_tell_what_the_beams_noise_does_not(machine: Machine, layout: AxisLayout) -> None:
+def test_repeatability_beyond_the_noise_of_the_beams(machine: Machine, layout: AxisLayout) -> None:
     """A carriage with a repeatability of 0.5 µm and 1 µrad: it is found, and included by ``repeats``."""
     calibration = drawn(machine, 5)
     positions, side, rounds = run_of(5)
@@ -235,7 +235,7 @@ def test_a_layout_that_is_not_as_stated_shows_in_the_misfit(machine: Machine, la
     assert "are not as stated" in to_text(layout, readings, motions, axis_curves(motions, machine, source="a test"))
 
 
-def test_a_reversal_is_told_and_not_put_into_the_curves(machine: Machine, layout: AxisLayout) -> None:
+def test_reversal_is_reported_and_not_part_of_the_curves(machine: Machine, layout: AxisLayout) -> None:
     plain = drawn(machine, 9)
     turned = dataclasses.replace(plain, extra=(Reversal(machine.by_name["X"], 3.0),))
     positions, side, rounds = run_of()
@@ -420,7 +420,7 @@ def test_the_commands(machine: Machine, tmp_path: Path, capsys: pytest.CaptureFi
         (["axis-run", "none.csv", "-l", "nine_beams_x.yaml", "-o", "a.yaml"], "cannot be read"),
     ],
 )
-def test_what_the_commands_refuse(
+def test_commands_refuse_bad_usage(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

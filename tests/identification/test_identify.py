@@ -70,7 +70,7 @@ def test_the_thesis_plan_gives_the_machine_back(dmu50: Machine, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7, 8, 9))])
-def test_nothing_that_is_not_there(dmu50: Machine, tmp_path: Path, seed: int) -> None:
+def test_absent_errors_are_found_as_zero(dmu50: Machine, tmp_path: Path, seed: int) -> None:
     """Six curves and no constants: the other 24 curves and eight constants are found as zero, and degree 0."""
     rng = np.random.default_rng(seed)
     names = tuple(str(name) for name in rng.choice(MOTIONS, 6, replace=False))

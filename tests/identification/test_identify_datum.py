@@ -24,9 +24,7 @@ def truth(errors: dict[str, dict], tmp_path: Path) -> TruthMachine:
     return written(tmp_path / "t.yaml", errors)
 
 
-def test_targets_nobody_placed_and_linear_axes_alone(
-    dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]
-) -> None:
+def test_unknown_places_and_linear_axes_only(dmu50: Machine, truth: TruthMachine, errors: dict[str, dict]) -> None:
     """Angular error times an unknown distance looks like straightness: stated, and included in u; with known places it is gone."""
     plan = as_the_thesis(dmu50)
     data = read_by_truth(plan.select(plan.carrier == "tool"), truth)

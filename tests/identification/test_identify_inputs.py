@@ -141,7 +141,7 @@ def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
     )
 
 
-def test_a_lone_column_is_taken_for_lengths_aloud(
+def test_a_single_column_is_taken_as_lengths_with_a_notice(
     dmu50: Machine, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """The notice precedes the results, in text and JSON; a named instrument needs none."""
@@ -169,7 +169,7 @@ def test_one_coordinate_of_a_tracker_is_no_length(
 
 
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
-def test_a_column_that_moves_in_no_way_like_the_command(
+def test_a_column_that_does_not_follow_the_command(
     drill: Machine, stage: Measurements, run: Callable[[Measurements, Machine], object]
 ) -> None:
     """Noise of 3 mm on a travel of 20 and of 2 mm: less than a wrong command would cause."""
@@ -181,7 +181,7 @@ def test_a_column_that_moves_in_no_way_like_the_command(
         assert "the commands" in caught.value.what and caught.value.line is not None
 
 
-def test_y_alone_is_accepted_where_it_follows(drill: Machine, stage: Measurements) -> None:
+def test_single_y_that_follows_the_commands_is_accepted(drill: Machine, stage: Measurements) -> None:
     reader, data, _ = prepared(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
     assert isinstance(reader, LaserTracker)
     assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
@@ -221,7 +221,9 @@ def test_another_unit_is_named(
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "metres"), (1 / 25.4, "inches"), (1e3, "micrometres")])
-def test_another_unit_of_a_lone_column_is_named(drill: Machine, stage: Measurements, factor: float, unit: str) -> None:
+def test_another_unit_of_a_single_column_is_named(
+    drill: Machine, stage: Measurements, factor: float, unit: str
+) -> None:
     """20 mm of travel: in metres, all readings are within a few millimetres of any command."""
     for travel in (1.0, 0.1):
         part = replace(stage, positions=locked(stage.positions * travel))
@@ -302,7 +304,7 @@ def test_good_data_of_one_axis_raise_no_complaint(drill: Machine, stage: Measure
     assert len(left) == len(stage) and not left.notices and not left.set_aside
 
 
-def test_too_few_positions_are_no_proof(dmu50: Machine) -> None:
+def test_too_few_positions_do_not_test_the_model(dmu50: Machine) -> None:
     """20 points fit any model: held-out residuals are many standard deviations, which the verdict states, in JSON too."""
     rng = np.random.default_rng(SEED)
     plan = volumetric(dmu50, rng, 20, stations=1)

@@ -63,7 +63,7 @@ def by_truth(found: Identification, file: Path) -> np.ndarray:
     return left
 
 
-def test_a_target_that_misfits_is_no_heap_of_outliers(dmu50: Machine, clean: Measurements) -> None:
+def test_a_target_with_a_misfit_has_few_outliers(dmu50: Machine, clean: Measurements) -> None:
     """One of six targets has a misfit thirty times that of the others: five wrong rows are found, the other rows stay in."""
     data = replace(clean, point_mm=locked(clean.point_mm + loose(clean, "P")))
     rows = np.flatnonzero(data.target == "P")[[7, 31, 66, 80, 101]]
@@ -75,7 +75,7 @@ def test_a_target_that_misfits_is_no_heap_of_outliers(dmu50: Machine, clean: Mea
     assert found.to_text().count("outlier, not used") == 2 and len(found.to_dict()["set_aside"]) == 5
 
 
-def test_many_outliers_are_the_model(dmu50: Machine, clean: Measurements) -> None:
+def test_many_outliers_indicate_the_model(dmu50: Machine, clean: Measurements) -> None:
     """Above a share of two in a hundred the report doubts the model; one in a hundred gives no notice."""
     few, many = (identify(moved(clean, np.arange(k, len(clean), step), 1.0), dmu50) for k, step in ((3, 100), (3, 25)))
     assert 0.005 < np.mean(~few.used) < 0.02 < np.mean(~many.used) < 0.06
@@ -112,7 +112,7 @@ def test_the_command_reports_its_own_file(clean: Measurements, tmp_path: Path) -
     assert found.as_written(Calibration.zero(machine)).rms_um > 3.0 * found.rms_um
 
 
-def test_what_the_readings_hardly_show_is_held_by_its_prior(clean: Measurements, tmp_path: Path) -> None:
+def test_hardly_determined_errors_are_held_by_their_priors(clean: Measurements, tmp_path: Path) -> None:
     """A misfit of 150 µm and one target on each side: no error exceeds three times what the machine file calls plausible."""
     names = ("K", "KT")
     largest = {}
@@ -143,7 +143,7 @@ def with_plausible(folder: Path, size: float) -> Machine:
     return Machine.load(path)
 
 
-def test_a_robot_s_file_reproduces_what_was_reported(tmp_path: Path) -> None:
+def test_a_robots_file_reproduces_the_report(tmp_path: Path) -> None:
     """The case of `ur10-c`: 0.99 mm nominal; the written file gives the reported residuals, by a fit of station and place in SciPy."""
     folder = beside("data", "real", "ur10-c")
     out, said = tmp_path / "c.yaml", tmp_path / "r.json"

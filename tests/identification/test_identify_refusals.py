@@ -49,7 +49,7 @@ def check_as_without(found: Identification, without: Identification) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
-def test_stray_readings_are_found(dmu50: Machine, data: Measurements, seed: int) -> None:
+def test_outliers_are_found(dmu50: Machine, data: Measurements, seed: int) -> None:
     """Twelve readings with errors of 0.1 to 5 mm in any direction: exactly these are found, and the estimate is the one without them.
 
     The tracker's standard deviation across the beam is 14 µm, and the limit 5.3 of them (one false alarm in a hundred data sets).

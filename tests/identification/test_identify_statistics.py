@@ -225,7 +225,7 @@ def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> N
     np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-3)
 
 
-def test_the_estimate_is_the_same_whoever_asks() -> None:
+def test_the_estimate_is_reproducible() -> None:
     """No random numbers: the same data give the same result to the last digit."""
     first, again = (identify(measured(3), machine()) for _ in range(2))
     assert isinstance(first, Identification)

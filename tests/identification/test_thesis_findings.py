@@ -94,7 +94,7 @@ def test_tables_5_1_and_5_2(dmu50: Machine, calibration: Calibration) -> None:
     assert max(best.values()) < 0.5 * min(found[0][name] for name in TRANSLATIONS if name not in LOW[0])
 
 
-def test_a_new_frame_lends_y_the_turn_of_x_and_z(dmu50: Machine, calibration: Calibration) -> None:
+def test_a_new_frame_adds_the_rotation_of_x_and_z_to_y(dmu50: Machine, calibration: Calibration) -> None:
     """Chapter 5.1.2: X and Z are compensated by the measured errors, Y is not, each run in a frame aligned to its own X and Z.
 
     The frame follows the path of a target, which an angular error of an axis rotates by its lever arm; the compensation is for the

@@ -139,7 +139,7 @@ def test_a_rotary_axis_comes_back(dmu50: Machine, plan: Measurements, axis: str)
     assert largest[1] == pytest.approx(largest[0], rel=0.05)
 
 
-def test_squareness_and_what_comes_with_it(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+def test_squareness_and_orientation_at_rest(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """The default calibration: squareness, slopes of its own straightness at the 11 points, and orientation of the axes at rest.
 
     Within 0.5 µrad: the square of the largest angle, 700 µrad.
@@ -181,7 +181,7 @@ def test_known_places_do_instead_of_rotary_runs(dmu50: Machine, calibration: Cal
         assert 0.0 < difference < (0.2 if name[2] in "XYZ" else 2.0), name  # 2 µrad: 0.2 µm over a lever of 0.1 m
 
 
-def test_noise_is_what_the_six_equations_make_of_the_trackers(
+def test_noise_is_that_of_the_tracker_through_the_six_equations(
     dmu50: Machine, calibration: Calibration, plan: Measurements
 ) -> None:
     """20 seeds of the AT960: RMS of E_XX, E_YY, E_ZZ at the positions, constant removed, as predicted from the tracker's covariance.
@@ -221,7 +221,7 @@ def test_noise_is_what_the_six_equations_make_of_the_trackers(
     assert deviations[1] < 0.6 * deviations[2]
 
 
-def test_the_deviation_is_over_the_rounds(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+def test_standard_deviation_over_the_rounds(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Four rounds, n − 1: as from each round identified by itself, except for the frame fitted to it, rotated by 14 µm over 0.5 m."""
     table = measured(plan, dmu50, calibration, 5, noise=True)
     whole = identify_as_thesis(table, dmu50).motions
@@ -292,7 +292,7 @@ def test_tables_it_cannot_use_are_refused(dmu50: Machine, calibration: Calibrati
             identify_as_thesis(table, dmu50, degrees=degrees)
 
 
-def test_another_build_is_refused(plan: Measurements) -> None:
+def test_another_machine_design_is_refused(plan: Measurements) -> None:
     for name in ("trunnion_ac", "xyzbc_trunnion"):
         with pytest.raises(InputError, match="does not apply to this machine"):
             identify_as_thesis(plan, Machine.load(name))

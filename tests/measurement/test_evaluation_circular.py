@@ -36,7 +36,7 @@ def test_harmonics_are_the_discrete_fourier_transform(seed: int, count: int, tur
 
 
 @given(seed=SEEDS, count=st.integers(26, 90), kind=KINDS)
-def test_what_was_put_in_comes_out(seed: int, count: int, kind: str) -> None:
+def test_simulated_harmonics_are_found(seed: int, count: int, kind: str) -> None:
     """Uneven angles, harmonics 1 to 5."""
     rng = np.random.default_rng(seed)
     angle = angles(rng, count)
@@ -55,7 +55,7 @@ def test_what_was_put_in_comes_out(seed: int, count: int, kind: str) -> None:
 
 
 @given(seed=SEEDS, count=COUNTS, turns=st.integers(1, 5), eccentricity=st.floats(0.0, 100.0), at=st.floats(0.0, 6.28))
-def test_how_the_artefact_sits(seed: int, count: int, turns: int, eccentricity: float, at: float) -> None:
+def test_mounting_of_the_artefact(seed: int, count: int, turns: int, eccentricity: float, at: float) -> None:
     """A once-per-turn component and a constant: no error of a radial or tilt motion, but an error of an axial one."""
     rng = np.random.default_rng(seed)
     angle = angles(rng, count)

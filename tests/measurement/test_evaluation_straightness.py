@@ -36,7 +36,7 @@ CASE = {"seed": SEEDS, "count": st.integers(3, 40), "kind": st.sampled_from(KIND
 
 
 @given(**CASE)
-def test_minimum_zone_is_what_linear_programming_finds(seed: int, count: int, kind: str) -> None:
+def test_minimum_zone_agrees_with_linear_programming(seed: int, count: int, kind: str) -> None:
     position, deviation = drawn(seed, count, kind)
     result = straightness(position, deviation).minimum_zone
     # Least w with |d − a − b·p| ≤ w; positions scaled to ±1 for the solver's sake.
@@ -74,7 +74,7 @@ def test_minimum_zone_touches_two_points_and_one(seed: int, count: int, kind: st
 
 
 @given(**CASE)
-def test_least_squares_is_what_polyfit_finds(seed: int, count: int, kind: str) -> None:
+def test_least_squares_agrees_with_polyfit(seed: int, count: int, kind: str) -> None:
     position, deviation = drawn(seed, count, kind)
     line = straightness(position, deviation).least_squares
     middle = position.mean()

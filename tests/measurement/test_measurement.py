@@ -30,7 +30,7 @@ def rows(*xs: int) -> list[str]:
     return [ROW.format(x=x) for x in xs]
 
 
-def test_reads_what_the_contract_says(dmu50: Machine, tmp_path: Path) -> None:
+def test_reads_all_documented_columns(dmu50: Machine, tmp_path: Path) -> None:
     header = HEADER + ",station,round,time_s,approach_X,T_X_degC,T_bed_degC,readback_X_mm,u_x_mm,u_y_mm,u_z_mm"
     tail = ",s1,2,{t},-1,20.5,21,{x}.001,0.002,0.003,"
     path = table(tmp_path, *(ROW.format(x=x) + tail.format(t=x, x=x) for x in (0, 50, 100)), header=header)
@@ -158,7 +158,7 @@ def test_bad_tables_say_where(
     assert words in str(caught.value)
 
 
-def test_columns_not_understood_are_said(dmu50: Machine, tmp_path: Path) -> None:
+def test_unknown_columns_are_reported(dmu50: Machine, tmp_path: Path) -> None:
     found = load(table(tmp_path, *(row + ",1" for row in rows(0, 50, 100)), header=HEADER + ",aproach_X"), dmu50)
     assert found.notices == ("column aproach_X is not understood and not used (is it approach_X?)",)
 

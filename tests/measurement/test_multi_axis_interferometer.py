@@ -417,7 +417,7 @@ def test_algorithm_2_is_not_independent_of_the_installation() -> None:
     assert max(one[2], ten[2]) <= 4
 
 
-def test_the_angles_of_the_beams_are_not_among_what_is_solved() -> None:
+def test_the_angles_of_the_beams_are_not_solved() -> None:
     """Six of their 36 accurate unknowns are not: a third of each α is in the truncated part of Algorithm 2."""
     for seed in range(5):
         layout, _, readings, start = simulated(1.0, seed)
@@ -428,7 +428,7 @@ def test_the_angles_of_the_beams_are_not_among_what_is_solved() -> None:
         assert told.rank < 46
 
 
-def test_what_is_known_of_the_installation_is_the_floor() -> None:
+def test_limit_with_a_known_installation() -> None:
     """Installation known: 0.029 nm and 4.17e-7 mrad, by the covariance and by 60 draws."""
     x, theta = [], []
     for seed in range(60):

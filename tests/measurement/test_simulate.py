@@ -86,9 +86,7 @@ def placed(plan: Measurements) -> Measurements:
     return replace(plan, place_mm=places, station_pose=poses)
 
 
-def test_what_the_plan_gives_is_not_drawn_and_not_told(
-    dmu50: Machine, calibration: Calibration, plan: Measurements
-) -> None:
+def test_given_places_are_used_and_not_written(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     measured, setting = simulate(placed(plan), dmu50, calibration, LaserTracker(), np.random.default_rng(3))
     assert setting.places_mm["K"] == (12.0, -34.0, 56.0)
     assert setting.stations["1"] == Station((0.0, -1900.0, 150.0), (0.0, 0.0, np.pi / 2))
@@ -106,7 +104,7 @@ def shop(
     return simulate(plan, machine, calibration, instrument, np.random.default_rng(3), surroundings=around)[0].point_mm
 
 
-def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+def test_no_ambient_influence_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Bit for bit, noise included; the air that the instrument assumes has no influence either."""
     for instrument in INSTRUMENTS:
         without = shop(plan, dmu50, calibration, instrument, None)
@@ -115,7 +113,7 @@ def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibrati
     assert Surroundings().describe() == ""
 
 
-def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+def test_warm_air_shortens_lengths(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """One degree more: −0.95 µm/m by Birch and Downs, along the beam; for an interferometer, without the dead path."""
     warm = Surroundings(air=Air(temperature_degC=21.0))
     assert (warm.scale - 1.0) * 1e6 == pytest.approx(-0.95, abs=0.01)

@@ -17,8 +17,8 @@ from tests.real import write_both
 
 PLATE: Final = "D1597A_redrilled_meas_2011"
 U_MM: Final = 0.0037
-"""Standard uncertainty of a coordinate. It is not stated for the machine; this is the residual of the source's fit, 5.2 µm in the plane, per
-coordinate.
+"""Standard uncertainty of a coordinate. Not stated for the machine; this is the residual of the source's fit, 5.2 µm in the plane,
+per coordinate.
 """
 _URDF: Final = """<?xml version="1.0"?>
 <!-- A drilling machine of two axes in a plane; metres. The lengths of a chain that only translates are immaterial. -->

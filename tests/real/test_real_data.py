@@ -17,7 +17,7 @@ from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.identification.spread import Spread, covariance_of
-from twin.identification.start import first_setup
+from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -79,7 +79,7 @@ def found(robot: Robot) -> Identification:
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Return stations, targets and some of the machine's unknowns, by least squares."""
     network = Network(machine, data, LaserTracker(), unknowns)
-    setup, _ = first_setup(machine, data, lengths_only=False)
+    setup, _ = initial_setup(machine, data, lengths_only=False)
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
 

@@ -13,9 +13,9 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.identification.setup import SetUp
-from twin.identification.start import LARGEST_MISFIT_M, first_setup, nominal_carriers
+from twin.identification.start import LARGEST_MISFIT_M, initial_setup, nominal_carriers
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote, outside
+from twin.measurement.checks import RowNote, outside_axis_range
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 WRONG_COLUMN_SHARE: Final = 0.2
@@ -58,7 +58,7 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
             do not follow the commands; with the change that would make them agree, if there is one.
     """
     try:
-        setup, miss = first_setup(machine, data, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, data, lengths_only=lengths_only)
     except InputError:
         # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
         likely = _one_change(machine, data, 1.0, np.inf, lengths_only)
@@ -108,7 +108,7 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
             file=data.source,
             line=notes[0].line,
         )
-    return agreeing, first_setup(machine, agreeing, lengths_only=lengths_only)[0]
+    return agreeing, initial_setup(machine, agreeing, lengths_only=lengths_only)[0]
 
 
 def miss_limit(data: Measurements, miss: np.ndarray) -> float:
@@ -147,7 +147,7 @@ def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.nd
 def other_unit(machine: Machine, data: Measurements, *, lengths_only: bool) -> str | None:
     """Return, in words, which columns would agree in another unit; None if none would, or if all agree as given."""
     try:
-        setup, miss = first_setup(machine, data, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, data, lengths_only=lengths_only)
     except InputError:
         return None
     ratio = misfit_ratio(machine, data, setup, miss)[0]
@@ -206,7 +206,7 @@ def _in_units(
 def _fit_after(machine: Machine, changed: Measurements, lengths_only: bool) -> tuple[float, float] | None:
     """Return misfit over motion and the share of wrong rows; None if no station can be placed, or nothing moves."""
     try:
-        setup, miss = first_setup(machine, changed, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, changed, lengths_only=lengths_only)
     except InputError:
         return None
     ratio, motion = misfit_ratio(machine, changed, setup, miss)
@@ -240,7 +240,7 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Ch
     for columns, unit, factor in (*((linear, *unit) for unit in UNITS), (rotary, "radians", RADIANS)):
         for some in _column_groups(columns, single):
             changed = _scaled(data, "positions", some, factor)
-            if not any(np.any(outside(machine.axes[i], changed.positions[:, i])) for i in some):
+            if not any(np.any(outside_axis_range(machine.axes[i], changed.positions[:, i])) for i in some):
                 yield changed, _unit_text([names[i] for i in some], unit, factor)
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
     for unit, factor in (*UNITS, ("micrometres", 1e-3)):

@@ -11,7 +11,7 @@ from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.identification.fitting import WRONG_COLUMN_SHARE, fitting, miss_limit, other_unit
 from twin.identification.setup import SetUp
-from twin.identification.start import first_setup, nominal_carriers
+from twin.identification.start import initial_setup, nominal_carriers
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.instruments import Instrument, usual
@@ -231,7 +231,7 @@ def _instrument(
 def _follows_as_coordinate(machine: Machine, data: Measurements) -> bool:
     """Return whether a single column follows the commands as a coordinate along one line."""
     try:
-        _, miss = first_setup(machine, data, lengths_only=False)
+        _, miss = initial_setup(machine, data, lengths_only=False)
     except InputError:
         return False
     return float(np.mean(miss > miss_limit(data, miss))) <= WRONG_COLUMN_SHARE

@@ -40,7 +40,7 @@ class InitialSetUp(NamedTuple):
     miss: np.ndarray
 
 
-def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> InitialSetUp:
+def initial_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> InitialSetUp:
     """Estimate the set-up with the nominal machine.
 
     Args:

@@ -192,7 +192,7 @@ def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray,
             were micrometres.
     """
     for axis, column in zip(axes, positions.T, strict=True):
-        beyond = outside(axis, column)
+        beyond = outside_axis_range(axis, column)
         if axis.lower is None or axis.upper is None or not np.any(beyond):
             continue
         q = column[np.isfinite(column)]
@@ -207,7 +207,11 @@ def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray,
         )
         if least <= most:
             likely = f"subtract {_roundest_between(least, most):g} {axis.unit} from {axis.name}_{axis.unit}?"
-        elif axis.linear and len(beyond_distinct) > len(distinct) / 2 and not np.any(outside(axis, q / UM_PER_MM)):
+        elif (
+            axis.linear
+            and len(beyond_distinct) > len(distinct) / 2
+            and not np.any(outside_axis_range(axis, q / UM_PER_MM))
+        ):
             likely = f"{axis.name}_{axis.unit} looks like micrometres: divide by {UM_PER_MM:g}?"
         else:
             continue
@@ -221,7 +225,7 @@ def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray,
         )
 
 
-def outside(axis: Axis, column: np.ndarray) -> np.ndarray:
+def outside_axis_range(axis: Axis, column: np.ndarray) -> np.ndarray:
     """Return (n,) whether a command is outside the axis's range by more than `RANGE_SLACK`."""
     if axis.lower is None or axis.upper is None:
         return np.zeros(len(column), dtype=bool)

@@ -27,7 +27,7 @@ from twin.measurement.checks import (
     copied_rows,
     grouped_notes,
     missing_rounds,
-    outside,
+    outside_axis_range,
     place_by_name,
     unused_names,
 )
@@ -402,7 +402,7 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
     for axis, q in zip(machine.axes, table.positions.T, strict=True):
         if axis.lower is not None and axis.upper is not None:
             reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
-            aside(outside(axis, q), f"the command of {axis.name} is outside its range {reach}")
+            aside(outside_axis_range(axis, q), f"the command of {axis.name} is outside its range {reach}")
     left = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
     for row, before in _copies(table, left, unknown_cells).items():
         text = f"copy of line {table.lines[before]}: equal in every column"

@@ -20,7 +20,7 @@ from twin._common.errors import InputError
 from twin._common.files import write_whole
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
-from twin.measurement.checks import LARGEST_MM, RowNote, outside
+from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
 from twin.measurement.columns import comment_lines, csv_text, number_cells, simulated_comments
 
 FEWEST_BEAMS: Final = 6
@@ -135,7 +135,7 @@ def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
     aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:
-        beyond = outside(layout.axis, table.position_mm)
+        beyond = outside_axis_range(layout.axis, table.position_mm)
         aside(beyond, f"the command of {layout.axis.name} is outside its range {lower:g} … {upper:g} mm")
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
