@@ -101,7 +101,7 @@ def test_a_dead_sensor_is_refused(
     drill: Machine, stage: Measurements, run: Callable[[Measurements, Machine], object], value: float
 ) -> None:
     dead = np.where(np.isfinite(stage.point_mm), value, np.nan)
-    with pytest.raises(InputError, match=r"are equal in all 66 rows, but the commands move it by 20 mm") as caught:
+    with pytest.raises(InputError, match=r"are equal in all 66 rows, but it was moved by 20 mm") as caught:
         run(with_points(stage, dead), drill)
     assert (caught.value.file, caught.value.line, caught.value.value) == ("m.csv", 12, f"x_mm {value:g}")
     assert "check the sensor" in caught.value.expected
@@ -125,7 +125,7 @@ def test_a_constant_reading_may_be_right(dmu50: Machine, drill: Machine, stage: 
     assert not prepared(dmu50, turned, None)[1].notices
     little = replace(stage, positions=locked(np.array(stage.positions) * 0.0025))
     (notice,) = prepared(drill, with_points(little, constant), None)[1].notices
-    assert notice.endswith("but the commands move it by 0.05 mm: the sensor is dead or its resolution is coarse")
+    assert notice.endswith("but it was moved by 0.05 mm: the sensor is dead or its resolution is coarse")
 
 
 def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:

@@ -82,26 +82,28 @@ def _determined_model(
 ) -> DeterminedModel:
     """Return the model of one family of bases, without the unknowns that the data do not determine."""
     data, setup = placed.data, placed.setup
-    every = Unknowns.largest(machine, data, bases=bases, most=MOST_FUNCTIONS, wanted=wanted)
-    if not every.entities:
+    largest_unknowns = Unknowns.largest(machine, data, bases=bases, most=MOST_FUNCTIONS, wanted=wanted)
+    if not largest_unknowns.entities:
         raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
 
     def network(unknowns: Unknowns) -> Network:
         return Network(machine, data, placed.instrument, unknowns, covariance=covariance)
 
     while True:
-        whole = network(every)
-        drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
-        without = every.without_unseen_offset(drawn.spectrum.unseen)
-        if without is every:
+        largest_network = network(largest_unknowns)
+        nominal = solve(largest_network, np.zeros(len(largest_unknowns)), setup, np.ones(len(data)), steps=0)
+        without = largest_unknowns.without_unseen_offset(nominal.spectrum.unseen)
+        if without is largest_unknowns:
             break
-        every = without
-    kept, left_out, confounded = _partition(every, drawn)
-    columns = [every.index[column] for column in kept.columns] + list(range(len(every), drawn.triangle.shape[1]))
-    determinability = drawn.determinability(every, int(np.count_nonzero(np.isfinite(data.point_mm))))
-    fitted = whole if kept is every else network(kept)
+        largest_unknowns = without
+    kept, left_out, confounded = _partition(largest_unknowns, nominal)
+    columns = [largest_unknowns.index[column] for column in kept.columns] + list(
+        range(len(largest_unknowns), nominal.triangle.shape[1])
+    )
+    determinability = nominal.determinability(largest_unknowns, int(np.count_nonzero(np.isfinite(data.point_mm))))
+    fitted = largest_network if kept is largest_unknowns else network(kept)
     return DeterminedModel(
-        fitted, drawn.triangle[:, columns], tuple(left_out), tuple(confounded), determinability, every
+        fitted, nominal.triangle[:, columns], tuple(left_out), tuple(confounded), determinability, largest_unknowns
     )
 
 
@@ -117,16 +119,16 @@ def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, lis
     silent = solution.spectrum.silent[:count]
     shared = silent @ silent.T
     entity = np.array([column.entity for column in unknowns.columns])
-    lost = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]
+    undetermined = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]
     rank = solution.rank_of(range(count), unknowns.datum)
     dropped: list[str] = []
     confounded: list[str] = []
-    for name in lost:
+    for name in undetermined:
         if name in confounded or name in dropped:
             continue
         group = _group(name, entity, shared)
-        left = np.flatnonzero(~np.isin(entity, [*dropped, *group]))
-        safe = set(group) <= set(lost) and solution.rank_of(left.tolist(), unknowns.datum) == rank
+        remaining = np.flatnonzero(~np.isin(entity, [*dropped, *group]))
+        safe = set(group) <= set(undetermined) and solution.rank_of(remaining.tolist(), unknowns.datum) == rank
         (dropped if safe else confounded).extend(one for one in group if one not in dropped and one not in confounded)
     return unknowns.restricted(unseen, dropped, confounded), dropped, confounded
 

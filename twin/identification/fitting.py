@@ -61,11 +61,11 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
         setup, miss = initial_setup(machine, data, lengths_only=lengths_only)
     except InputError:
         # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
-        likely = _one_change(machine, data, 1.0, np.inf, lengths_only)
-        if len(likely) != 1:
+        candidates = _one_change(machine, data, 1.0, np.inf, lengths_only)
+        if len(candidates) != 1:
             raise
         raise data.error(
-            f"commands and readings do not agree: {likely[0][1]}",
+            f"commands and readings do not agree: {candidates[0][1]}",
             expected=f"readings that follow the commands of {machine.name}",
             row=0,
         ) from None
@@ -73,15 +73,15 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
     bad = miss > limit
     share = float(np.mean(bad))
     ratio, motion = misfit_ratio(machine, data, setup, miss)
-    likely = (
+    candidates = (
         _one_change(machine, data, share, ratio, lengths_only)
         if share > SUSPECT_COLUMN_SHARE or ratio > SUSPECT_RATIO
         else []
     )
-    if likely or share > WRONG_COLUMN_SHARE or (ratio > UNRELATED_RATIO and motion > CLEAR_MOTION_M):
+    if candidates or share > WRONG_COLUMN_SHARE or (ratio > UNRELATED_RATIO and motion > CLEAR_MOTION_M):
         worst = int(np.argmax(miss))
         raise data.error(
-            f"commands and readings do not agree: {min(likely)[1] if likely else _description(machine, data, miss, limit)}",
+            f"commands and readings do not agree: {min(candidates)[1] if candidates else _description(machine, data, miss, limit)}",
             expected=f"readings that follow the commands of {machine.name} within {min(limit, motion) / MM:.2g} mm",
             row=worst,
             value=f"deviation {miss[worst] / MM:.3g} mm",
@@ -101,9 +101,9 @@ def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tupl
     )
     agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
     if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
-        lost = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
+        without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
         raise InputError(
-            f"no reading of {', '.join(lost)} agrees with its command",
+            f"no reading of {', '.join(without_rows)} agrees with its command",
             expected="readings that follow the commands",
             file=data.source,
             line=notes[0].line,
@@ -151,8 +151,8 @@ def other_unit(machine: Machine, data: Measurements, *, lengths_only: bool) -> s
     except InputError:
         return None
     ratio = misfit_ratio(machine, data, setup, miss)[0]
-    likely = _in_units(machine, _sample(data), 1.0, ratio, lengths_only) if ratio > SUSPECT_RATIO else []
-    return likely[0][1] if likely else None
+    candidates = _in_units(machine, _sample(data), 1.0, ratio, lengths_only) if ratio > SUSPECT_RATIO else []
+    return candidates[0][1] if candidates else None
 
 
 def _one_change(
@@ -170,9 +170,9 @@ def _one_change(
     Returns:
         Misfit over motion and description of each change.
     """
-    few = _sample(data)
+    sample = _sample(data)
     found = []
-    for changed, text in _swapped_or_mirrored(machine, few):
+    for changed, text in _swapped_or_mirrored(machine, sample):
         after = _fit_after(machine, changed, lengths_only)
         if after is not None and (
             after[1] < share / IMPROVEMENT
@@ -180,7 +180,7 @@ def _one_change(
             else after[0] < min(GOOD_RATIO, ratio / IMPROVEMENT)
         ):
             found.append((after[0], text))
-    return found or _in_units(machine, few, share, ratio, lengths_only)
+    return found or _in_units(machine, sample, share, ratio, lengths_only)
 
 
 def _in_units(

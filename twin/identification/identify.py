@@ -104,7 +104,7 @@ def _result(
     calibration = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution)
-    left, whitened = residuals_of(calibration, network, solution.setup)
+    residual, whitened = residuals_of(calibration, network, solution.setup)
     return Identification(
         calibration=calibration,
         unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
@@ -116,9 +116,9 @@ def _result(
         spread=spread,
         data=data,
         used=locked(used),
-        residual_mm=locked(np.where(network.read, left / MM, np.nan)),
+        residual_mm=locked(np.where(network.read, residual / MM, np.nan)),
         whitened=locked(whitened),
-        set_aside=(*data.set_aside, *explained(network, left, whitened, rows.bad)),
+        set_aside=(*data.set_aside, *explained(network, residual, whitened, rows.bad)),
         notices=(*data.notices, *many_outliers_notice(rows), *unknown_reference(solution, unknowns)),
         converged=solution.converged,
         network=network,

@@ -55,7 +55,7 @@ def prepared(machine: Machine, data: Measurements, instrument: Instrument | None
     reader, notices = _instrument(machine, data, instrument)
     assumed = any(text.startswith(ASSUMED) for text in notices)
     try:
-        left, setup = fitting(machine, data, lengths_only=reader.lengths_only)
+        agreeing, setup = fitting(machine, data, lengths_only=reader.lengths_only)
     except InputError as error:
         if not assumed:
             raise
@@ -76,8 +76,13 @@ def prepared(machine: Machine, data: Measurements, instrument: Instrument | None
             expected="x_mm, y_mm and z_mm, or an interferometer's lengths in x_mm",
             row=0,
         )
-    said = (*notices, *left.notices, *_unobserved_axes(machine, left), *_mirrored_planes(left, setup))
-    return PreparedData(reader, replace(left, notices=said), setup)
+    all_notices = (
+        *notices,
+        *agreeing.notices,
+        *_unobserved_axes(machine, agreeing),
+        *_mirrored_planes(agreeing, setup),
+    )
+    return PreparedData(reader, replace(agreeing, notices=all_notices), setup)
 
 
 def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
@@ -100,16 +105,18 @@ def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
             far = int(np.argmax(np.linalg.norm(off - off[0], axis=1)))
             moved = float(np.linalg.norm(off[far] - off[0]))
             value = ", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read))
-            said = f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but the commands move it by"
+            constant_readings = f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
             if moved > LEAST_MOTION_M:
                 raise data.error(
-                    f"sensor without signal: {said} {moved / MM:.3g} mm",
+                    f"sensor without signal: {constant_readings} {moved / MM:.3g} mm",
                     expected="readings that follow the commands; check the sensor, its cable and its column",
                     row=rows[far],
                     value=value,
                 )
             if moved > NOTICEABLE_MOTION_M:
-                notices.append(f"{said} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse")
+                notices.append(
+                    f"{constant_readings} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse"
+                )
         notices += _constant_coordinates(data, points.points, station)
     return replace(data, notices=(*data.notices, *notices)) if notices else data
 

@@ -89,11 +89,11 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     limit = np.array([chi2_isf(FALSE_ALARM / len(count), k) if k else np.inf for k in range(4)])[count]
     each = distance / np.maximum(count, 1)
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
-    whole = float(np.sqrt(np.mean(noise)))
+    overall = float(np.sqrt(np.mean(noise)))
     return RowAssessment(
         bad=locked(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
         weight=locked((1.0 - share) * redescending + share * convex),
-        noise=whole if whole > NOISE_OF_FIT else 1.0,
+        noise=overall if overall > NOISE_OF_FIT else 1.0,
         misfit_um=misfit,
     )
 
@@ -140,16 +140,16 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
         off = difference[row]
         size = float(np.linalg.norm(off)) / MM
         sigmas = float(np.linalg.norm(whitened[row]))
-        mates = np.flatnonzero((group == group[row]) & ~bad)
+        repeats_of_row = np.flatnonzero((group == group[row]) & ~bad)
         text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: residual {size * 1e3:.1f} µm"
         if not network.instrument.lengths_only and size > 0.0:
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM
             text += f", {abs(along) * 1e3:.1f} µm of it along the beam"
         text += f" ({sigmas:.1f} standard deviations)"
-        if len(mates):
-            others = float(np.median(np.linalg.norm(difference[mates], axis=1))) / MM
-            text += f"; median residual of its {len(mates)} repeats: {others * 1e3:.1f} µm"
+        if len(repeats_of_row):
+            others = float(np.median(np.linalg.norm(difference[repeats_of_row], axis=1))) / MM
+            text += f"; median residual of its {len(repeats_of_row)} repeats: {others * 1e3:.1f} µm"
         notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}", OUTLIER, sigmas))
     return tuple(notes)
 
@@ -163,10 +163,10 @@ def many_outliers_notice(rows: RowAssessment) -> tuple[str, ...]:
         f"{int(np.sum(rows.bad)):,} of {len(rows.bad):,} rows ({100.0 * share:.1f} %) are outliers: probably the model is incomplete, "
         "not the readings wrong. Run `twin diagnose`"
     )
-    far = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
-    if far is None:
+    largest = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
+    if largest is None:
         return (text,)
-    target, station = far
+    target, station = largest
     return (
-        f"{text}. Misfit of the other rows of target {target} from station {station}: {rows.misfit_um[far]:.3g} µm per coordinate",
+        f"{text}. Misfit of the other rows of target {target} from station {station}: {rows.misfit_um[largest]:.3g} µm per coordinate",
     )

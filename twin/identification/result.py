@@ -323,9 +323,9 @@ def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tu
     Returns:
         (n, 3) measured minus predicted, metres, zero where nothing was read; (n, 3) the same divided by the stated standard deviations.
     """
-    nothing = Unknowns(network.machine, (), ())
+    no_unknowns = Unknowns(network.machine, (), ())
     alone = Network(
-        network.machine, network.data, network.instrument, nothing, calibration, network.covariance, check=False
+        network.machine, network.data, network.instrument, no_unknowns, calibration, network.covariance, check=False
     )
     residual = alone.residuals_m(np.zeros(0), setup, np.arange(len(network.data)))
     return residual, np.einsum("nij,nj->ni", network.whitening, residual)

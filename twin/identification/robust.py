@@ -45,21 +45,21 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Robust
         triangle: factor of [J | r] there.
     """
     weight = np.ones(len(network.data))
-    nothing = np.zeros(len(network.unknowns))
-    drawn = assess_rows(network, network.residual(nothing, setup))
-    if drawn.noise <= HOPELESS_MISFIT:
-        solution = solve(network, nothing, setup, weight, steps=TRIAL_STEPS, triangle=triangle)
+    zero = np.zeros(len(network.unknowns))
+    nominal = assess_rows(network, network.residual(zero, setup))
+    if nominal.noise <= HOPELESS_MISFIT:
+        solution = solve(network, zero, setup, weight, steps=TRIAL_STEPS, triangle=triangle)
         found = _assessed(network, solution)
-    if drawn.noise > HOPELESS_MISFIT or found.noise > 1.0:
-        solution = solve(network, nothing, setup, weight, noise=drawn.noise, triangle=triangle)
+    if nominal.noise > HOPELESS_MISFIT or found.noise > 1.0:
+        solution = solve(network, zero, setup, weight, noise=nominal.noise, triangle=triangle)
         found = _assessed(network, solution)
     for _ in range(ROUNDS):
         fits = found.noise >= 0.9 * solution.noise
         if not np.any(found.bad) and np.all(weight == 1.0) and fits and solution.converged:
             return RobustStart(solution, weight)
-        fresh = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
-        settled = float(np.abs(fresh - weight).max()) < 0.01 and fits
-        weight = fresh
+        new_weight = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
+        settled = float(np.abs(new_weight - weight).max()) < 0.01 and fits
+        weight = new_weight
         if settled:
             break
         had_prior = solution.noise > found.noise == 1.0

@@ -303,10 +303,12 @@ class _Problem:
         if self.noise <= 1.0:
             return decompose(matrix, scale, free=self.free)
         # Here the prior limits the step, so even weakly determined directions count; otherwise no step reaches the minimum.
-        left, every = decompose(matrix, scale, free=self.free, tolerance=0.0)
-        basis = np.concatenate([every.directions, every.silent], axis=1)
-        seen = int(np.count_nonzero(every.values > self.noise))
-        return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
+        left, all_directions = decompose(matrix, scale, free=self.free, tolerance=0.0)
+        basis = np.concatenate([all_directions.directions, all_directions.silent], axis=1)
+        seen = int(np.count_nonzero(all_directions.values > self.noise))
+        return left, Spectrum(
+            all_directions.scale, all_directions.values, locked(basis[:, :seen]), locked(basis[:, seen:])
+        )
 
     def solution(
         self, iterate: _Iterate, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
@@ -404,10 +406,10 @@ def _anderson_step(
     """
     last = list(newton_steps)[-MEMORY - 1 :]
     more = np.stack([after - before for before, after in pairwise(last)], axis=1)
-    way = np.stack(list(steps_taken)[1 - len(last) :], axis=1)
+    steps_between = np.stack(list(steps_taken)[1 - len(last) :], axis=1)
     changes = spectrum.strength[:, None] * spectrum.directions.T
     share = np.linalg.lstsq(changes @ more, changes @ last[-1], rcond=1e-6)[0]
-    return np.asarray(last[-1] - (way + more) @ share)
+    return np.asarray(last[-1] - (steps_between + more) @ share)
 
 
 def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:

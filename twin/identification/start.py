@@ -112,10 +112,10 @@ class _Equations:
         for _ in range(SWEEPS):
             found = self._weighted(weight)
             misfit = np.linalg.norm(self.b - self.matrix @ found, axis=1)
-            fresh = np.where(self.whole, 1.0 / np.maximum(misfit, FLOOR), 0.0) * FLOOR
-            if np.allclose(fresh, weight, atol=1e-3):
+            new_weight = np.where(self.whole, 1.0 / np.maximum(misfit, FLOOR), 0.0) * FLOOR
+            if np.allclose(new_weight, weight, atol=1e-3):
                 break
-            weight = fresh
+            weight = new_weight
         return found, weight
 
     def _weighted(self, weight: np.ndarray) -> np.ndarray:
@@ -129,12 +129,12 @@ class _Equations:
         size = size[unknown]
         scale = np.where(size > 0.0, size, 1.0)
         # A motion along one line leaves undetermined directions, for which the smallest solution is taken.
-        strength, way = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
+        strength, directions = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
         seen = strength > RELATIVE_RANK**2 * strength[-1:]
-        way = way[:, seen]
+        directions = directions[:, seen]
         right = ((self.b - self.matrix @ self.values) * root).ravel()
         found = np.array(self.values)
-        found[unknown] = way @ ((way.T @ (flat.T @ right / scale)) / strength[seen]) / scale
+        found[unknown] = directions @ ((directions.T @ (flat.T @ right / scale)) / strength[seen]) / scale
         return found
 
 
@@ -223,8 +223,8 @@ def _with_fitted_rotations(equations: _Equations, rotation: np.ndarray, weight: 
         # If only the sum of a station's origin and a target's place is determined, it is attributed to the station.
         solved = np.zeros(flat.shape[1])
         for part in (of_station, np.ones_like(of_station)):
-            left = (right * root).ravel() - flat @ solved
-            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], left, rcond=1e-9)[0] / scale[part]
+            residual = (right * root).ravel() - flat @ solved
+            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], residual, rcond=1e-9)[0] / scale[part]
         turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
         turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
         for i, part in zip(free.tolist(), turned, strict=True):
@@ -235,8 +235,8 @@ def _with_fitted_rotations(equations: _Equations, rotation: np.ndarray, weight: 
             break
     full = fixed
     full[keep] = solved
-    stood, place = np.split(full, [equations.station_unknowns])
-    origin = stood.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, equations.centre)
+    of_stations, place = np.split(full, [equations.station_unknowns])
+    origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, equations.centre)
     origin = np.where(initial.station_known[:, None], initial.origin, origin)
     setup = replace(initial, rotation=locked(rotation), origin=locked(origin), place=locked(place.reshape(-1, 3)))
     return InitialSetUp(setup, np.where(equations.whole, misfit, 0.0))

@@ -55,10 +55,10 @@ class TableTilt:
         q = ca.SX([at.get(axis.name, 0.0) * axis.scale for axis in machine.axes])
         lines = calibration.where(lambda name: name in found)
         e = ca.SX.sym("e", 6 * len(machine.frames))
-        turned, drawn = (
+        turned, nominal = (
             frame_pose(machine, machine.work_frame, q, error).rotation for error in (e, ca.SX(e.shape[0], 1))
         )
-        angles = fused_angles(turned @ drawn.T)
+        angles = fused_angles(turned @ nominal.T)
         rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
         value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
         slots = [6 * _location(calibration, name) + split_name(name)[0] for name in found]

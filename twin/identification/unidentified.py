@@ -89,7 +89,9 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     seen = solution.spectrum.covariance(silent=False)
     own = np.sqrt(np.diag(seen)[: len(unknowns)])
     names = dict.fromkeys(
-        column.entity for column, open_, u in zip(unknowns.columns, carried, own, strict=True) if open_ > u
+        column.entity
+        for column, undetermined_part, u in zip(unknowns.columns, carried, own, strict=True)
+        if undetermined_part > u
     )
     if not names:
         return []

@@ -206,19 +206,19 @@ def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray,
             f"{axis.name}_{axis.unit} is {low:g} … {high:g}, the range of {axis.name} {axis.lower:g} … {axis.upper:g}"
         )
         if least <= most:
-            likely = f"subtract {_roundest_between(least, most):g} {axis.unit} from {axis.name}_{axis.unit}?"
+            suggestion = f"subtract {_roundest_between(least, most):g} {axis.unit} from {axis.name}_{axis.unit}?"
         elif (
             axis.linear
             and len(beyond_distinct) > len(distinct) / 2
             and not np.any(outside_axis_range(axis, q / UM_PER_MM))
         ):
-            likely = f"{axis.name}_{axis.unit} looks like micrometres: divide by {UM_PER_MM:g}?"
+            suggestion = f"{axis.name}_{axis.unit} looks like micrometres: divide by {UM_PER_MM:g}?"
         else:
             continue
         row = int(np.flatnonzero(beyond)[0])
         raise InputError(
             f"positions outside the machine's range: {runs}",
-            expected=f"machine coordinates within the axis's range; {likely}",
+            expected=f"machine coordinates within the axis's range; {suggestion}",
             file=source,
             line=int(lines[row]),
             value=f"{column[row]:g}",

@@ -213,8 +213,11 @@ class Measurements:
             (PLACE_COLUMNS, self.target, self.place_mm),
             (STATION_COLUMNS, self.station, self.station_pose),
         ):
-            meant = np.array([name in planned for name in whose])[:, None]
-            for prefix, known in (("", np.where(meant, np.nan, values)), (PLANNED, np.where(meant, values, np.nan))):
+            is_planned = np.array([name in planned for name in whose])[:, None]
+            for prefix, known in (
+                ("", np.where(is_planned, np.nan, values)),
+                (PLANNED, np.where(is_planned, values, np.nan)),
+            ):
                 if np.isfinite(known).any():
                     columns |= {f"{prefix}{n}": number_cells(column) for n, column in zip(names, known.T, strict=True)}
         return csv_text(columns, comment_lines(comment, simulated=self.simulated))
@@ -284,8 +287,8 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
     """Return (n, k) known places; for a plan also the planned ones."""
     found = np.stack([reader.numbers(name) for name in names], axis=1)
     if planned:
-        meant = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
-        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant)
+        planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
+        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
     return locked(found)
 
 
@@ -403,8 +406,8 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
         if axis.lower is not None and axis.upper is not None:
             reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
             aside(outside_axis_range(axis, q), f"the command of {axis.name} is outside its range {reach}")
-    left = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
-    for row, before in _copies(table, left, unknown_cells).items():
+    usable_rows = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
+    for row, before in _copies(table, usable_rows, unknown_cells).items():
         text = f"copy of line {table.lines[before]}: equal in every column"
         reasons[row] = RowNote(int(table.lines[row]), text, kind="copy of an earlier line: equal in every column")
     keep = np.array([row not in reasons for row in range(len(table))])
@@ -419,9 +422,9 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
         what = f"no usable row of station {table.station[table.lines == first.line][0]}: {first.text}"
         raise InputError(what, expected="measured points", file=table.source, line=first.line)
     why = {row: note.kind or note.text for row, note in reasons.items()}
-    lost = [*unused_names("station", table.station, why), *unused_names("target", table.target, why)]
+    unused = [*unused_names("station", table.station, why), *unused_names("target", table.target, why)]
     used = replace(table.select(keep), set_aside=notes)
-    return replace(used, notices=(*used.notices, *lost, *missing_rounds(used.target, used.round, used.positions)))
+    return replace(used, notices=(*used.notices, *unused, *missing_rounds(used.target, used.round, used.positions)))
 
 
 def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str]) -> dict[int, int]:

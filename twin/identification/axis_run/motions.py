@@ -174,12 +174,12 @@ def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacemen
     """Return (n, 6) the error motions row by row, µm and µrad, and (n, 6, 6) their derivatives with respect to the poses."""
     # With M₀ the pose at the reference and P the translation to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
     place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place
-    _, left = rotation_and_jacobian(found.poses[:, 3:])
+    _, left_jacobian = rotation_and_jacobian(found.poses[:, 3:])
     values = np.array(found.poses)
     values[:, :3] -= layout.travel(readings.position_mm)
     values[:, :3] += layout.place - place
     by_pose = np.tile(np.eye(6), (len(readings), 1, 1))
-    by_pose[:, :3, 3:] = cross_matrix(place) @ left
+    by_pose[:, :3, 3:] = cross_matrix(place) @ left_jacobian
     return values / SCALE, by_pose / SCALE[:, None]
 
 
@@ -317,7 +317,7 @@ def _fitted(
     theta = np.linalg.solve(r, q.T @ right)
     inverse = np.linalg.inv(r)
     covariance = inverse @ inverse.T
-    left = right - whitened @ theta
+    residual = right - whitened @ theta
     unknowns = Unknowns(machine, [space for space in chosen.values() if space.count > space.first], [])
     at = [places[column.entity] + column.index for column in unknowns.columns]
     calibration, _ = unknowns.calibration(theta[at], list(range(len(at))), source, locked(covariance[np.ix_(at, at)]))
@@ -331,6 +331,6 @@ def _fitted(
         orders={name: space.count for name, space in chosen.items() if space.count > space.first},
         held_out=held_out,
         reversal=reversal,
-        chi2=float(left @ left),
+        chi2=float(residual @ residual),
         dof=len(right) - len(theta),
     )

@@ -44,7 +44,7 @@ def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
 def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
     """Return the report as JSON."""
     installation, names = motions.displacement, [f"E_{letter}{motions.axis}" for letter in NAMES]
-    left, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
+    installation_u, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
     found = {
         "schema": SCHEMA,
         "layout": layout.name,
@@ -70,7 +70,7 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
         "installation": [
             {"name": name, "estimate": estimate, "u_stated": stated, "u": after}
             for name, estimate, stated, after in zip(
-                layout.beams.installation, installation.installation, layout.installation_u, left, strict=True
+                layout.beams.installation, installation.installation, layout.installation_u, installation_u, strict=True
             )
         ],
         "warnings": to_json(curves.calibration.warnings),

@@ -93,8 +93,8 @@ def simulate_run(
     if installation is not None:
         true_installation = np.array(installation, dtype=float)
     change = layout.beams.readings(poses, true_installation)
-    drawn = layout.noise * rng.standard_normal(change.shape)
-    change = change + drawn if noise else change
+    noise_draw = layout.noise * rng.standard_normal(change.shape)
+    change = change + noise_draw if noise else change
     readings = BeamReadings(
         source="simulated",
         lines=locked(np.arange(1, n + 1)),

@@ -156,8 +156,8 @@ def identify_as_thesis(
     frames: dict[str, _Frame] = {}
     origin = None
     if circles:
-        frames, met, meant = _closest_approach(circles, machine)
-        origin = met - turn @ meant
+        frames, met, nominal_place = _closest_approach(circles, machine)
+        origin = met - turn @ nominal_place
     motions: dict[str, PointwiseMotion] = {}
     for name, run in found.items():
         if name in frames:
@@ -265,15 +265,15 @@ def _closest_approach(
     nominal = _nominal(machine, np.zeros(len(machine.axes)))
     a, b = circles
     lines = [(circles[name].origin, circles[name].turn[:, 2]) for name in (a, b)]
-    drawn = [(nominal[name].translation, nominal[name].rotation[:, 2]) for name in (a, b)]
-    met, meant = _closest(*lines), _closest(*drawn)
+    nominal_lines = [(nominal[name].translation, nominal[name].rotation[:, 2]) for name in (a, b)]
+    met, nominal_place = _closest(*lines), _closest(*nominal_lines)
     frames = {
         name: _Frame(circles[name].turn, origin + (along - along_meant) * z)
-        for name, (origin, z), along, along_meant in zip((a, b), lines, met, meant, strict=True)
+        for name, (origin, z), along, along_meant in zip((a, b), lines, met, nominal_place, strict=True)
     }
     points = [
         np.mean([origin + along * z for (origin, z), along in zip(pair, by, strict=True)], axis=0)
-        for pair, by in ((lines, met), (drawn, meant))
+        for pair, by in ((lines, met), (nominal_lines, nominal_place))
     ]
     return frames, points[0], points[1]
 

@@ -55,8 +55,8 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
     plot.legend(bbox_to_anchor=(1.14, 1.0), **BESIDE)
     _write_values(plot, result, unit)
     if result.shortfalls:
-        said = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
-        figure.text(0.01, 0.01, said, color=BACKWARD, fontsize=8)
+        text = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
+        figure.text(0.01, 0.01, text, color=BACKWARD, fontsize=8)
     return figure
 
 

@@ -172,12 +172,12 @@ def measure(
 
 
 def _checked(layout: MultiAxis, readings: np.ndarray, noise: float, u: np.ndarray, poses: np.ndarray) -> _Run:
-    given = np.asarray(readings, dtype=float)
-    if given.ndim != 2 or given.shape[1] != len(layout.beams) or np.shape(poses) != (len(given), 6):
+    values = np.asarray(readings, dtype=float)
+    if values.ndim != 2 or values.shape[1] != len(layout.beams) or np.shape(poses) != (len(values), 6):
         raise InputError(
             "readings and poses do not match",
             expected=f"(n, {len(layout.beams)}) and (n, 6)",
-            value=f"{given.shape} and {np.shape(poses)}",
+            value=f"{values.shape} and {np.shape(poses)}",
         )
     if not noise > 0.0:
         raise InputError("noise of a reading must be positive", expected="a standard uncertainty", value=noise)
@@ -187,10 +187,10 @@ def _checked(layout: MultiAxis, readings: np.ndarray, noise: float, u: np.ndarra
             expected=f"{len(layout.installation)} finite numbers, none negative",
             value=u.shape,
         )
-    read, free = np.isfinite(given), np.flatnonzero(u > 0.0)
+    read, free = np.isfinite(values), np.flatnonzero(u > 0.0)
     weight = np.where(read, 1.0 / noise, 0.0)
     _check_beams(layout, layout.derivatives(poses)[1] * weight[:, :, None])
-    return _Run(layout, np.where(read, given, 0.0), weight, free, u[free])
+    return _Run(layout, np.where(read, values, 0.0), weight, free, u[free])
 
 
 def _check_beams(layout: MultiAxis, whitened: np.ndarray) -> None:
