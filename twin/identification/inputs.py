@@ -105,18 +105,16 @@ def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
             far = int(np.argmax(np.linalg.norm(off - off[0], axis=1)))
             moved = float(np.linalg.norm(off[far] - off[0]))
             value = ", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read))
-            constant_readings = f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
+            message = f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
             if moved > LEAST_MOTION_M:
                 raise data.error(
-                    f"sensor without signal: {constant_readings} {moved / MM:.3g} mm",
+                    f"sensor without signal: {message} {moved / MM:.3g} mm",
                     expected="readings that follow the commands; check the sensor, its cable and its column",
                     row=rows[far],
                     value=value,
                 )
             if moved > NOTICEABLE_MOTION_M:
-                notices.append(
-                    f"{constant_readings} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse"
-                )
+                notices.append(f"{message} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse")
         notices += _constant_coordinates(data, points.points, station)
     return replace(data, notices=(*data.notices, *notices)) if notices else data
 
