@@ -210,8 +210,8 @@ def test_repeatability_beyond_the_noise_of_the_beams(machine: Machine, layout: A
     assert axis_curves(stated, machine, source="a test").p_value < 1e-6
     assert axis_curves(repeats, machine, source="a test").p_value > 1e-3
     curves = axis_curves(stated, machine, source="a test")
-    assert "--uncertainty repeats takes it in" in to_text(layout, readings, stated, curves)
-    with pytest.raises(InputError, match="seven rows more"):
+    assert "base the uncertainty on repeats" in to_text(layout, readings, stated, curves)
+    with pytest.raises(InputError, match="seven more rows"):
         few, _ = simulate_run(layout, machine, calibration, FORTH, rng)
         error_motions(layout, few, spread="repeats")
 

@@ -67,9 +67,9 @@ def identify(
     with threadpool_limits(limits=1, user_api="blas"):
         say("placing the stations", 0.0)
         placed = prepared(machine, data, instrument)
-        covariance = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
+        from_repeats = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
         say("choosing the curves", 0.1)
-        model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, covariance)])
+        model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
         say("estimating", 0.75)
         precision = prior_precision(model.determined.network, model.start)
         estimate = without_outliers(model.determined.network, model.start, precision)

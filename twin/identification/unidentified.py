@@ -63,7 +63,7 @@ def unidentified(
             found.append(Unidentified(name, f"{axis} did not move"))
         elif name in model.confounded or name in model.left_out:
             moving = model.determinability.moving(model.determinability.names[model.considered.of(name)[0]])
-            why = SAYS_LESS if moving is None else f"no reading changes for {moving}"
+            why = SAYS_LESS if moving is None else f"{moving} changes no reading"
             found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.confounded)}"))
         elif name in held:
             found.append(Unidentified(name, SAYS_LESS))
