@@ -106,10 +106,10 @@ def test_the_command_reports_its_own_file(clean: Measurements, tmp_path: Path) -
     assert status("identify", table, "-o", out, "--json", said) == 0
     found = identify(clean, machine)
     report = json.loads(said.read_text())["misfit"]
-    again = found.as_written(Calibration.load(out, machine))
+    again = found.evaluated_with(Calibration.load(out, machine))
     assert report["rms_um"] == report["rms_all_um"] == pytest.approx(again.rms_um, rel=1e-9)
     # Another file gives other figures.
-    assert found.as_written(Calibration.zero(machine)).rms_um > 3.0 * found.rms_um
+    assert found.evaluated_with(Calibration.zero(machine)).rms_um > 3.0 * found.rms_um
 
 
 def test_hardly_determined_errors_are_held_by_their_priors(clean: Measurements, tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_a_wrong_command(dmu50: Machine, data: Measurements) -> None:
     for note in found.set_aside:
         assert "the reading disagrees with the command by" in note.text
     text = next(note.text for note in found.set_aside if note.line == data.lines[first])
-    said = float(text.split("motion by ")[1].split(" mm")[0])
+    said = float(text.split("command by ")[1].split(" mm")[0])
     assert said == pytest.approx(12.0, abs=0.3)  # the machine's own errors
     assert len(found.data) == len(data) - 2 and found.used.all()
 

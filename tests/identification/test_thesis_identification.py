@@ -287,7 +287,7 @@ def test_tables_it_cannot_use_are_refused(dmu50: Machine, calibration: Calibrati
     lengths, _ = simulate(plan, dmu50, calibration, TrackingInterferometer(), np.random.default_rng(0))
     with pytest.raises(InputError, match="x, y and z"):
         identify_as_thesis(lengths, dmu50)
-    for degrees, words in (({"E_XX": 11}, "0 to 10, for 11 positions"), ({"E_XW": 2}, "no error motion")):
+    for degrees, words in (({"E_XX": 11}, "0 to 10, for 11 positions"), ({"E_XW": 2}, "unknown error motion")):
         with pytest.raises(InputError, match=words):
             identify_as_thesis(table, dmu50, degrees=degrees)
 
