@@ -170,9 +170,9 @@ def test_rows_that_no_instrument_reads_are_set_aside(dmu50: twin.Machine, tmp_pa
     text = sample("table").replace("K,tool,50.01", "K,tool,1e9").replace("0.01,0.01,0.02", "1e-200,0.01,0.02", 1)
     path.write_text(text)
     assert [(note.line, note.text) for note in load(path, dmu50).set_aside] == [
-        (3, "a standard uncertainty below 1e-09 mm"),
-        (4, "a measured coordinate beyond 1e+06 mm"),
-        (14, "a measured coordinate beyond 1e+06 mm"),
+        (3, "a standard uncertainty is below 1e-09 mm"),
+        (4, "a measured coordinate exceeds 1e+06 mm"),
+        (14, "a measured coordinate exceeds 1e+06 mm"),
     ]
 
 

@@ -128,7 +128,7 @@ def test_what_is_known_of_how_the_table_stands(dmu50: Machine) -> None:
     assert found.covariance == pytest.approx(rates @ known.matrix @ rates.T, rel=1e-4, abs=1e-4)
     assert found.u_urad == pytest.approx(np.sqrt(np.diag(found.covariance)))
     assert found.missing == ("E_A0C",)
-    assert found.to_text(2.0).endswith("but for E_A0C")
+    assert found.to_text(2.0).endswith("without E_A0C")
     assert TableTilt.of(Calibration.zero(dmu50)) is None
 
 

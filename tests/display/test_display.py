@@ -319,7 +319,7 @@ def test_nothing_shows_too(dmu50: Machine, everything: Mapping[str, Any], found:
 
 def test_an_estimate_that_did_not_settle_says_so(found: Identification) -> None:
     page = shown(replace(found, converged=False))
-    assert "DID NOT SETTLE" in page.text and WARNING in replace(found, converged=False)._repr_html_()
+    assert "DID NOT CONVERGE" in page.text and WARNING in replace(found, converged=False)._repr_html_()
 
 
 def test_what_is_not_met_is_loud(dmu50: Machine, drawn: Calibration, everything: Mapping[str, Any]) -> None:

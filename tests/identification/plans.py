@@ -1,4 +1,4 @@
-"""Measurement tables for tests of identification: what is measured, by whom, and what a machine of plain numpy reads there."""
+"""Measurement tables for tests of identification: plans, stations, and the readings of a machine in plain numpy."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ PLACES = {
     "PT": ("work", (-100.0, -200.0, 30.0)),
     "QT": ("work", (60.0, 90.0, 140.0)),
 }
-"""Three targets a side, apart from one line; mm."""
+"""Three targets on each side, not on a line; mm."""
 STATIONS = {
     "1": (0.0, -2000.0, 200.0, 0.0, 0.0, 1.6),
     "2": (1900.0, -300.0, 700.0, 0.1, -0.2, 3.0),
     "3": (-1700.0, -900.0, 1100.0, 0.0, 0.3, 0.2),
     "4": (-300.0, 600.0, 2100.0, 0.2, 1.4, 0.0),
 }
-"""Around the machine: origin in mm, rotation vector; the fourth from above."""
+"""Positions around the machine: origin in mm, rotation vector; the fourth from above."""
 
 
 def table(
     machine: Machine, positions: np.ndarray, target: np.ndarray, station: np.ndarray, number: np.ndarray | None = None
 ) -> Measurements:
-    """A plan: (n, axes) positions, (n,) names of targets of `PLACES`, of stations and of rounds; neither places nor stations told."""
+    """Return a plan: (n, axes) positions, (n,) names of targets of `PLACES`, of stations and of rounds; no places or stations given."""
     n = len(positions)
 
     def unknown(*more: int) -> np.ndarray:
@@ -60,7 +60,7 @@ def table(
 
 
 def volumetric(machine: Machine, rng: np.random.Generator, points: int, stations: int = 2) -> Measurements:
-    """Random poses over the whole range, each seen by one station on one target."""
+    """Return random poses over the whole range, each with one target measured from one station."""
     positions = np.round(rng.uniform(LOW, HIGH, (points, 5)), 3)
     target = rng.choice(list(PLACES), points)
     return table(
@@ -73,7 +73,7 @@ def volumetric(machine: Machine, rng: np.random.Generator, points: int, stations
 
 
 def four_stations(machine: Machine, rng: np.random.Generator, poses: int) -> Measurements:
-    """Multilateration: every pose on one target of each side, seen from all four stations."""
+    """Return multilateration: every pose with one target on each side, measured from all four stations."""
     positions = np.round(rng.uniform(LOW, HIGH, (poses, 5)), 3)
     sides = [[name for name, (side, _) in PLACES.items() if side == carrier] for carrier in ("tool", "work")]
     targets = np.array([rng.choice(side, poses) for side in sides])
@@ -87,12 +87,12 @@ def four_stations(machine: Machine, rng: np.random.Generator, poses: int) -> Mea
 
 
 def read_by_truth(plan: Measurements, truth: TruthMachine, *, dead_mm: float | None = None) -> Measurements:
-    """What stands in the table when the truth machine is measured without noise.
+    """Return the table of noise-free readings of the truth machine.
 
     Args:
         plan: what to measure.
         truth: the machine.
-        dead_mm: None for a tracker; for an interferometer the dead path of the first station, the others' 10 mm more each.
+        dead_mm: None for a tracker; for an interferometer the dead path of the first station, each further one 10 mm more.
     """
     points = np.full((len(plan), 3), np.nan)
     names = list(dict.fromkeys(plan.station))
@@ -108,5 +108,5 @@ def read_by_truth(plan: Measurements, truth: TruthMachine, *, dead_mm: float | N
 
 
 def with_places(data: Measurements) -> Measurements:
-    """The same with the targets' places told."""
+    """Return the data with the targets' places given."""
     return replace(data, place_mm=locked(np.array([PLACES[name][1] for name in data.target])))

@@ -1,4 +1,4 @@
-"""One linear axis under a multi-axis interferometer: against Pinocchio, truths over seeded draws, and three reflectors."""
+"""One linear axis under a multi-axis interferometer: compared with Pinocchio, with simulated truths, and with three reflectors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def layout(machine: Machine) -> AxisLayout:
 
 
 def run_of(rounds: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, sides and rounds of a run forth and back."""
+    """Return positions, sides and rounds of a run back and forth."""
     n = len(FORTH)
     return (
         np.tile(np.concatenate([FORTH, FORTH[::-1]]), rounds),
@@ -54,7 +54,7 @@ def run_of(rounds: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def drawn(machine: Machine, seed: int, axis: str = "X") -> Calibration:
-    """Six curves of degree 2 to 5, some micrometres and tens of microradians."""
+    """Return six random curves of degree 2 to 5, some micrometres and tens of microradians."""
     rng = np.random.default_rng(seed)
     curves = {}
     lower, upper = machine.by_name[axis].lower, machine.by_name[axis].upper
@@ -68,20 +68,20 @@ def drawn(machine: Machine, seed: int, axis: str = "X") -> Calibration:
 
 
 def fine(name: str, values: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """What the datum leaves of a curve: no mean over the travel, and no mean slope of a straightness."""
+    """Return a curve in the datum: without its mean over the travel and, for a straightness, without its mean slope."""
     degree = 1 if name[2] in "YZ" else 0
     return values - np.polyval(np.polyfit(q, values, degree), q)
 
 
 def without_datum(curve: Curve, q: np.ndarray) -> np.ndarray:
-    """A power curve over 0 to 500 mm less its mean and, of a straightness, its mean slope: by Legendre polynomials."""
+    """Return a power curve over 0 to 500 mm without its mean and, for a straightness, its mean slope: by Legendre polynomials."""
     legendre = np.polynomial.legendre.poly2leg(np.array(curve.coefficients))
     legendre[: 2 if curve.name[2] in "YZ" else 1] = 0.0
     return np.asarray(np.polynomial.legendre.legval((2.0 * q - 500.0) / 500.0, legendre))
 
 
 def test_the_carriage_is_where_pinocchio_has_it(machine: Machine, layout: AxisLayout) -> None:
-    """The whole chain of the machine, every error frame a free-flyer joint; X stands on nothing that errs."""
+    """The whole chain of the machine, every error frame a free-flyer joint; X stands on an error-free base."""
     calibration = drawn(machine, 1)
     found = carriage_poses(layout, machine, calibration, FORTH)
     frame = next(f for f in machine.frames if (f.axis, f.role) == ("X", "motion"))
@@ -104,7 +104,7 @@ def test_the_carriage_is_where_pinocchio_has_it(machine: Machine, layout: AxisLa
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 def test_exact_readings_give_the_motions_back(machine: Machine, layout: AxisLayout, axis: str) -> None:
-    """Of every linear axis; up to constants and, where the reference itself leans, the slope of a straightness."""
+    """For every linear axis; up to constants and, if the reference itself is tilted, the slope of a straightness."""
     own = machine.by_name[axis]
     assert own.lower is not None and own.upper is not None
     q = np.linspace(own.lower, own.upper, 15)
@@ -133,7 +133,7 @@ def test_exact_readings_give_the_motions_back(machine: Machine, layout: AxisLayo
 
 
 def test_uncertainties_cover_the_truth(machine: Machine, layout: AxisLayout) -> None:
-    """40 machines and layouts drawn: every curve at five positions against its standard uncertainty."""
+    """40 random machines and layouts: every curve at five positions compared with its standard uncertainty."""
     positions, side, rounds = run_of()
     at = np.linspace(20.0, 480.0, 5)
     scores, chances, shares = [], [], []
@@ -163,7 +163,7 @@ def test_uncertainties_cover_the_truth(machine: Machine, layout: AxisLayout) -> 
 
 
 def test_against_three_reflectors_on_the_same_positions(machine: Machine, layout: AxisLayout) -> None:
-    """Without noise both say the same; with their own, beams and a tracker at 2 m, the beams' angles are far better."""
+    """Without noise both agree; with the noise of beams and of a tracker at 2 m, the beams' angles are far better."""
     calibration = drawn(machine, 3)
     places = np.array([[0.10, -0.05, -0.03], [-0.08, 0.06, -0.07], [0.02, 0.11, -0.12]])
 
@@ -192,8 +192,8 @@ def test_against_three_reflectors_on_the_same_positions(machine: Machine, layout
     assert np.all(of_beams.std(axis=0)[:3] < 0.2 * of_three.std(axis=0)[:3])
 
 
-def test_repeats_tell_what_the_beams_noise_does_not(machine: Machine, layout: AxisLayout) -> None:
-    """A carriage that comes back to 0.5 µm and 1 µrad: seen in its repeatability, taken in by ``repeats``."""
+def test_repeatability_beyond_the_noise_of_the_beams(machine: Machine, layout: AxisLayout) -> None:
+    """A carriage with a repeatability of 0.5 µm and 1 µrad: it is found, and included by ``repeats``."""
     calibration = drawn(machine, 5)
     positions, side, rounds = run_of(5)
     rng = np.random.default_rng(6)
@@ -210,8 +210,8 @@ def test_repeats_tell_what_the_beams_noise_does_not(machine: Machine, layout: Ax
     assert axis_curves(stated, machine, source="a test").p_value < 1e-6
     assert axis_curves(repeats, machine, source="a test").p_value > 1e-3
     curves = axis_curves(stated, machine, source="a test")
-    assert "--uncertainty repeats takes it in" in to_text(layout, readings, stated, curves)
-    with pytest.raises(InputError, match="seven rows more"):
+    assert "base the uncertainty on repeats" in to_text(layout, readings, stated, curves)
+    with pytest.raises(InputError, match="seven more rows"):
         few, _ = simulate_run(layout, machine, calibration, FORTH, rng)
         error_motions(layout, few, spread="repeats")
 
@@ -235,7 +235,7 @@ def test_a_layout_that_is_not_as_stated_shows_in_the_misfit(machine: Machine, la
     assert "are not as stated" in to_text(layout, readings, motions, axis_curves(motions, machine, source="a test"))
 
 
-def test_a_reversal_is_told_and_not_put_into_the_curves(machine: Machine, layout: AxisLayout) -> None:
+def test_reversal_is_reported_and_not_part_of_the_curves(machine: Machine, layout: AxisLayout) -> None:
     plain = drawn(machine, 9)
     turned = dataclasses.replace(plain, extra=(Reversal(machine.by_name["X"], 3.0),))
     positions, side, rounds = run_of()
@@ -309,13 +309,18 @@ def test_half_the_path_is_half_the_path(machine: Machine, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "said", "line"),
     [
-        ("axis: X", "axis: B", "no linear axis of this machine", 5),
+        ("axis: X", "axis: B", "not a linear axis of this machine", 5),
         ("reference_mm: 250", "reference_mm: 900", "outside the axis's range", 6),
-        ("{mirror: y, source_mm: [-35", "{mirror: q, source_mm: [-35", "no such mirror", 17),
-        ("normal: [-1, 0, 0]", "normal: [0, 0, 0]", "no direction", 9),
-        ("normal: [-1, 0, 0]", "normal: [1, 0, 0]", "does not meet mirror x squarely", 13),
-        ("[0, 0, 1]}\nz2".replace("z2", "  z2"), "[0, 0, -1]}\n  z2", "beam z1 does not meet mirror z squarely", 19),
-        ("[-500, 0, 40]", "[0, 0, 40]", "beam x1 leaves from behind", 13),
+        ("{mirror: y, source_mm: [-35", "{mirror: q, source_mm: [-35", "unknown mirror", 17),
+        ("normal: [-1, 0, 0]", "normal: [0, 0, 0]", "the vector is zero", 9),
+        ("normal: [-1, 0, 0]", "normal: [1, 0, 0]", "meets mirror x at too large an angle", 13),
+        (
+            "[0, 0, 1]}\nz2".replace("z2", "  z2"),
+            "[0, 0, -1]}\n  z2",
+            "beam z1 meets mirror z at too large an angle",
+            19,
+        ),
+        ("[-500, 0, 40]", "[0, 0, 40]", "beam x1 starts behind", 13),
         ("noise_um: 0.005", "noise_um: 0", "greater than 0", 23),
         ("noise_um: 0.005", "noise_mm: 0.005", "noise_", 23),
         ("twin.interferometer/1", "twin.machine/1", "wrong kind of file", 3),
@@ -348,7 +353,7 @@ GOOD = "0,-500,-500,-500,0,0,0,0,0,0,1"
         (table([GOOD, GOOD + ",1"]), "12 cells", 4),
         (table([GOOD]).replace("beam_z3_mm", "beam_z4_mm"), "column beam_z3_mm is missing", 2),
         (table([]), "no reading", None),
-        (table(["900" + GOOD[1:]]), "X is commanded outside its range", 3),
+        (table(["900" + GOOD[1:]]), "the command of X is outside its range", 3),
         (table(["0,1,,,,,,,,,1"]), "fewer than 6 beams were read", 3),
         ("", "no header row", None),
     ],
@@ -367,7 +372,7 @@ def test_rows_that_cannot_be_used_are_named(layout: AxisLayout, tmp_path: Path) 
     path.write_text(table([GOOD, "nan" + GOOD[1:], GOOD]).replace("approach", "aproach"))
     found = load_readings(path, layout)
     assert [(note.line, note.text) for note in found.set_aside] == [
-        (4, "a commanded position that is no finite number")
+        (4, "a commanded position is missing or not finite")
     ]
     assert found.notices == ("column aproach is unknown and not used (did you mean approach?)",)
 
@@ -379,7 +384,7 @@ def test_too_few_positions(machine: Machine, layout: AxisLayout) -> None:
 
 
 def test_readings_of_another_layout_are_refused(machine: Machine, layout: AxisLayout) -> None:
-    """Beams of y and z swapped with those of x: no pose of the carriage makes them."""
+    """Beams of y and z swapped with those of x: no pose of the carriage agrees with them."""
     readings, _ = simulate_run(layout, machine, drawn(machine, 19), FORTH, np.random.default_rng(20))
     swapped: BeamReadings = dataclasses.replace(readings, change_mm=readings.change_mm[:, [3, 0, 1, 2, 4, 5, 6, 7, 8]])
     try:
@@ -415,7 +420,7 @@ def test_the_commands(machine: Machine, tmp_path: Path, capsys: pytest.CaptureFi
         (["axis-run", "none.csv", "-l", "nine_beams_x.yaml", "-o", "a.yaml"], "cannot be read"),
     ],
 )
-def test_what_the_commands_refuse(
+def test_commands_refuse_bad_usage(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""The pictures of an identification: what is drawn is what was identified, in one datum, with units, and renders without a screen."""
+"""Plots of an identification: they show the identified values in one datum, with units, and render without a display."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def found(dmu50: Machine, data: Measurements) -> Identification:
 
 
 def lines(figure: Figure, panel: int, label: str) -> np.ndarray:
-    """(2, n) what a line of a panel with that label shows."""
+    """Return (2, n) the points of a panel's line with that label."""
     (line,) = [line for line in figure.axes[panel].lines if line.get_label() == label]
     return np.array([line.get_xdata(), line.get_ydata()], dtype=float)
 
@@ -90,7 +90,7 @@ def test_motions_of_a_linear_axis(
 def test_motions_of_a_rotary_axis(
     dmu50: Machine, calibration: Calibration, data: Measurements, found: Identification, tmp_path: Path
 ) -> None:
-    """Polar alone, against the angle beside the thesis; the datum's turning shift is taken off all."""
+    """Polar alone, against the angle with the thesis; the rotating shift excluded by the datum is subtracted from all."""
     polar = plot_motions(found, "C", truth=calibration.curves)
     assert [plot.name for plot in polar.axes] == ["polar"] * 6
     angle, shown = lines(polar, 0, "identified")
@@ -128,7 +128,7 @@ def test_orders_show_the_choice_and_degree_8(found: Identification, tmp_path: Pa
 
 
 def test_residuals_lie_in_their_bands(found: Identification, tmp_path: Path) -> None:
-    """Means by position: of some 70, one in twenty outside; more than five in twenty would be a band drawn too narrow or too wide."""
+    """Means by position: of some 70, one in twenty outside; more than five in twenty would mean a band too narrow or too wide."""
     figure = plot_residuals(found)
     inside = []
     for panel in range(5):
@@ -165,5 +165,5 @@ def test_uncertainty_over_a_plane(dmu50: Machine, found: Identification, tmp_pat
     plane = over.positions[:, 1] == 225.0
     assert shown == pytest.approx(over.uncertainty.expanded_um[plane].max())
     renders(figure, tmp_path / "u.png")
-    with pytest.raises(InputError, match="no plane of this map"):
+    with pytest.raises(InputError, match="not a plane of this map"):
         plot_uncertainty(over, "X", "B")

@@ -1,7 +1,7 @@
-"""Simulating and identifying undo each other: readings of a machine in plain numpy, without noise, give its errors back.
+"""Identification is the inverse of simulation: noise-free readings of a machine in plain numpy give its errors.
 
-1e-6 µm or µrad is asked of every curve over its range and of every number. Rounding of readings of 2000 mm (2e-10 µm each) through the
-worst lever of these plans leaves 2e-8.
+The limit is 1e-6 µm or µrad for every curve over its range and every number. Rounding of readings of 2000 mm (2e-10 µm each) through
+the worst lever arm of these plans gives 2e-8.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ UNSEEN = {"E_X0B", "E_Y0B", "E_Y0C"}
 
 
 def as_the_thesis(machine: Machine) -> Measurements:
-    """Its positions, targets and rounds; the tracker where `STATIONS` has the first."""
+    """Return the thesis's positions, targets and rounds, with the tracker at the first of `STATIONS`."""
     plan = thesis_plan.plan(machine)
     return table(machine, plan.positions, plan.target, plan.station, plan.round)
 
 
 def differences(found: Calibration, truth: TruthMachine, errors: dict[str, Any]) -> dict[str, float]:
-    """Largest difference over the range of every error motion, and of every number that can be told; what is not named is zero."""
+    """Return the largest difference over the range of every error motion, and of every identifiable number; unnamed errors are zero."""
     worst = {}
     for name in MOTIONS:
         q = np.linspace(*RANGES[name[3]], 101)
@@ -70,8 +70,8 @@ def test_the_thesis_plan_gives_the_machine_back(dmu50: Machine, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7, 8, 9))])
-def test_nothing_that_is_not_there(dmu50: Machine, tmp_path: Path, seed: int) -> None:
-    """Six curves and no number: the other 24 curves and eight numbers come back as zero, and by degree as nothing."""
+def test_absent_errors_are_found_as_zero(dmu50: Machine, tmp_path: Path, seed: int) -> None:
+    """Six curves and no constants: the other 24 curves and eight constants are found as zero, and degree 0."""
     rng = np.random.default_rng(seed)
     names = tuple(str(name) for name in rng.choice(MOTIONS, 6, replace=False))
     errors = in_datum(rng, names, constants=False)
@@ -83,7 +83,7 @@ def test_nothing_that_is_not_there(dmu50: Machine, tmp_path: Path, seed: int) ->
 
 @pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 def test_random_poses_and_two_stations(dmu50: Machine, tmp_path: Path, seed: int) -> None:
-    """700 points, each another pose, no axis by itself."""
+    """700 points, each at another pose, no single-axis runs."""
     rng = np.random.default_rng(seed)
     errors = in_datum(rng, size=100.0)
     truth = written(tmp_path / "t.yaml", errors)
@@ -93,7 +93,7 @@ def test_random_poses_and_two_stations(dmu50: Machine, tmp_path: Path, seed: int
 
 @pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.slow)])
 def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -> None:
-    """A tracking interferometer: lengths alone, from an unknown zero; it is recognised by what it leaves empty."""
+    """A tracking interferometer: lengths only, from an unknown zero; it is recognised by its empty columns."""
     rng = np.random.default_rng(seed)
     errors = in_datum(rng, size=100.0)
     truth = written(tmp_path / "t.yaml", errors)
@@ -110,9 +110,8 @@ def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -
 def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> None:
     """Identified from 600 poses (4800 lengths) and four stations with noise, compensated: at most 0.5 µm RMS at the tool.
 
-    The truth is in the datum, so nothing is removed:
-    E_X0B, E_Y0B, E_Y0C and the constants of the curves, which say where workpiece
-    and tool are clamped and what zeroing a machine settles, are zero in it.
+    The truth is in the datum, so nothing is removed: E_X0B, E_Y0B, E_Y0C and the constants of the curves, which depend on the clamping
+    of workpiece and tool and on the zeroing of the machine, are zero in it.
     """
     rng = np.random.default_rng(31)
     errors = in_datum(rng, size=30.0)
@@ -156,7 +155,7 @@ def test_one_axis_property(
 ) -> None:
     """Any machine with errors of one linear axis, any size, from one run along it with three targets whose places are known.
 
-    Unknown, their common distance from the axis could not be told from straightness (test_identify_datum.py).
+    With unknown places, their common distance from the axis would be confounded with straightness (test_identify_datum.py).
     """
     errors = in_datum(
         np.random.default_rng(seed),

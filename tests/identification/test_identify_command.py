@@ -1,4 +1,4 @@
-"""`twin identify` as its users meet it, and what it leaves on disk."""
+"""`twin identify` as a user calls it, and the files it writes."""
 
 from __future__ import annotations
 
@@ -65,9 +65,7 @@ def test_from_a_plan_to_a_calibration(
     assert np.all(ours > 0.0) and ours == pytest.approx(theirs, rel=1e-9)
 
 
-def test_outliers_are_said_by_the_exit_status(
-    measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_outliers_give_exit_status_3(measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = measured.read_text().splitlines()
     header = next(i for i, line in enumerate(lines) if line.startswith("X_mm"))
     column = lines[header].split(",").index("y_mm")

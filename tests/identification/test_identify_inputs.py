@@ -1,4 +1,4 @@
-"""Tables that other people hand in: a dead sensor, a lone column, metres for millimetres. Each is named before anything is fitted."""
+"""Tables with typical faults: a dead sensor, a single column, metres for millimetres. Each is named before anything is fitted."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NAMES = ["identify", "diagnose"]
 
 
 def rows_of(machine: Machine, positions: np.ndarray, carrier: str, target: str = "K") -> Measurements:
-    """A plan of one target and one station."""
+    """Return a plan of one target and one station."""
     n = len(positions)
     return Measurements(
         source="m.csv",
@@ -81,13 +81,13 @@ def drill(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 @pytest.fixture(scope="module")
 def tracked(dmu50: Machine) -> Measurements:
-    """The thesis's plan before a tracker: X, Y, Z, B and C in turn, targets on both sides."""
+    """Return the thesis's plan measured by a tracker: X, Y, Z, B and C in turn, targets on both sides."""
     return measured(thesis_plan.plan(dmu50), dmu50)
 
 
 @pytest.fixture(scope="module")
 def stage(drill: Machine) -> Measurements:
-    """The drill's table on 20 mm, a scale beside it: x_mm alone, 0.5 µm of noise."""
+    """Return 20 mm of the drill's table with a parallel scale: x_mm only, 0.5 µm of noise."""
     x = np.tile(np.linspace(0.0, 20.0, 11), 6)
     plan = rows_of(drill, np.column_stack([x, np.zeros(len(x))]), "work")
     points = np.full((len(x), 3), np.nan)
@@ -101,9 +101,7 @@ def test_a_dead_sensor_is_refused(
     drill: Machine, stage: Measurements, run: Callable[[Measurements, Machine], object], value: float
 ) -> None:
     dead = np.where(np.isfinite(stage.point_mm), value, np.nan)
-    with pytest.raises(
-        InputError, match=r"reads the same in all 66 rows, while the commands move it by 20 mm"
-    ) as caught:
+    with pytest.raises(InputError, match=r"are equal in all 66 rows, but it was moved by 20 mm") as caught:
         run(with_points(stage, dead), drill)
     assert (caught.value.file, caught.value.line, caught.value.value) == ("m.csv", 12, f"x_mm {value:g}")
     assert "check the sensor" in caught.value.expected
@@ -112,12 +110,12 @@ def test_a_dead_sensor_is_refused(
 def test_one_dead_target_among_others_is_refused(dmu50: Machine, tracked: Measurements) -> None:
     points = np.array(tracked.point_mm)
     points[tracked.target == "P"] = points[tracked.target == "P"][0]
-    with pytest.raises(InputError, match="a sensor that does not move: target P of station 1"):
+    with pytest.raises(InputError, match="sensor without signal: readings of target P from station 1"):
         identify(with_points(tracked, points), dmu50)
 
 
 def test_a_constant_reading_may_be_right(dmu50: Machine, drill: Machine, stage: Measurements) -> None:
-    """The axis stood still; or the table turned under a target that may sit on its axis; or it moved less than a gauge shows."""
+    """The axis stood still; or the table rotated under a target that may sit on its axis; or it moved by less than a gauge resolves."""
     still = replace(stage, positions=locked(np.zeros_like(stage.positions)))
     constant = np.where(np.isfinite(stage.point_mm), 5.0, np.nan)
     assert not prepared(drill, with_points(still, constant), None)[1].notices
@@ -127,11 +125,11 @@ def test_a_constant_reading_may_be_right(dmu50: Machine, drill: Machine, stage: 
     assert not prepared(dmu50, turned, None)[1].notices
     little = replace(stage, positions=locked(np.array(stage.positions) * 0.0025))
     (notice,) = prepared(drill, with_points(little, constant), None)[1].notices
-    assert notice.endswith("while the commands move it by 0.05 mm: a dead sensor, or one with coarse steps")
+    assert notice.endswith("but it was moved by 0.05 mm: the sensor is dead or its resolution is coarse")
 
 
 def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
-    """The drill's quill and table seen square on and without noise: y is constant, rightly; the notice says that it may be dead."""
+    """The drill's quill and table measured perpendicularly and without noise: y is constant, which gives a notice."""
     q = np.array([[x, z] for x in np.linspace(0, 300, 7) for z in np.linspace(-200, 0, 5)])
     plan = rows_of(drill, q, "tool")
     plan = replace(plan, station_pose=locked(np.tile([0.0, -2000.0, 0.0, 0.0, 0.0, 0.0], (len(q), 1))))
@@ -143,14 +141,14 @@ def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
     )
 
 
-def test_a_lone_column_is_taken_for_lengths_aloud(
+def test_a_single_column_is_taken_as_lengths_with_a_notice(
     dmu50: Machine, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The notice stands before the results, in text and JSON; an instrument that is named needs none."""
+    """The notice precedes the results, in text and JSON; a named instrument needs none."""
     lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 30), dmu50, TrackingInterferometer())
     reader, data, _ = prepared(dmu50, lengths, None)
     assert isinstance(reader, TrackingInterferometer)
-    assert data.notices[0].startswith(f"{ASSUMED}x_mm alone is given") and "name the instrument" in data.notices[0]
+    assert data.notices[0].startswith(f"{ASSUMED}x_mm is a length") and "name the instrument" in data.notices[0]
     assert not prepared(dmu50, lengths, TrackingInterferometer())[1].notices
     lengths.save(tmp_path / "m.csv", dmu50)
     with pytest.raises(SystemExit) as stopped:
@@ -171,10 +169,10 @@ def test_one_coordinate_of_a_tracker_is_no_length(
 
 
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
-def test_a_column_that_moves_in_no_way_like_the_command(
+def test_a_column_that_does_not_follow_the_command(
     drill: Machine, stage: Measurements, run: Callable[[Measurements, Machine], object]
 ) -> None:
-    """Noise of 3 mm on a travel of 20 and of 2 mm: less than a wrong command would be."""
+    """Noise of 3 mm on a travel of 20 and of 2 mm: less than a wrong command would cause."""
     rng = np.random.default_rng(SEED)
     for travel in (1.0, 0.1):
         noise = np.where(np.isfinite(stage.point_mm), rng.normal(0.0, 3.0 * travel, stage.point_mm.shape), np.nan)
@@ -183,10 +181,10 @@ def test_a_column_that_moves_in_no_way_like_the_command(
         assert "the commands" in caught.value.what and caught.value.line is not None
 
 
-def test_y_alone_is_accepted_where_it_follows(drill: Machine, stage: Measurements) -> None:
+def test_single_y_that_follows_the_commands_is_accepted(drill: Machine, stage: Measurements) -> None:
     reader, data, _ = prepared(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
     assert isinstance(reader, LaserTracker)
-    assert data.notices == ("y_mm alone is given: taken as the coordinate of all targets along one line",)
+    assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
 
 
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
@@ -223,7 +221,9 @@ def test_another_unit_is_named(
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "metres"), (1 / 25.4, "inches"), (1e3, "micrometres")])
-def test_another_unit_of_a_lone_column_is_named(drill: Machine, stage: Measurements, factor: float, unit: str) -> None:
+def test_another_unit_of_a_single_column_is_named(
+    drill: Machine, stage: Measurements, factor: float, unit: str
+) -> None:
     """20 mm of travel: in metres, all readings are within a few millimetres of any command."""
     for travel in (1.0, 0.1):
         part = replace(stage, positions=locked(stage.positions * travel))
@@ -240,17 +240,17 @@ def test_radians_of_a_robot_are_named(tmp_path: Path) -> None:
 
 
 def test_an_axis_that_moves_no_target_is_noticed(dmu50: Machine, tracked: Measurements) -> None:
-    """B and C turned, and all targets are on the tool."""
+    """B and C rotated, and all targets are on the tool side."""
     part = tracked.select(tracked.carrier == "tool")
     positions = np.array(part.positions)
     positions[:, 4] = np.random.default_rng(SEED).uniform(0.0, 360.0, len(part))
     found = prepared(dmu50, replace(part, positions=locked(positions)), None)[1].notices
-    assert "C moved, but it carries the work and no target is there: these readings say nothing of C" in found
+    assert "C moved, but it carries the work side, which has no target: its errors are not identifiable" in found
 
 
 @pytest.mark.parametrize("wrong", ["readings", "commands"])
 def test_a_mirrored_plane_is_noticed(dmu50: Machine, wrong: str) -> None:
-    """Two coordinates of points in one plane have no hand: a wrong sign is seen as a station on the other side."""
+    """Two coordinates of points in one plane have no handedness: a wrong sign looks like a station on the other side."""
     q = np.array([[x, y, 0.0, 0.0, 0.0] for x in np.linspace(0, 500, 7) for y in np.linspace(0, 450, 5)])
     turned = np.array([0.6, 0.8, -0.8, 0.6]).reshape(2, 2)
     points = np.column_stack([q[:, :2] @ turned, np.full(len(q), np.nan)])
@@ -261,13 +261,13 @@ def test_a_mirrored_plane_is_noticed(dmu50: Machine, wrong: str) -> None:
     else:
         data = replace(data, positions=locked(np.abs(q - [500.0, 0.0, 0.0, 0.0, 0.0])))
     (notice,) = prepared(dmu50, data, None)[1].notices
-    assert notice.startswith("station 1 reads x_mm and y_mm only, and sees their plane from the machine's -z")
-    assert "wrong sign (a mirrored axis)" in notice
+    assert notice.startswith("station 1 reads x_mm and y_mm only, and its readings fit a station on the machine's -z side")
+    assert "wrong sign (mirrored axis)" in notice
 
 
 @pytest.mark.parametrize("command", NAMES)
 def test_an_axis_on_neither_path_is_named(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A joint of the URDF that neither the tool nor the work rides on."""
+    """A joint of the URDF on which neither the tool nor the work rides."""
     file = write_drill(tmp_path)
     urdf = tmp_path / "drill.urdf"
     door = (
@@ -290,7 +290,7 @@ def test_an_axis_on_neither_path_is_named(tmp_path: Path, command: str, capsys: 
 @pytest.mark.parametrize("noise", [True, False], ids=["noise", "exact"])
 @pytest.mark.parametrize("instrument", [LaserTracker(), TrackingInterferometer()], ids=lambda one: one.name)
 def test_good_data_raise_no_complaint(dmu50: Machine, instrument: Instrument, noise: bool) -> None:
-    """The thesis's plan, the bundled errors, with and without noise, and lengths from four stations."""
+    """The thesis's plan with the bundled errors, with and without noise, and lengths from four stations."""
     rng = np.random.default_rng(SEED)
     plan = four_stations(dmu50, rng, 60) if instrument.lengths_only else thesis_plan.plan(dmu50)
     data = simulate(plan, dmu50, Calibration.default(dmu50), instrument, rng, noise=noise)[0]
@@ -304,8 +304,8 @@ def test_good_data_of_one_axis_raise_no_complaint(drill: Machine, stage: Measure
     assert len(left) == len(stage) and not left.notices and not left.set_aside
 
 
-def test_too_few_positions_are_no_proof(dmu50: Machine) -> None:
-    """20 points fit any model: at held-out places they are many standard deviations off, and the verdict says so, in JSON too."""
+def test_too_few_positions_do_not_test_the_model(dmu50: Machine) -> None:
+    """20 points fit any model: held-out residuals are many standard deviations, which the verdict states, in JSON too."""
     rng = np.random.default_rng(SEED)
     plan = volumetric(dmu50, rng, 20, stations=1)
     few = np.array(plan.positions)

@@ -1,4 +1,4 @@
-"""Where the model leaves something out: what is an outlier, what holds an error that the readings hardly show, what the file does."""
+"""Incomplete models: outliers, priors of errors that the readings hardly determine, and the written file."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ LOOSE_MM = 0.15
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Measurements:
-    """Readings of a machine with errors, with a tracker's noise."""
+    """Return readings of a machine with errors, with a tracker's noise."""
     truth = written(tmp_path_factory.mktemp("truth") / "t.yaml", in_datum(np.random.default_rng(61)))
     data = read_by_truth(as_the_thesis(Machine.load("dmu50")), truth)
     return replace(data, point_mm=locked(hidden.noisy(data.point_mm, np.random.default_rng(62), "tracker")))
 
 
 def loose(data: Measurements, target: str) -> np.ndarray:
-    """(n, 3) mm: how a target that sits loosely moves with the axes: a smooth function that no error motion makes."""
+    """Return (n, 3) mm motion of a loose target with the axes: a smooth function that no error motion describes."""
     x, y, z = (data.positions[:, i] / 90.0 for i in range(3))
     b, c = (np.radians(2.0 * data.positions[:, i]) for i in (3, 4))
     pattern = np.stack([np.sin(x * y + b), np.cos(y + z * x + c), np.sin(z + x * y + b * c)], axis=1)
@@ -44,7 +44,7 @@ def loose(data: Measurements, target: str) -> np.ndarray:
 
 
 def moved(data: Measurements, rows: np.ndarray, mm: float) -> Measurements:
-    """Some rows off by so much, each in a direction of its own."""
+    """Return the data with some rows displaced, each in a random direction."""
     way = np.random.default_rng(63).normal(size=(len(rows), 3))
     points = np.array(data.point_mm)
     points[rows] += mm * way / np.linalg.norm(way, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def moved(data: Measurements, rows: np.ndarray, mm: float) -> Measurements:
 
 
 def by_truth(found: Identification, file: Path) -> np.ndarray:
-    """(n, 3) mm: residuals of a written file by the machine of plain numpy, stations and places as the report has them."""
+    """Return (n, 3) mm residuals of a written file by the machine of plain numpy, with stations and places from the report."""
     machine, setup, data = TruthMachine(file), found.setup, found.data
     left = np.empty((len(data), 3))
     for i in range(len(data)):
@@ -63,8 +63,8 @@ def by_truth(found: Identification, file: Path) -> np.ndarray:
     return left
 
 
-def test_a_target_that_misfits_is_no_heap_of_outliers(dmu50: Machine, clean: Measurements) -> None:
-    """One of six targets misses thirty times as far as the others: five rows that are bad are found, the rest stay in."""
+def test_a_target_with_a_misfit_has_few_outliers(dmu50: Machine, clean: Measurements) -> None:
+    """One of six targets has a misfit thirty times that of the others: five wrong rows are found, the other rows stay in."""
     data = replace(clean, point_mm=locked(clean.point_mm + loose(clean, "P")))
     rows = np.flatnonzero(data.target == "P")[[7, 31, 66, 80, 101]]
     found = identify(moved(data, rows, 3.0), dmu50)
@@ -75,19 +75,19 @@ def test_a_target_that_misfits_is_no_heap_of_outliers(dmu50: Machine, clean: Mea
     assert found.to_text().count("outlier, not used") == 2 and len(found.to_dict()["set_aside"]) == 5
 
 
-def test_many_outliers_are_the_model(dmu50: Machine, clean: Measurements) -> None:
-    """Above two in a hundred the report doubts the model; one in a hundred it does not mention."""
+def test_many_outliers_indicate_the_model(dmu50: Machine, clean: Measurements) -> None:
+    """Above a share of two in a hundred the report doubts the model; one in a hundred gives no notice."""
     few, many = (identify(moved(clean, np.arange(k, len(clean), step), 1.0), dmu50) for k, step in ((3, 100), (3, 25)))
     assert 0.005 < np.mean(~few.used) < 0.02 < np.mean(~many.used) < 0.06
-    said = "rows (4.0 %) are outliers of this model. So many are rarely bad readings: suspect the model"
+    said = "rows (4.0 %) are outliers: probably the model is incomplete, not the readings wrong"
     assert any(said in notice for notice in many.notices)
-    assert not any("outliers of this model" in notice for notice in few.notices)
+    assert not any("are outliers" in notice for notice in few.notices)
 
 
 def test_the_file_is_the_fit(dmu50: Machine, clean: Measurements, tmp_path: Path) -> None:
-    """What the report says of the residuals is what the machine of plain numpy finds with the written file.
+    """The residuals in the report are those that the machine of plain numpy finds with the written file.
 
-    Two targets on the tool, on an oblique line: three angles of each axis only show together, and are in the file with their priors.
+    Two targets on the tool, on an oblique line: three angles of each axis are confounded, and are in the file with their priors.
     """
     rough = replace(clean, point_mm=locked(clean.point_mm + loose(clean, "P") + loose(clean, "Q")))
     found = identify(rough.select(np.isin(rough.target, ("P", "Q"))), dmu50)
@@ -99,21 +99,21 @@ def test_the_file_is_the_fit(dmu50: Machine, clean: Measurements, tmp_path: Path
 
 
 def test_the_command_reports_its_own_file(clean: Measurements, tmp_path: Path) -> None:
-    """From the file as it was written, not from what was in memory."""
+    """The report is computed from the written file, not from memory."""
     table, out, said = (tmp_path / name for name in ("m.csv", "c.yaml", "r.json"))
     machine = Machine.load("dmu50")
     clean.save(table, machine)
     assert status("identify", table, "-o", out, "--json", said) == 0
     found = identify(clean, machine)
     report = json.loads(said.read_text())["misfit"]
-    again = found.as_written(Calibration.load(out, machine))
+    again = found.evaluated_with(Calibration.load(out, machine))
     assert report["rms_um"] == report["rms_all_um"] == pytest.approx(again.rms_um, rel=1e-9)
     # Another file gives other figures.
-    assert found.as_written(Calibration.zero(machine)).rms_um > 3.0 * found.rms_um
+    assert found.evaluated_with(Calibration.zero(machine)).rms_um > 3.0 * found.rms_um
 
 
-def test_what_the_readings_hardly_show_is_held_by_its_prior(clean: Measurements, tmp_path: Path) -> None:
-    """A misfit of 150 µm and one target a side: no error beyond three times what the machine file calls plausible."""
+def test_hardly_determined_errors_are_held_by_their_priors(clean: Measurements, tmp_path: Path) -> None:
+    """A misfit of 150 µm and one target on each side: no error exceeds three times what the machine file calls plausible."""
     names = ("K", "KT")
     largest = {}
     for size in (1000.0, 50.0):
@@ -132,7 +132,7 @@ def test_what_the_readings_hardly_show_is_held_by_its_prior(clean: Measurements,
 
 
 def with_plausible(folder: Path, size: float) -> Machine:
-    """The bundled machine, its machine file saying how large its errors may be."""
+    """Return the bundled machine with the plausible size of its errors in its machine file."""
     folder.mkdir()
     source = Machine.load("dmu50")
     text = source.path.read_text(encoding="utf-8").replace(f"urdf: {source.urdf.name}", f"urdf: {source.urdf}")
@@ -143,8 +143,8 @@ def with_plausible(folder: Path, size: float) -> Machine:
     return Machine.load(path)
 
 
-def test_a_robot_s_file_reproduces_what_was_reported(tmp_path: Path) -> None:
-    """The case of `ur10-c`: 0.99 mm nominal; the written file leaves what was reported, by a fit of station and place in SciPy."""
+def test_a_robots_file_reproduces_the_report(tmp_path: Path) -> None:
+    """The case of `ur10-c`: 0.99 mm nominal; the written file gives the reported residuals, by a fit of station and place in SciPy."""
     folder = beside("data", "real", "ur10-c")
     out, said = tmp_path / "c.yaml", tmp_path / "r.json"
     words = ("--only", "E_*0J*", "--uncertainty", "between poses", "-o", out, "--json", said)

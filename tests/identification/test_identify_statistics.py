@@ -1,8 +1,8 @@
-"""What `identify` says of its own uncertainty, against many measurements of one machine: an AT960 on the thesis's plan.
+"""The uncertainty stated by `identify`, compared with many measurements of one machine: an AT960 on the thesis's plan.
 
 The machine and its tracker are those of `tests`, which share no code with the package. The truth is the bundled calibration in the
 estimate's datum, which a measurement without noise gives to 1e-7 µm (test_identify.py).
-By default eight seeds, with the allowance that so few need; `pytest -m slow` asks for the numbers themselves, on 60.
+By default eight seeds, with the allowance for so small a number; `pytest -m slow` tests the values themselves, on 60.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Run:
-    """One seed: which of the stated intervals hold, by name; mean square errors of E_XX, E_YY, E_ZZ, ours and the thesis's, µm²."""
+    """One seed: stated intervals that hold, by name; mean square errors of E_XX, E_YY, E_ZZ, ours and the thesis's, µm²."""
 
     inside: dict[str, np.ndarray]
     ours: np.ndarray
@@ -56,7 +56,7 @@ def machine() -> Machine:
 
 @cache
 def read() -> Measurements:
-    """What stands in the table without noise; neither places nor stations are given."""
+    """Return the readings without noise; neither places nor stations are given."""
     plan = replace(as_the_thesis(machine()), approach=thesis_plan.plan(machine()).approach)
     return read_by_truth(plan, TruthMachine(ROOT / "urdf" / "dmu50.calibration.yaml"))
 
@@ -97,7 +97,7 @@ def one(seed: int) -> Run:
 
 
 def _mean_square(found: Calibration, true: Calibration, name: str) -> float:
-    """Over the range; less the constant, which is each datum's own."""
+    """Return the mean square over the range, without the constant, which depends on the datum."""
     q = np.linspace(*true.curves[name].domain, 201)
     error = found.curves[name](q) - true.curves[name](q)
     return float(np.var(error))
@@ -120,19 +120,19 @@ def many() -> list[Run]:
 
 
 def coverage(found: list[Run]) -> tuple[float, float]:
-    """Share of all intervals that hold, and its standard error: a seed's intervals rest on one noise, seeds are independent."""
+    """Return the share of all intervals that hold, and its standard error; seeds are independent, intervals of a seed are not."""
     by_seed = [np.concatenate(list(run.inside.values())).mean() for run in found]
     return float(np.mean(by_seed)), float(np.std(by_seed, ddof=1) / np.sqrt(len(by_seed)))
 
 
 def of_one(found: list[Run], names: Iterable[str]) -> tuple[float, float]:
-    """The same of some errors alone."""
+    """Return the same for some errors."""
     inside = [np.concatenate([run.inside[name] for name in names]).mean() for run in found]
     return float(np.mean(inside)), float(np.std(inside, ddof=1) / np.sqrt(len(inside)))
 
 
 def test_intervals_cover(few: list[Run]) -> None:
-    """93 to 97 %, and three standard errors of so few seeds; each of 30 curves 90 %, less three and a half of its own."""
+    """93 to 97 %, and three standard errors for the number of seeds; each of 30 curves 90 %, less three and a half of its own."""
     share, error = coverage(few)
     assert error < 0.02, "too few seeds to say anything"
     assert 0.93 - 3.0 * error <= share <= 0.97 + 3.0 * error
@@ -180,10 +180,10 @@ def test_no_alarm_and_no_misfit_on_many_seeds(many: list[Run]) -> None:
 
 
 def no_alarm_and_no_misfit(found: list[Run]) -> None:
-    """A point called an outlier in one data set of a hundred (and what is above that once in a thousand); reduced chi² near one.
+    """Check one false outlier in a hundred data sets (with a limit exceeded once in a thousand), and a reduced chi² near one.
 
-    Two per cent, less than one data set's standard deviation (2.9 %): how many numbers a fit settles whose orders were
-    chosen and whose remainder is a prior is known no better. Measured on 200 seeds: 0.987, as if 252 had been settled and not 223.
+    Two per cent, less than one data set's standard deviation (2.9 %): the number of parameters determined by a fit with chosen orders
+    and priors is not known better. Measured on 200 seeds: 0.987, as if 252 parameters had been determined and not 223.
     """
     assert sum(run.alarms > 0 for run in found) <= stats.binom.isf(1e-3, len(found), 0.01)
     chi2, dof = sum(run.chi2 for run in found), sum(run.dof for run in found)
@@ -191,9 +191,9 @@ def no_alarm_and_no_misfit(found: list[Run]) -> None:
 
 
 def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> None:
-    """(JᵀWJ)⁻¹ in numpy, J from the truth machine by differences of its readings, which shares no code: stations, targets and all.
+    """(JᵀWJ)⁻¹ in numpy, J from the truth machine by differences of its readings, which shares no code; with stations and targets.
 
-    Numbers alone are sought, so that no order is chosen and nothing has a prior.
+    Only constants are estimated, so that no order is chosen and nothing has a prior.
     """
     wanted = {"E_C0Y": 40.0, "E_B0Z": -25.0, "E_A0Z": 30.0, "E_A0C": 15.0}
     nothing = tmp_path / "nothing.yaml"
@@ -225,8 +225,8 @@ def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> N
     np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-3)
 
 
-def test_the_estimate_is_the_same_whoever_asks() -> None:
-    """No draw hides in it: the same data give the same numbers to the last digit."""
+def test_the_estimate_is_reproducible() -> None:
+    """No random numbers: the same data give the same result to the last digit."""
     first, again = (identify(measured(3), machine()) for _ in range(2))
     assert isinstance(first, Identification)
     assert first.calibration.to_yaml() == again.calibration.to_yaml()

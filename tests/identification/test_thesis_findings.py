@@ -1,5 +1,5 @@
-"""What Ellingsdalen (2021) found in chapter 5, found again in simulation: where the tracker should stand, what a new frame does to
-straightness, and what compensation by its method gains beside ours.
+"""Findings of Ellingsdalen (2021), chapter 5, reproduced in simulation: tracker positions, influence of a new frame on straightness,
+and gain of compensation by its method compared with ours.
 
 The machine is the default calibration (illustrative), the plan the thesis's, the tracker the AT960; every draw is seeded.
 """
@@ -31,23 +31,23 @@ from twin.samples import thesis_plan
 LINEAR = "XYZ"
 TRANSLATIONS = tuple(f"E_{direction}{axis}" for axis in LINEAR for direction in LINEAR)
 LOW = ({"E_YX", "E_YY", "E_YZ"}, {"E_XX", "E_XY", "E_XZ"}, {"E_ZX", "E_ZY", "E_ZZ"})
-"""By tracker position: along its beam. Table 5.1 is the first; table 5.2 takes each error from the position where it is low."""
+"""By tracker position: errors along its beam. Table 5.1 is the first; table 5.2 takes each error from the position where it is low."""
 LENGTH = 120.0
 
 
 def rounds(machine: Machine, numbers: str, station: int = 0) -> Measurements:
-    """Some rounds of the thesis's plan from one of its three tracker positions."""
+    """Return some rounds of the thesis's plan from one of its three tracker positions."""
     plan = thesis_plan.plan(machine, thesis_plan.thesis_stations()[station])
     return plan.select(np.isin(plan.round, list(numbers)))
 
 
 def at_targets_um(found: Identification) -> dict[str, float]:
-    """Predicted standard deviation of each translation of X, Y, Z, RMS over the measured positions: of the middle of the three targets.
+    """Return the predicted standard deviation of each translation of X, Y, Z, RMS over the positions, at the targets' centre.
 
-    Which uncertainty tables 5.1 and 5.2 mean is not said. Of the error frame's translation it would hold the angular errors times the
-    way from frame to targets, which blurs every component alike. Where the targets are, it is what tracker and machine make of a
-    coordinate. So: base coordinates of the targets' middle by all unknowns, places of the targets included, through the joint
-    covariance; less what the datum and the unknown places take, a mean, and of a straightness a line.
+    The thesis does not state which uncertainty tables 5.1 and 5.2 mean. For the error frame's translation it would contain the angular
+    errors times the distance from frame to targets, similar for every component. At the targets, it is the uncertainty of a coordinate
+    due to tracker and machine. So: base coordinates of the targets' centre by all unknowns, places of the targets included, through the
+    joint covariance; without the components that the datum and the unknown places absorb, a mean, and of a straightness a line.
     """
     network, setup, data = found.network, found.setup, found.data
     machine, unknowns = network.machine, network.unknowns
@@ -94,13 +94,13 @@ def test_tables_5_1_and_5_2(dmu50: Machine, calibration: Calibration) -> None:
     assert max(best.values()) < 0.5 * min(found[0][name] for name in TRANSLATIONS if name not in LOW[0])
 
 
-def test_a_new_frame_lends_y_the_turn_of_x_and_z(dmu50: Machine, calibration: Calibration) -> None:
-    """Chapter 5.1.2: X and Z compensated by what was measured, Y left alone, each run in a frame aligned to its own X and Z.
+def test_a_new_frame_adds_the_rotation_of_x_and_z_to_y(dmu50: Machine, calibration: Calibration) -> None:
+    """Chapter 5.1.2: X and Z are compensated by the measured errors, Y is not, each run in a frame aligned to its own X and Z.
 
-    The frame follows the path of a target, which an angular error of an axis turns by its lever arm; the compensation is for the
-    spindle. So it turns X's and Z's lines, the next frame turns with them, and Y, which has not changed, lies askew in it. Whether its
-    error grows or shrinks by that is a matter of signs: of the illustrative machine without squareness, and angular errors a twentieth
-    of its own (a few µm at the targets, as the thesis has them), it grows. No noise: this is no matter of scatter.
+    The frame follows the path of a target, which an angular error of an axis rotates by its lever arm; the compensation is for the
+    spindle. So it rotates the lines of X and Z, the next frame rotates with them, and Y, which has not changed, is tilted in it.
+    Whether its error increases or decreases depends on signs: for the illustrative machine without squareness, and angular errors a
+    twentieth of its own (a few µm at the targets, as in the thesis), it increases. Without noise.
     """
     curves = {
         name: replace(curve, coefficients=tuple(0.05 * c for c in curve.coefficients))
@@ -158,7 +158,7 @@ def test_a_new_frame_lends_y_the_turn_of_x_and_z(dmu50: Machine, calibration: Ca
 
 
 def programs() -> dict[str, str]:
-    """Two programs in axis positions: a grid over the volume at B = C = 0, and forty poses of all five axes."""
+    """Return two programs in axis positions: a grid over the volume at B = C = 0, and forty poses of all five axes."""
     grid = [f"X{x} Y{y} Z{z}" for x in (60, 250, 440) for y in (60, 225, 390) for z in (-340, -200, -60)]
     ranges = ((60, 440), (60, 390), (-340, -60), (20, 160), (0, 340))
     drawn = np.random.default_rng(3).uniform(*np.array(ranges).T, size=(40, 5))
@@ -171,11 +171,10 @@ def programs() -> dict[str, str]:
 
 
 def touched_off_um(truth: TruthMachine, commands: np.ndarray, meant: np.ndarray) -> np.ndarray:
-    """(n,) what is left at the tool tip once tool and workpiece are touched off.
+    """Return (n,) the residual error at the tool tip after touching off tool and workpiece.
 
-    From targets of unknown place nobody can know where the tool and the workpiece are; on a real machine a probe tells. So one
-    constant vector on the tool's side and one on the workpiece's are taken off, by least squares over the program, for every method
-    alike.
+    Targets of unknown place do not determine where the tool and the workpiece are; on a real machine a probe does. So one constant
+    vector on the tool's side and one on the workpiece's are subtracted, by least squares over the program, for every method.
     """
     off, shapes = [], []
     for q, wanted in zip(commands, meant, strict=True):
@@ -188,7 +187,7 @@ def touched_off_um(truth: TruthMachine, commands: np.ndarray, meant: np.ndarray)
 
 
 def gains(machine: Machine, calibration: Calibration, folder: Path) -> dict[str, dict[str, tuple[float, float]]]:
-    """RMS and maximum at the tool, µm, by program and method, on one machine measured once by one tracker (Pos. 1, seed 7)."""
+    """Return RMS and maximum at the tool, µm, by program and method, on one machine measured once by one tracker (Pos. 1, seed 7)."""
     calibration.save(folder / "true.yaml")
     truth = TruthMachine(folder / "true.yaml", LENGTH)
     plan = thesis_plan.plan(machine)
@@ -217,7 +216,7 @@ def gains(machine: Machine, calibration: Calibration, folder: Path) -> dict[str,
 def test_gain_of_compensation(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """Measured, RMS µm at the tool tip (tool 120 mm): three axes 78 before, 94 thesis, 19 ours; five axes 66, 97, 15.
 
-    The bound is half of what there was; another seed moves ours by some µm.
+    The bound is half of the value before; another seed changes ours by some µm.
     """
     for name, left in gains(dmu50, calibration, tmp_path).items():
         rms = {label: values[0] for label, values in left.items()}

@@ -1,11 +1,11 @@
-"""The thesis's identification: exact to first order without noise, as noisy as its equations make it, and plain about bad tables.
+"""The thesis's identification: exact to first order without noise, with the noise of its equations, and clear messages for bad tables.
 
-What it may differ by from the truth is known (the module's last paragraph) and taken off before comparing. What is left is of second
+Its possible deviation from the truth is known (the module's last paragraph) and subtracted before comparing. The remainder is of second
 order. With every error at most e and ω, reflectors within P of an error frame's origin and L of travel, a deviation is at most
-Δ = 2(e + ωP); fitted to it, the aligned frame is turned by at most φ = 6Δ/L (a line through n equidistant points turns by less than
-3Δ/L, in two planes); neglected are squares and products of these turns over the distances they act on and of turns with deviations:
+Δ = 2(e + ωP); fitted to it, the aligned frame is rotated by at most φ = 6Δ/L (a line through n equidistant points rotates by less than
+3Δ/L, in two planes); neglected are squares and products of these rotations over their lever arms and of rotations with deviations:
 (ω + φ)²(P + L) + (ω + φ)Δ. The six equations magnify that by the row sums of their inverse. The bound is a twentieth of the errors,
-what is really left a thousandth of the bound; so it is also asked that half the errors leave a quarter, which no first-order slip does.
+the actual remainder a thousandth of the bound; so half the errors must also give a quarter, which no first-order mistake does.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def measured(
 
 
 def one_axis(machine: Machine, axis: str, seed: int, size: float) -> Calibration:
-    """Six curves of one axis: degree 8, or three harmonics for C; at most ``size`` µm and ten times as many µrad."""
+    """Return six curves of one axis: degree 8, or three harmonics for C; at most ``size`` µm and ten times as many µrad."""
     rng = np.random.default_rng(seed)
     curves = {}
     for name in machine.motion_names:
@@ -61,12 +61,12 @@ def one_axis(machine: Machine, axis: str, seed: int, size: float) -> Calibration
 
 
 def inverse(places: np.ndarray, axis: Axis) -> np.ndarray:
-    """(6, 9) the six equations' solution as a matrix."""
+    """Return (6, 9) the six equations' solution as a matrix."""
     return three_point(np.eye(9).reshape(9, 3, 3), places, axis).T
 
 
 def neglected(places: np.ndarray, axis: Axis, size: float) -> np.ndarray:
-    """(6,) bound on each error motion's error, µm and µrad, for errors of ``size`` µm and ten times as many µrad; see above."""
+    """Return (6,) the bound on each error motion's error, µm and µrad, for errors of ``size`` µm and ten times as many µrad."""
     away = float(np.linalg.norm(places, axis=-1).max())
     deviation = 2.0 * (size + 10.0 * size * away) * 1e-6
     turn = 10.0 * size * 1e-6 + 6.0 * deviation / TRAVEL
@@ -77,14 +77,14 @@ def neglected(places: np.ndarray, axis: Axis, size: float) -> np.ndarray:
 
 
 def without(values: np.ndarray, at: np.ndarray, *, line: bool) -> np.ndarray:
-    """Values less their mean, or their least-squares line."""
+    """Return values minus their mean, or minus their least-squares line."""
     return np.asarray(values - np.polyval(np.polyfit(at, values, 1 if line else 0), at))
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_linear_axis_comes_back(dmu50: Machine, plan: Measurements, axis: Literal["X", "Y", "Z"], seed: int) -> None:
-    """At the positions within the bound; in between within it times what degree 8 on 11 points magnifies."""
+    """At the positions within the bound; in between within it times the magnification of degree 8 on 11 points."""
     q = thesis_plan.POSITIONS[axis]
     power = np.vander(np.linspace(-1.0, 1.0, 11), 9)
     magnified = np.abs(np.vander(np.linspace(-1.0, 1.0, 201), 9) @ np.linalg.pinv(power)).sum(axis=1).max()
@@ -139,8 +139,8 @@ def test_a_rotary_axis_comes_back(dmu50: Machine, plan: Measurements, axis: str)
     assert largest[1] == pytest.approx(largest[0], rel=0.05)
 
 
-def test_squareness_and_what_comes_with_it(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """The default calibration: squareness, the slopes of its own straightness at the 11 points, and how the axes at rest stand.
+def test_squareness_and_orientation_at_rest(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """The default calibration: squareness, slopes of its own straightness at the 11 points, and orientation of the axes at rest.
 
     Within 0.5 µrad: the square of the largest angle, 700 µrad.
     """
@@ -165,13 +165,13 @@ def test_squareness_and_what_comes_with_it(dmu50: Machine, calibration: Calibrat
 
 
 def test_known_places_do_instead_of_rotary_runs(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """The same within second order: places as measured are off by 0.3 mm (700 µrad over the 0.4 m to the nose), 0.2 µm if turned by
-    as much again. Without either, it says what is missing.
+    """The same within second order: measured places are off by 0.3 mm (700 µrad over the 0.4 m to the nose), 0.2 µm if rotated by
+    as much again. Without either, the message names what is missing.
     """
     whole = measured(plan, dmu50, calibration)
     tool = np.flatnonzero(plan.carrier == "tool")
     linear = whole.select(tool)
-    with pytest.raises(InputError, match="where the tool side's targets sit"):
+    with pytest.raises(InputError, match="places of the tool side's targets are unknown"):
         identify_as_thesis(linear, dmu50)
     placed = replace(linear, place_mm=plan.select(tool).place_mm)
     with_places, with_circles = identify_as_thesis(placed, dmu50), identify_as_thesis(whole, dmu50)
@@ -181,7 +181,7 @@ def test_known_places_do_instead_of_rotary_runs(dmu50: Machine, calibration: Cal
         assert 0.0 < difference < (0.2 if name[2] in "XYZ" else 2.0), name  # 2 µrad: 0.2 µm over a lever of 0.1 m
 
 
-def test_noise_is_what_the_six_equations_make_of_the_trackers(
+def test_noise_is_that_of_the_tracker_through_the_six_equations(
     dmu50: Machine, calibration: Calibration, plan: Measurements
 ) -> None:
     """20 seeds of the AT960: RMS of E_XX, E_YY, E_ZZ at the positions, constant removed, as predicted from the tracker's covariance.
@@ -221,8 +221,8 @@ def test_noise_is_what_the_six_equations_make_of_the_trackers(
     assert deviations[1] < 0.6 * deviations[2]
 
 
-def test_the_deviation_is_over_the_rounds(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """Of four, n − 1: as from each round identified alone, but for the frame fitted to it, turned by 14 µm over 0.5 m."""
+def test_standard_deviation_over_the_rounds(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """Four rounds, n − 1: as from each round identified by itself, except for the frame fitted to it, rotated by 14 µm over 0.5 m."""
     table = measured(plan, dmu50, calibration, 5, noise=True)
     whole = identify_as_thesis(table, dmu50).motions
     alone = [identify_as_thesis(table.select(table.round == number), dmu50).motions for number in "1234"]
@@ -272,7 +272,7 @@ def test_tables_it_cannot_use_are_refused(dmu50: Machine, calibration: Calibrati
     stations[3] = "2"
     for bad, words, line in (
         (table.select(table.approach[:, 2] == 0), "no run of Z; expected rows with approach_Z", None),
-        (table.select(table.approach[:, 3] == 0), "a run of C alone", None),
+        (table.select(table.approach[:, 3] == 0), "only a run of C", None),
         (table.select(every != 5), "round 1 lacks target K at 250", 1),
         (table.select(np.append(every, 5)), "target K twice at 250 in round 1", 6),
         (table.select(table.target != "Q"), "targets K, P; expected three targets", 1),
@@ -287,12 +287,12 @@ def test_tables_it_cannot_use_are_refused(dmu50: Machine, calibration: Calibrati
     lengths, _ = simulate(plan, dmu50, calibration, TrackingInterferometer(), np.random.default_rng(0))
     with pytest.raises(InputError, match="x, y and z"):
         identify_as_thesis(lengths, dmu50)
-    for degrees, words in (({"E_XX": 11}, "0 to 10, for 11 positions"), ({"E_XW": 2}, "no error motion")):
+    for degrees, words in (({"E_XX": 11}, "0 to 10, for 11 positions"), ({"E_XW": 2}, "unknown error motion")):
         with pytest.raises(InputError, match=words):
             identify_as_thesis(table, dmu50, degrees=degrees)
 
 
-def test_another_build_is_refused(plan: Measurements) -> None:
+def test_another_machine_design_is_refused(plan: Measurements) -> None:
     for name in ("trunnion_ac", "xyzbc_trunnion"):
-        with pytest.raises(InputError, match="another build"):
+        with pytest.raises(InputError, match="does not apply to this machine"):
             identify_as_thesis(plan, Machine.load(name))

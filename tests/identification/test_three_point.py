@@ -16,12 +16,12 @@ PLACES = np.array([[0.10, -0.05, -0.03], [-0.08, 0.06, -0.07], [0.02, 0.11, -0.1
 
 
 def moved(errors: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Δ = e + ω × p, written out."""
+    """Return Δ = e + ω × p, written out."""
     return errors[:, None, :3] + np.cross(errors[:, None, 3:], places[None])
 
 
 def closed_form(d: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Thesis eq. 33-34 for X, from the printed formulas, with the brackets their recognition lost put back by derivation."""
+    """Return thesis eq. 33-34 for X, from the printed formulas with lost brackets restored by derivation."""
     (xK, yK, zK), (xP, yP, zP), (xQ, yQ, zQ) = places
     (_, dyK, dzK), (dxP, dyP, _), (dxQ, _, dzQ) = d
     M = (dxQ - dxP) * (xK - xQ) * (zP - zK) + ((dyP - dyK) * (yK - yQ) + (dzK - dzQ) * (zP - zK)) * (zQ - zP)
@@ -65,5 +65,5 @@ def test_six_equations_throw_information_away() -> None:
 def test_reflectors_in_a_line_are_refused() -> None:
     line = np.outer([0.0, 1.0, 2.0], [0.05, 0.02, -0.03])
     for equations in ("six", "nine"):
-        with pytest.raises(InputError, match="apart from one line"):
+        with pytest.raises(InputError, match="not on a line"):
             three_point(np.zeros((1, 3, 3)), line, "X", equations=equations)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Error motions of a rotary axis: against the discrete Fourier transform and a fitted circle, and what must not matter."""
+"""Error motions of a rotary axis: compared with the discrete Fourier transform and a fitted circle, and their invariances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = st.sampled_from(("radial", "axial", "tilt"))
 
 
 def angles(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Over a turn, uneven by up to a fifth of a step."""
+    """Return angles over a turn, uneven by up to a fifth of a step."""
     return (np.arange(count) + rng.uniform(-0.1, 0.1, count)) * 360.0 / count
 
 
@@ -36,7 +36,7 @@ def test_harmonics_are_the_discrete_fourier_transform(seed: int, count: int, tur
 
 
 @given(seed=SEEDS, count=st.integers(26, 90), kind=KINDS)
-def test_what_was_put_in_comes_out(seed: int, count: int, kind: str) -> None:
+def test_simulated_harmonics_are_found(seed: int, count: int, kind: str) -> None:
     """Uneven angles, harmonics 1 to 5."""
     rng = np.random.default_rng(seed)
     angle = angles(rng, count)
@@ -55,8 +55,8 @@ def test_what_was_put_in_comes_out(seed: int, count: int, kind: str) -> None:
 
 
 @given(seed=SEEDS, count=COUNTS, turns=st.integers(1, 5), eccentricity=st.floats(0.0, 100.0), at=st.floats(0.0, 6.28))
-def test_how_the_artefact_sits(seed: int, count: int, turns: int, eccentricity: float, at: float) -> None:
-    """Once per turn and a constant: no error of a radial or tilt motion, all the error of an axial one."""
+def test_mounting_of_the_artefact(seed: int, count: int, turns: int, eccentricity: float, at: float) -> None:
+    """A once-per-turn component and a constant: no error of a radial or tilt motion, but an error of an axial one."""
     rng = np.random.default_rng(seed)
     angle = angles(rng, count)
     readings = rng.normal(0.0, 1.0, (turns, count))
@@ -79,7 +79,7 @@ def test_how_the_artefact_sits(seed: int, count: int, turns: int, eccentricity: 
 
 
 def test_centre_is_that_of_the_circle_fitted_to_the_polar_plot() -> None:
-    """Geometrically, in the plane, at a radius of 50 mm: where the linear circle ought to agree."""
+    """Fitted geometrically, in the plane, at a radius of 50 mm, where the linear circle agrees."""
     rng = np.random.default_rng(2307)
     angle, radius_um = angles(rng, 72), 50_000.0
     readings = 20.0 * np.cos(np.radians(angle) - 1.0) + 3.0 * np.cos(3.0 * np.radians(angle)) + rng.normal(0.0, 0.5, 72)
@@ -121,7 +121,7 @@ def test_as_text() -> None:
     tilt = error_motion(angle, 4.0 * np.sin(np.radians(2.0 * angle)), "tilt", name="E_AC", harmonics=3)
     text = tilt.to_text()
     assert text.startswith("E_AC, tilt error motion by ISO 230-7:2015\n12 angles, 1 turn, values in µrad\n")
-    assert "one turn tells nothing" in text
+    assert "needs two turns" in text
     assert text.splitlines()[-2].split() == ["2", "4.00", "45.0"]  # the crest of sin 2θ
     both = error_motion(angle, np.stack([np.sin(angle), np.cos(angle)]), "axial").to_text()
     assert "Fundamental" in both
@@ -142,13 +142,13 @@ TURN = np.arange(0.0, 360.0, 30.0)
     ("angle", "readings", "kind", "more", "words"),
     [
         (TURN, np.zeros(12), "face", {}, "radial, axial, tilt"),
-        (TURN, np.zeros(11), "radial", {}, "12 a turn"),
+        (TURN, np.zeros(11), "radial", {}, "12 per turn"),
         (TURN, np.zeros((1, 2, 12)), "radial", {}, "1 or 2 dimension"),
-        (TURN, [[0.0] * 12, [0.0]], "radial", {}, "no numbers"),
+        (TURN, [[0.0] * 12, [0.0]], "radial", {}, "not numbers"),
         (TURN, np.full(12, np.nan), "radial", {}, "lack 12 of 12"),
-        (TURN / 2.0, np.zeros(12), "radial", {}, "less than a turn"),
-        ([0.0], [1.0], "radial", {}, "less than a turn"),
-        (np.append(TURN, 360.0), np.zeros(13), "radial", {}, "an angle twice"),
+        (TURN / 2.0, np.zeros(12), "radial", {}, "angles do not cover a turn"),
+        ([0.0], [1.0], "radial", {}, "angles do not cover a turn"),
+        (np.append(TURN, 360.0), np.zeros(13), "radial", {}, "an angle occurs twice"),
         (TURN, np.zeros(12), "radial", {"harmonics": 0}, "at least 1"),
     ],
 )

@@ -1,7 +1,7 @@
-"""ISO 230-2: against another program's evaluation of a real stage, against a second formulation, and its properties.
+"""ISO 230-2: compared with another program's evaluation of a real stage, with a second formulation, and its properties.
 
-The stage's reports (x and y) were made by a program of the European Spallation Source. Read from its tables, it differs from the
-standard in three things, which the tests name: its E, its R, and which data file column it calls forward.
+The stage's reports (x and y) were made by a program of the European Spallation Source. According to its tables, it differs from the
+standard in three points, which the tests name: its E, its R, and which column of the data file it calls forward.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ REPORTS = {"x": "b02_x_x_iso230_2_report.md", "y": "b02_y_report_target_y.md"}
 
 @dataclass(frozen=True)
 class Report:
-    """What the report prints: tables under their headings, as text; the named values; the settings."""
+    """Content of a report: tables under their headings, as text; the named values; the settings."""
 
     tables: dict[str, list[list[str]]]
     values: dict[str, str]
@@ -72,7 +72,7 @@ def read_report(path: Path) -> Report:
 
 
 def read_data(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Targets, and what the file calls forward and backward, mm."""
+    """Return targets, and the columns that the file calls forward and backward, mm."""
     text = path.read_text()
     target = dict(re.findall(r"^TGT_DATA\[(\d+)\]=(\S+)", text, re.M))
     runs = {
@@ -89,9 +89,9 @@ def read_data(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def unrounded(printed: np.ndarray, ratio: float, offset: float) -> np.ndarray:
-    """Positions behind the printed ones: the sensor counts in steps of 0.408 µm, from 0.008 µm, and the line was put through that.
+    """Return the positions before rounding: the sensor counts in steps of 0.408 µm, from 0.008 µm, and the line was fitted to that.
 
-    One step is 40 of the last printed digits, so which step it was is certain.
+    One step is 40 of the last printed digits, so the step is unique.
     """
     steps = np.round(((printed - offset) / ratio - 8e-6) / 408e-6)
     return (steps * 408e-6 + 8e-6) * ratio + offset
@@ -121,7 +121,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
 
 
 def printed(value_mm: float) -> str:
-    """As that program prints: rounded to five decimals of a millimetre, zeros at the end dropped."""
+    """Return a number as that program prints it: rounded to five decimals of a millimetre, without trailing zeros."""
     return str(round(float(value_mm), 5))
 
 
@@ -149,7 +149,7 @@ def test_report_deviations_and_means(stage: Stage) -> None:
 
 
 def test_report_reversal(stage: Stage) -> None:
-    """Forward minus backward, with its sign, as the standard has it."""
+    """Forward minus backward, with its sign, as in the standard."""
     _, mean, reversal = stage.report.columns("ISO 230-2 motion test / Positioning deviation bi-directional")
     assert mean == printed_um(stage.result.mean)
     assert reversal == printed_um(stage.result.B_i)
@@ -195,15 +195,15 @@ def test_report_accuracy(stage: Stage) -> None:
 
 
 def truncated(value: float, decimals: int) -> str:
-    """As bc prints: cut off, not rounded, and no zero before the point."""
+    """Return a number as bc prints it: truncated, without a zero before the point."""
     digits = f"{abs(value):.{decimals + 6}f}"[:-6].lstrip("0")
     return ("-" if value < 0 else "") + digits
 
 
 def test_report_gear_ratio(stage: Stage) -> None:
-    """Before evaluation it puts a line through target over sensor reading, both directions together: so scale error is not in E or A.
+    """Before the evaluation a line is fitted to target over sensor reading, both directions together: E and A exclude scale errors.
 
-    The resolver's row cannot be had again: its readings are not in the report.
+    The resolver's row cannot be reproduced: its readings are not in the report.
     """
     rows = {row[1]: row for row in stage.report.tables["Gear Ratios / Gear Ratios"]}
     assert set(rows) == {"Resolver", "Reference"}
@@ -217,13 +217,13 @@ def test_report_gear_ratio(stage: Stage) -> None:
     assert rows["Reference"][2:4] == [truncated(slope, 5), truncated(height, 5)]
     assert rows["Reference"][4] == f"{len(targets):.5f}"
     assert rows["Reference"][5] == truncated(float(residual[0]), 8)
-    # What is left is the deviations' own sum of squares, mm².
+    # The residual is the deviations' own sum of squares, mm².
     left = np.sum(stage.result.forward**2) + np.sum(stage.result.backward**2)
     assert left * 1e-6 == pytest.approx(float(rows["Reference"][5]), abs=1e-8)
 
 
 def test_report_limit_switches(stage: Stage) -> None:
-    """No part of ISO 230-2, but a table of the report: its STD has divisor n, unlike its s."""
+    """Not part of ISO 230-2, but a table of the report: its STD has divisor n, unlike its s."""
     means, other_divisor = {}, []
     for end in ("Low", "High"):
         columns = stage.report.columns(f"Limit Switch Performance / {end} Limit")
@@ -275,7 +275,7 @@ def test_every_table_of_the_reports_is_compared(stage: Stage) -> None:
 
 
 def second_formulation(forward: np.ndarray, backward: np.ndarray) -> dict[str, float]:
-    """The standard's definitions one after another, number by number, with the library of statistics."""
+    """Evaluate the standard's definitions one after another, number by number, with the statistics module."""
     up, down = [fmean(row) for row in forward], [fmean(row) for row in backward]
     s_up, s_down = [stdev(row) for row in forward], [stdev(row) for row in backward]
     b = [u - d for u, d in zip(up, down, strict=True)]
@@ -378,7 +378,7 @@ def test_worked_by_hand() -> None:
         (400, 4, 5, ("4 targets, at least 5",)),
         (400, 5, 4, ("4 cycles, 5",)),
         (1000, 5, 5, ()),
-        (1500, 7, 5, ("at least 8 asked for over 1500 mm",)),
+        (1500, 7, 5, ("at least 8 required over 1500 mm",)),
         (3000, 15, 2, ("another test", "2 cycles")),
     ],
 )
@@ -453,11 +453,11 @@ GOOD = np.arange(10.0).reshape(2, 5)
         ([0, 1], GOOD, GOOD[:, :4], r"the same shape \(2, 5\)"),
         ([0, 1], GOOD[:, :1], GOOD[:, :1], "at least 2 targets and 2 cycles"),
         ([0], GOOD[:1], GOOD[:1], "at least 2 targets and 2 cycles"),
-        ([7, 7], GOOD, GOOD, "a target twice: '7.0'"),
+        ([7, 7], GOOD, GOOD, "a target occurs twice: '7.0'"),
         ([0, 1], GOOD[0], GOOD, "wrong shape"),
         ([], GOOD, GOOD, "wrong shape"),
-        (["a", "b"], GOOD, GOOD, "no numbers"),
-        ([0, 1], [[1, 2], [3]], GOOD, "no numbers"),
+        (["a", "b"], GOOD, GOOD, "not numbers"),
+        ([0, 1], [[1, 2], [3]], GOOD, "not numbers"),
     ],
 )
 def test_bad_input(target: object, forward: object, backward: object, words: str) -> None:
@@ -466,7 +466,7 @@ def test_bad_input(target: object, forward: object, backward: object, words: str
 
 
 def test_rounding_asks_for_no_target_more() -> None:
-    """One metre, from 24.3 mm: in doubles a little more than one."""
+    """One metre, from 24.3 mm: in double precision a little more than one."""
     target = np.linspace(24.300000000164687, 1024.300000000164687, 5)
     assert np.ptp(target) > 1000.0
     assert linear_axis(target, np.zeros((5, 5)), np.zeros((5, 5))).by_standard

@@ -1,4 +1,4 @@
-"""The evaluations' plots: what is drawn is what was evaluated, units stand on the axes, and it renders without a screen."""
+"""Plots of the evaluations: they show the evaluated values, with units on the axes, and render without a display."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def is_drawn(values: np.ndarray, figure: Figure, plot: int = 0) -> bool:
 
 
 def rendered(figure: Figure, path: Path, *colours: str) -> None:
-    """A PNG of the figure's size, not blank, with each of these colours in it."""
+    """Check a PNG of the figure's size, not blank, that contains each of these colours."""
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
     width, height = figure.get_size_inches() * figure.dpi
@@ -142,7 +142,7 @@ def test_a_perfect_axis_can_be_drawn(tmp_path: Path) -> None:
 
 
 def test_only_the_plots_need_matplotlib() -> None:
-    """And they leave its global state, which belongs to the user's notebook, alone."""
+    """The global state of matplotlib, which belongs to the user's notebook, does not change."""
     code = (
         "import sys; import twin.measurement.evaluation; assert 'matplotlib' not in sys.modules; "
         "import twin.measurement.evaluation.plots; assert 'matplotlib.pyplot' not in sys.modules"

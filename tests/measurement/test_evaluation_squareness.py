@@ -1,4 +1,4 @@
-"""Squareness: its sign against axes turned in space and against the machine model, its uncertainty against drawn data."""
+"""Squareness: its sign compared with rotated axes and with the machine model, its uncertainty with simulated data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SMALL = st.floats(-100.0, 100.0)
 
 
 def rotation(vector_urad: tuple[float, float, float]) -> np.ndarray:
-    """Rodrigues' formula."""
+    """Return a rotation matrix by Rodrigues' formula."""
     vector = np.array(vector_urad) * 1e-6
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
@@ -32,7 +32,7 @@ def rotation(vector_urad: tuple[float, float, float]) -> np.ndarray:
 
 
 def between(name: str, path: dict[str, np.ndarray], u_um: float | None = None, **more: float) -> SquarenessError:
-    """From points (n, 3) in mm of every axis's motion, as one instrument saw them."""
+    """Return the squareness from points (n, 3) in mm of every axis's motion, measured by one instrument."""
     measured: list[Straightness] = []
     for motion in PAIRS[name]:
         along, across = "XYZ".index(motion[3]), "XYZ".index(motion[2])
@@ -43,7 +43,7 @@ def between(name: str, path: dict[str, np.ndarray], u_um: float | None = None, *
 
 @given(c=SMALL, b=SMALL, a=SMALL, setup=st.tuples(SMALL, SMALL, SMALL))
 def test_axes_turned_in_space(c: float, b: float, a: float, setup: tuple[float, float, float]) -> None:
-    """Axis directions turned right-handed, seen by an instrument that stands askew: the squarenesses come back."""
+    """Axis directions rotated right-handed, measured by a tilted instrument: the squarenesses are found."""
     directions = {
         "X": np.array([1.0, 0.0, 0.0]),
         "Y": rotation((0.0, 0.0, c)) @ [0.0, 1.0, 0.0],
@@ -53,12 +53,12 @@ def test_axes_turned_in_space(c: float, b: float, a: float, setup: tuple[float, 
     travel = np.linspace(0.0, 400.0, 9)[:, None]
     path = {axis: travel * (askew @ direction) for axis, direction in directions.items()}
     for name, expected in (("E_C0Y", c), ("E_B0Z", b), ("E_A0Z", a)):
-        # Small angles: what is left out is a product of two of them, at most some 10 × 1e-4 × 1e-4 rad = 0.1 µrad.
+        # Small angles: neglected are products of two of them, at most some 10 × 1e-4 × 1e-4 rad = 0.1 µrad.
         assert between(name, path).value_urad == pytest.approx(expected, abs=0.1)
 
 
 def test_the_machine_model_has_the_same_sign(dmu50: Machine) -> None:
-    """The tool in the table's frame while one axis moves: the model's squareness is what is evaluated."""
+    """The tool in the table's frame while one axis moves: the evaluation gives the model's squareness."""
     put = {"E_C0Y": 40.0, "E_B0Z": -25.0, "E_A0Z": 60.0}
     calibration = replace(Calibration.zero(dmu50), squareness=MappingProxyType(put))
     model = Kinematics(dmu50, calibration, tool_length_mm=0.0)
@@ -103,7 +103,7 @@ def test_uncertainty_is_the_spread_over_many_measurements() -> None:
 
 
 def test_artefact_is_taken_off() -> None:
-    """A square whose second leg is turned by 7 µrad shows an axis that follows it as square: it is 7 µrad out."""
+    """A square whose second leg is rotated by 7 µrad shows an axis that follows it as square: its error is 7 µrad."""
     travel = np.linspace(0.0, 300.0, 7)
     along_x, along_y = (straightness(travel, 0.0 * travel, name=name, u_um=0.3) for name in ("E_YX", "E_XY"))
     found = squareness(along_x, along_y, artefact_urad=7.0, u_artefact_urad=2.0)

@@ -1,4 +1,4 @@
-"""Straightness about three reference lines: against linear programming, polyfit and brute force, and its properties."""
+"""Straightness about three reference lines: compared with linear programming, polyfit and brute force, and its properties."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS = ("noise", "walk", "steps", "bow", "line")
 
 
 def drawn(seed: int, count: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in mm, unevenly spread, and deviations of some µm: smooth, rough, with many equal values, or none."""
+    """Return random positions in mm, unevenly spaced, and deviations of some µm: smooth, rough, with many equal values, or none."""
     rng = np.random.default_rng(seed)
     position = np.sort(rng.choice(5000, count, replace=False)) * 0.1 - 100.0
     if kind == "noise":
@@ -36,7 +36,7 @@ CASE = {"seed": SEEDS, "count": st.integers(3, 40), "kind": st.sampled_from(KIND
 
 
 @given(**CASE)
-def test_minimum_zone_is_what_linear_programming_finds(seed: int, count: int, kind: str) -> None:
+def test_minimum_zone_agrees_with_linear_programming(seed: int, count: int, kind: str) -> None:
     position, deviation = drawn(seed, count, kind)
     result = straightness(position, deviation).minimum_zone
     # Least w with |d − a − b·p| ≤ w; positions scaled to ±1 for the solver's sake.
@@ -74,7 +74,7 @@ def test_minimum_zone_touches_two_points_and_one(seed: int, count: int, kind: st
 
 
 @given(**CASE)
-def test_least_squares_is_what_polyfit_finds(seed: int, count: int, kind: str) -> None:
+def test_least_squares_agrees_with_polyfit(seed: int, count: int, kind: str) -> None:
     position, deviation = drawn(seed, count, kind)
     line = straightness(position, deviation).least_squares
     middle = position.mean()
@@ -128,7 +128,7 @@ def test_properties(seed: int, count: int, kind: str, offset: float, slope: floa
 
 @given(seed=SEEDS, count=st.integers(3, 12), kind=st.sampled_from(("noise", "walk", "bow")))
 def test_covariance_is_the_lines_sensitivity(seed: int, count: int, kind: str) -> None:
-    """Each line's own numbers, computed again with one deviation changed after another."""
+    """The parameters of each line, recomputed with one deviation changed after another."""
     position, deviation = drawn(seed, count, kind)
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(count, count))
@@ -199,7 +199,7 @@ def test_results_do_not_change() -> None:
     ("position", "deviation", "more", "words"),
     [
         ([0, 1], [0, 1], {}, "at least 3 points"),
-        ([0, 1, 1], [0, 1, 2], {}, "a position twice: '1.0'"),
+        ([0, 1, 1], [0, 1, 2], {}, "a position occurs twice: '1.0'"),
         ([0, 1, 2], [0, 1], {}, "3 rows"),
         ([0, 1, 2], [0, np.nan, 1], {}, "lack 1 of 3"),
         ([0, 1, 2], [0, 1, 2], {"u_um": -1.0}, "not negative"),

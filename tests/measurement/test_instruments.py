@@ -1,4 +1,4 @@
-"""One suite over all instruments, the multi-axis interferometer included, and what air does to a length."""
+"""One suite for all instruments, the multi-axis interferometer included, and the influence of air on a length."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_noise_has_the_stated_covariance(instrument: Instrument) -> None:
 
 @every
 def test_the_pooled_scatter_is_the_covariance(instrument: Instrument) -> None:
-    """Of 100,000 draws at one point: variances within 2 % (four standard errors, √(2/n) each)."""
+    """100,000 draws at one point: variances within 2 % (four standard errors, √(2/n) each)."""
     n = 100_000
     readings = np.tile(np.nan_to_num(instrument.read(POINTS[1:2])), (n, 1))
     draws = instrument.noise(np.tile(POINTS[1], (n, 1)), np.random.default_rng(8))
@@ -95,7 +95,7 @@ def test_jacobian_is_the_derivative(instrument: Instrument) -> None:
 
 
 def riding(truth: TruthMachine, plan: Measurements, side: str) -> np.ndarray:
-    """(n, 3) targets in the frames of stations that ride on a side, mm, by the contract's two chains."""
+    """Return (n, 3) targets in the frames of stations that ride on a side, mm, by the two chains of the conventions."""
     found = np.empty((len(plan), 3))
     for i, q in enumerate(plan.positions):
         carrier, place = PLACES[plan.target[i]]
@@ -112,7 +112,7 @@ def riding(truth: TruthMachine, plan: Measurements, side: str) -> np.ndarray:
 @every
 @pytest.mark.parametrize("side", SIDES)
 def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: Machine, tmp_path: Path) -> None:
-    """Simulated readings without noise against the truth machine: 1e-6 mm of coordinates of two metres."""
+    """Simulated readings without noise compared with the truth machine: 1e-6 mm for coordinates of two metres."""
     errors = in_datum(np.random.default_rng(3), size=100.0)
     truth = written(tmp_path / "truth.yaml", errors)
     calibration = Calibration.load(tmp_path / "truth.yaml", dmu50)
@@ -130,7 +130,7 @@ def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: M
 
 
 def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
-    """Sensor nests on the table read balls on the tool: what is identified leaves less than 1e-3 µm of errors of 100 µm."""
+    """Sensor nests on the table read balls on the tool: of errors of 100 µm less than 1e-3 µm remain."""
     errors = in_datum(np.random.default_rng(6), size=100.0)
     plan = volumetric(dmu50, np.random.default_rng(7), 500, stations=1)
     plan = plan.select(plan.carrier == "tool")
@@ -144,7 +144,7 @@ def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
 
 
 def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: Path) -> None:
-    """An instrument that differs in its specification alone: centres on the table, lengths as they are."""
+    """An instrument that differs in its specification only: spheres on the table, absolute lengths."""
     bar = TrackingInterferometer(specification=replace(TRACKING, name="bar", free_start=False))
     errors = in_datum(np.random.default_rng(8), size=100.0)
     plan = volumetric(dmu50, np.random.default_rng(9), 1600, stations=4)
@@ -160,7 +160,7 @@ def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: P
 def test_a_station_on_two_sides_is_refused(dmu50: Machine, tmp_path: Path) -> None:
     text = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,station_carrier\n"
     text += "0,0,0,0,0,K,tool,1,2,3,base\n1,0,0,0,0,K,tool,1,2,3,{}\n"
-    for side, said in (("work", "a station on both sides"), ("bench", "no such station carrier")):
+    for side, said in (("work", "station on both sides"), ("bench", "unknown station carrier")):
         (tmp_path / "m.csv").write_text(text.format(side))
         with pytest.raises(InputError, match=said):
             load(tmp_path / "m.csv", dmu50)

@@ -1,4 +1,4 @@
-"""The measurement table: what it says, round trip, what is set aside and what is refused."""
+"""The measurement table: content, round trip, rows set aside and tables refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rows(*xs: int) -> list[str]:
     return [ROW.format(x=x) for x in xs]
 
 
-def test_reads_what_the_contract_says(dmu50: Machine, tmp_path: Path) -> None:
+def test_reads_all_documented_columns(dmu50: Machine, tmp_path: Path) -> None:
     header = HEADER + ",station,round,time_s,approach_X,T_X_degC,T_bed_degC,readback_X_mm,u_x_mm,u_y_mm,u_z_mm"
     tail = ",s1,2,{t},-1,20.5,21,{x}.001,0.002,0.003,"
     path = table(tmp_path, *(ROW.format(x=x) + tail.format(t=x, x=x) for x in (0, 50, 100)), header=header)
@@ -85,12 +85,12 @@ def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactor
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        ("nan,100,-50,0,0,K,tool,1,2,3", "no finite number"),
-        ("50,100,-50,0,0,K,tool,inf,2,3", "coordinate that is no finite"),
-        ("50,100,-50,0,0,K,tool,nan,2,3", "coordinate that is no finite"),
+        ("nan,100,-50,0,0,K,tool,1,2,3", "not finite"),
+        ("50,100,-50,0,0,K,tool,inf,2,3", "coordinate is not finite"),
+        ("50,100,-50,0,0,K,tool,nan,2,3", "coordinate is not finite"),
         ("50,100,-50,0,0,K,tool,,,", "no coordinate"),
-        ("50,100,-50,190,0,K,tool,1,2,3", "B is commanded outside its range"),
-        ("0,100,-50,0,0,K,tool,0.01,1.5,2.5", "the same as line 3"),
+        ("50,100,-50,190,0,K,tool,1,2,3", "the command of B is outside its range"),
+        ("0,100,-50,0,0,K,tool,0.01,1.5,2.5", "copy of line 3"),
     ],
 )
 def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason: str) -> None:
@@ -102,7 +102,7 @@ def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason
 
 
 def test_notes_are_grouped_by_reason() -> None:
-    """One line a reason: count, first lines, the worst row; a single row as it is."""
+    """One line for each reason: count, first lines, the worst row; a single row unchanged."""
     off = [RowNote(line, f"{line} µm off", kind="too far off", size=float(line)) for line in (4, 9, 7)]
     alike = [RowNote(line, "no coordinate was measured") for line in range(10, 1010)]
     assert grouped_notes([off[0], *alike, RowNote(3, "12 mm off", kind="off", size=12.0), *off[1:]]) == [
@@ -136,15 +136,15 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "header", "line", "words"),
     [
-        ([], HEADER, None, "one row a point"),
+        ([], HEADER, None, "one row for each point"),
         (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (did you mean X_m?)"),
         (rows(0), HEADER.replace("carrier", "side"), 2, "carrier"),
         (rows(0), HEADER.replace("Y_mm", "X_mm"), 2, "each column once"),
         ([*rows(0), ROW.format(x=50).replace("tool", "table")], HEADER, 4, "tool or work"),
-        ([*rows(0), ROW.format(x=50).replace("tool", "work")], HEADER, 4, "one carrier a target"),
+        ([*rows(0), ROW.format(x=50).replace("tool", "work")], HEADER, 4, "one carrier for each target"),
         ([*rows(0), ROW.format(x=50).replace("1.5", "1,5")], HEADER, 4, "11 cells"),
         ([*rows(0), ROW.format(x=50).replace("1.5", "1.5mm")], HEADER, 4, "1.5mm"),
-        ([*rows(0), ROW.format(x=50).replace("K", "")], HEADER, 4, "reflector"),
+        ([*rows(0), ROW.format(x=50).replace("K", "")], HEADER, 4, "no target in this row"),
         ([row + ",2" for row in rows(0, 50)], HEADER + ",approach_X", 3, "+1, -1 or 0"),
         (["50,100,-50,0,0,K,tool,,,"], HEADER, 3, "no usable row of station 1"),
     ],
@@ -158,7 +158,7 @@ def test_bad_tables_say_where(
     assert words in str(caught.value)
 
 
-def test_columns_not_understood_are_said(dmu50: Machine, tmp_path: Path) -> None:
+def test_unknown_columns_are_reported(dmu50: Machine, tmp_path: Path) -> None:
     found = load(table(tmp_path, *(row + ",1" for row in rows(0, 50, 100)), header=HEADER + ",aproach_X"), dmu50)
     assert found.notices == ("column aproach_X is unknown and not used (did you mean approach_X?)",)
 
@@ -189,7 +189,7 @@ POSE = ",station_x_mm,station_y_mm,station_z_mm,station_a_deg,station_b_deg,stat
 
 
 def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> None:
-    """Said in one row, it holds for the target, or the station, in every row; the others stay unknown."""
+    """Given in one row, it holds for the target, or the station, in every row; the others stay unknown."""
     lines = [
         "0,100,-50,0,0,K,tool,1,2,3,s,,,," + ",,,,,",
         "50,100,-50,0,0,K,tool,1,2,3,s,1.5,-2,30," + ",,,,,",
@@ -212,15 +212,15 @@ def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("tails", "header", "line", "words"),
     [
-        (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "target K at two places: '1, 2, 4'"),
-        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "in part"),
-        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "in part"),
+        (["s,1,2,3", "s,1,2,4", "s,1,2,3"], KNOWN, 4, "two places for target K: '1, 2, 4'"),
+        (["s,1,2,3", "s,1,2,3", "s,1,,3"], KNOWN, 5, "incomplete place of target K"),
+        (["s,1,2,3", "s,1,2,nan", "s,1,2,3"], KNOWN, 4, "incomplete place of target K"),
         (["s,1,2", "s,,", "s,,"], KNOWN.removesuffix(",place_z_mm"), 3, "place_x_mm, place_y_mm, place_z_mm"),
         (
             ["s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,0", "s,,,,0,0,0,0,0,1"],
             KNOWN + POSE,
             5,
-            "station s at two places",
+            "two places for station s",
         ),
         (["s,,,,0,0,0,0,0,", "s,,,,,,,,,", "s,,,,,,,,,"], KNOWN + POSE, 3, "station_c_deg"),
     ],
@@ -240,7 +240,7 @@ def test_joined_tables_agree_on_places(dmu50: Machine, tmp_path: Path) -> None:
     silent = load(table(tmp_path, *rows(150, 200, 250)), dmu50)
     other = load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
     assert joined([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
-    with pytest.raises(InputError, match="target K at two places"):
+    with pytest.raises(InputError, match="two places for target K"):
         joined([first, other])
 
 

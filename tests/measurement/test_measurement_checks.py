@@ -1,4 +1,4 @@
-"""Rows that agree, positions outside the range, stations without a reading: refused, set aside or named while a table is read."""
+"""Equal rows, positions outside the range, stations without a reading: refused, set aside or reported while a table is read."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ SEED = 20
 
 @pytest.fixture(scope="module")
 def tracked(dmu50: Machine) -> Measurements:
-    """The thesis's plan before a laser tracker, hundredths of a micrometre written; four rounds."""
+    """Return the thesis's plan measured by a laser tracker, written to hundredths of a micrometre; four rounds."""
     rng = np.random.default_rng(SEED)
     data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
     return replace(data, point_mm=locked(np.round(data.point_mm, 5)))
 
 
 def pasted(data: Measurements, machine: Machine, path: Path, rows: list[int], *without: str) -> Path:
-    """The table as a file with some rows once more at its end; columns that begin with ``without`` left out."""
+    """Return the table as a file with some rows repeated after the last; columns that begin with ``without`` are left out."""
     lines = [line.split(",") for line in data.to_csv(machine).splitlines() if not line.startswith("#")]
     lines += [lines[row + 1] for row in rows]
     keep = [i for i, name in enumerate(lines[0]) if not name.startswith(without or "-")]
@@ -47,8 +47,8 @@ def test_a_pasted_row_of_a_tracker_is_a_copy(
     found = load(pasted(tracked, dmu50, tmp_path / "m.csv", [3, 400], *without), dmu50)
     assert len(found) == len(tracked)
     assert [(note.line, note.text) for note in found.set_aside] == [
-        (len(tracked) + 2, "the same as line 5 in every column"),
-        (len(tracked) + 3, "the same as line 402 in every column"),
+        (len(tracked) + 2, "copy of line 5: equal in every column"),
+        (len(tracked) + 3, "copy of line 402: equal in every column"),
     ]
 
 
@@ -62,7 +62,7 @@ def test_a_table_pasted_twice(dmu50: Machine, tracked: Measurements, tmp_path: P
 
 
 def gauge(machine: Machine, path: Path, *, step_mm: float, noise_mm: float, times: bool = False) -> Path:
-    """A drill's x before a gauge with coarse steps: 5 positions, 40 readings of each, no rounds."""
+    """Return a drill's x measured by a gauge with coarse steps: 5 positions, 40 readings of each, no rounds."""
     rng = np.random.default_rng(SEED)
     x = np.tile(np.linspace(0.0, 200.0, 5), 40)
     read = np.round((x * (1.0 + 30e-6) + rng.normal(0.0, noise_mm, len(x))) / step_mm) * step_mm
@@ -84,14 +84,14 @@ def test_equal_readings_of_a_coarse_gauge_are_no_copies(tmp_path: Path, step_mm:
 
 
 def test_times_decide(tmp_path: Path) -> None:
-    """The same gauge with times: no reading is taken twice at one moment, so that the pasted row is found."""
+    """The same gauge with times: no reading is taken twice at one time, so that the pasted row is found."""
     machine = Machine.load(write_drill(tmp_path))
     path = gauge(machine, tmp_path / "m.csv", step_mm=0.01, noise_mm=0.003, times=True)
     assert not load(path, machine).set_aside
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, lines[7]]) + "\n")
     (note,) = load(path, machine).set_aside
-    assert (note.line, note.text) == (202, "the same as line 8 in every column")
+    assert (note.line, note.text) == (202, "copy of line 8: equal in every column")
     # Times of the minute are shared by different readings: they do not tell.
     coarse = [re.sub(r"(\d+)$", lambda found: str(int(found[1]) // 600), line) for line in lines[1:]]
     path.write_text("\n".join([lines[0], *coarse]) + "\n")
@@ -102,7 +102,7 @@ def test_times_decide(tmp_path: Path) -> None:
 def test_a_row_that_differs_in_any_column_is_no_copy(
     dmu50: Machine, tracked: Measurements, tmp_path: Path, column: str
 ) -> None:
-    """The last, which is not understood, too."""
+    """Also in the last column, which is unknown."""
     lines = pasted(tracked, dmu50, tmp_path / "m.csv", [3]).read_text().splitlines()
     text = [f"{lines[0]},{column}", *(f"{line},0.01" for line in lines[1:-1]), f"{lines[-1]},0.02"]
     (tmp_path / "m.csv").write_text("\n".join(text) + "\n")
@@ -122,12 +122,12 @@ def shifted(data: Measurements, machine: Machine, path: Path, axis: int, change:
 @pytest.mark.parametrize(
     ("axis", "change", "words", "likely"),
     [
-        (0, 600.0, "X_mm runs 600 … 1100 and X 0 … 500", "X_mm less an offset of 600 mm?"),
-        (0, -250.0, "X_mm runs -250 … 250 and X 0 … 500", "X_mm less an offset of -250 mm?"),
-        (0, 50.0, "X_mm runs 50 … 550 and X 0 … 500", "X_mm less an offset of 50 mm?"),
-        (1, 60.0, "Y_mm runs 60 … 510 and Y 0 … 450", "Y_mm less an offset of 60 mm?"),
-        (2, 400.0, "Z_mm runs 0 … 400 and Z -400 … 0", "Z_mm less an offset of 400 mm?"),
-        (3, -90.0, "B_deg runs -90 … 90 and B 0 … 180", "B_deg less an offset of -90 deg?"),
+        (0, 600.0, "X_mm is 600 … 1100, the range of X 0 … 500", "subtract 600 mm from X_mm?"),
+        (0, -250.0, "X_mm is -250 … 250, the range of X 0 … 500", "subtract -250 mm from X_mm?"),
+        (0, 50.0, "X_mm is 50 … 550, the range of X 0 … 500", "subtract 50 mm from X_mm?"),
+        (1, 60.0, "Y_mm is 60 … 510, the range of Y 0 … 450", "subtract 60 mm from Y_mm?"),
+        (2, 400.0, "Z_mm is 0 … 400, the range of Z -400 … 0", "subtract 400 mm from Z_mm?"),
+        (3, -90.0, "B_deg is -90 … 90, the range of B 0 … 180", "subtract -90 deg from B_deg?"),
     ],
 )
 def test_a_missing_offset_is_named(
@@ -144,7 +144,7 @@ def test_a_missing_offset_is_named(
 
 
 def test_micrometres_are_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="X_mm looks like micrometres, divide by 1000"):
+    with pytest.raises(InputError, match="X_mm looks like micrometres: divide by 1000"):
         load(shifted(tracked, dmu50, tmp_path / "m.csv", 0, 0.0, 1e3), dmu50)
 
 
@@ -155,11 +155,11 @@ def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Me
     replace(tracked, positions=locked(positions)).save(tmp_path / "m.csv", dmu50)
     found = load(tmp_path / "m.csv", dmu50)
     assert len(found) == len(tracked) - 3
-    assert {note.text for note in found.set_aside} == {"X is commanded outside its range 0 … 500 mm"}
+    assert {note.text for note in found.set_aside} == {"the command of X is outside its range 0 … 500 mm"}
 
 
 def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
-    """A notice where other stations remain; refused where it is the only one. A target likewise."""
+    """A notice if other stations remain; refused if it is the only one. The same for a target."""
     points, stations = np.array(tracked.point_mm), np.array(tracked.station)
     stations[:40], points[:40] = "west", np.nan
     points[tracked.target == "P"] = np.nan
@@ -167,8 +167,8 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
     replace(tracked, point_mm=locked(points), station=locked(stations)).save(tmp_path / "m.csv", dmu50)
     assert load(tmp_path / "m.csv", dmu50).notices[:3] == (
         "the file says: simulated readings",
-        "station west is not part of the result: none of its 40 rows can be used (no coordinate was measured)",
-        f"target P is not part of the result: none of its {lost} rows can be used (no coordinate was measured)",
+        "station west is not used: none of its 40 rows is usable (no coordinate was measured)",
+        f"target P is not used: none of its {lost} rows is usable (no coordinate was measured)",
     )
     lines = tmp_path / "n.csv"
     lines.write_text(

@@ -1,6 +1,6 @@
-"""The multi-axis interferometer: against rays traced off planes, exact ranks modulo a prime, and what its paper printed.
+"""The multi-axis interferometer: compared with ray tracing, exact ranks modulo a prime, and the values printed in its paper.
 
-Wen, Hu, Zhu, Hua, Appl. Sci. 13 (2023) 10887. What of it holds is reproduced; what does not is refuted: the sign of beams 4 to 6, the
+Wen, Hu, Zhu, Hua, Appl. Sci. 13 (2023) 10887. Valid results are reproduced, others refuted: the sign of beams 4 to 6, the
 uniqueness of x and y, the independence of the installation.
 """
 
@@ -41,13 +41,13 @@ TABLE_1 = (
 """x_d, y_d, metres, and α, radians, of the six beams: 1e-3 mm and 1e-3 mrad as printed."""
 NOISE = 1e-10
 NOT_UNIQUE = [1, 2, 4, 5, 7, 8, 10, 11, 13, 14, 16, 17]
-"""Their fig. 7b, 1-based; in the order x_d1, y_d1, α_1, x_d2, …, not in that of their eq. 30."""
+"""Indices in fig. 7b, 1-based; in the order x_d1, y_d1, α_1, x_d2, …, not in that of their eq. 30."""
 
 # Ray tracing, in extended precision: nothing here is taken from the package.
 
 
 def rotation(w: np.ndarray) -> np.ndarray:
-    """Rodrigues' formula."""
+    """Return a rotation matrix by Rodrigues' formula."""
     w = np.asarray(w, dtype=np.longdouble)
     angle = np.sqrt(w @ w)
     if angle == 0.0:
@@ -58,7 +58,7 @@ def rotation(w: np.ndarray) -> np.ndarray:
 
 
 def path(source: np.ndarray, beam: np.ndarray, pose: np.ndarray, normal: np.ndarray, distance: float) -> np.longdouble:
-    """To the mirror, reflected there, back to the plane through the source across the beam: leg by leg."""
+    """Return the path to the mirror, after reflection back to the plane through the source across the beam: leg by leg."""
     turned = rotation(pose[3:]) @ normal.astype(np.longdouble)
     on_mirror = pose[:3].astype(np.longdouble) + turned * np.longdouble(distance)
     s, d = source.astype(np.longdouble), beam.astype(np.longdouble)
@@ -219,7 +219,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def unit_quaternion_matrix(q: np.ndarray) -> np.ndarray:
-    """A random rational rotation from a random integer quaternion."""
+    """Return a random rational rotation from a random integer quaternion."""
     w, x, y, z = (q[i] for i in range(4))
     s = inverse(np.array([(w * w + x * x + y * y + z * z) % PRIME]))[0]
     entries = [
@@ -231,7 +231,7 @@ def unit_quaternion_matrix(q: np.ndarray) -> np.ndarray:
 
 
 def exact_jacobian(positions: int, faces: list[int], *, planar: bool, seed: int) -> np.ndarray:
-    """Derivatives of L = 2c/(2c² − 1)·((s − r)·n − h) less its value at rest, by s, d, r and the turn; modulo the prime."""
+    """Return derivatives of L = 2c/(2c² − 1)·((s − r)·n − h) minus its value at rest, by s, d, r and the rotation; modulo the prime."""
     rng = np.random.default_rng(seed)
 
     def draw(*shape: int) -> np.ndarray:
@@ -291,7 +291,7 @@ def test_the_rank_of_nine_beams_is_six_short_whatever_the_number_of_positions(po
 
 
 def asked(layout: MultiAxis, poses: np.ndarray, length: float, angle: float, installation: np.ndarray) -> np.ndarray:
-    """Derivatives by beams and positions, in millimetres and units of the choice."""
+    """Return derivatives by beams and positions, in millimetres and the chosen units."""
     sizes = plausible_of(layout, length, angle, 1.0)
     matrix, unknowns = question(
         layout,
@@ -310,7 +310,7 @@ def asked(layout: MultiAxis, poses: np.ndarray, length: float, angle: float, ins
 def test_the_package_finds_that_rank_where_double_precision_can_show_it(
     layout: MultiAxis, make: Callable[..., np.ndarray], rank: int, count: int
 ) -> None:
-    """Turns of 0.3 rad and beams apart by 0.1 rad: at the paper's milliradians the last six values lie below rounding."""
+    """Rotations of 0.3 rad, beam directions 0.1 rad from each other: at the paper's milliradians six values are below rounding."""
     rng = np.random.default_rng(6)
     poses = make(rng, 10 if layout.planar else 20, 0.05, 0.3)
     installation = rng.normal(size=len(layout.installation)) * np.where(of_beams(layout), 0.1, 0.0)
@@ -386,7 +386,7 @@ def test_the_twelve_indices_come_out_in_one_choice_of_units_and_truncation_only(
 
 
 def simulated(times: float, seed: int) -> tuple[MultiAxis, np.ndarray, np.ndarray, np.ndarray]:
-    """Their section 4: layout, real poses, readings with 0.1 nm, a start within 1 µm and 1 µrad."""
+    """Return their section 4: layout, true poses, readings with 0.1 nm, initial values within 1 µm and 1 µrad."""
     layout = six_beams()
     rng = np.random.default_rng(seed)
     poses = in_plane(rng, 10, 0.01, 0.005)
@@ -395,7 +395,7 @@ def simulated(times: float, seed: int) -> tuple[MultiAxis, np.ndarray, np.ndarra
 
 
 def errors_of_algorithm_2(times: float) -> tuple[float, float, int]:
-    """Standard deviations of x, nm, and θ, mrad, over 40 draws, and the most steps."""
+    """Return standard deviations of x, nm, and θ, mrad, over 40 draws, and the largest number of steps."""
     x, theta, steps = [], [], 0
     for seed in range(40):
         layout, poses, readings, start = simulated(times, seed)
@@ -408,7 +408,7 @@ def errors_of_algorithm_2(times: float) -> tuple[float, float, int]:
 
 
 def test_algorithm_2_is_not_independent_of_the_installation() -> None:
-    """Tenfold installation error, tenfold error of x: their 1.884 nm is not what 0.1 nm of noise does, nor θ free of it."""
+    """Ten times the installation error gives ten times the error of x: 1.884 nm is not due to 0.1 nm of noise, θ is not independent."""
     one, ten = errors_of_algorithm_2(1.0), errors_of_algorithm_2(10.0)
     assert one[0] == pytest.approx(1.5, rel=0.2)
     assert ten[0] / one[0] == pytest.approx(10.0, rel=0.15)  # the noise's own part is 0.2 of 1.5 nm
@@ -417,8 +417,8 @@ def test_algorithm_2_is_not_independent_of_the_installation() -> None:
     assert max(one[2], ten[2]) <= 4
 
 
-def test_the_angles_of_the_beams_are_not_among_what_is_solved() -> None:
-    """Of their 36 accurate unknowns six are not: a third of each α lies in what Algorithm 2 leaves out, whatever the noise."""
+def test_the_angles_of_the_beams_are_not_solved() -> None:
+    """Six of their 36 accurate unknowns are not: a third of each α is in the truncated part of Algorithm 2."""
     for seed in range(5):
         layout, _, readings, start = simulated(1.0, seed)
         told = self_calibrate(layout, readings, noise=NOISE, tolerance=1e-6, poses=start).determinability
@@ -428,8 +428,8 @@ def test_the_angles_of_the_beams_are_not_among_what_is_solved() -> None:
         assert told.rank < 46
 
 
-def test_what_is_known_of_the_installation_is_the_floor() -> None:
-    """Known: 0.029 nm and 4.17e-7 mrad, by the covariance and by 60 draws."""
+def test_limit_with_a_known_installation() -> None:
+    """Installation known: 0.029 nm and 4.17e-7 mrad, by the covariance and by 60 draws."""
     x, theta = [], []
     for seed in range(60):
         layout, poses, readings, start = simulated(0.0, seed)
@@ -447,7 +447,7 @@ def test_what_is_known_of_the_installation_is_the_floor() -> None:
 
 @pytest.mark.parametrize("layout", [six_beams(), nine_beams()], ids=["plane", "cube"])
 def test_the_stated_uncertainty_covers_the_truth(layout: MultiAxis) -> None:
-    """Installation drawn with its stated uncertainty, mirrors and scale too: squared errors against the joint covariance."""
+    """Installation drawn with its stated uncertainty, mirrors and scale too: squared errors compared with the joint covariance."""
     u = plausible_of(layout, 20e-6, 20e-6, 5e-7)
     total, dof = 0.0, 0
     share = []
@@ -478,17 +478,17 @@ def test_a_missing_beam_widens_the_uncertainty() -> None:
     assert u_part[4, 0] > 1.05 * u_whole[4, 0]
     assert np.allclose(np.delete(u_part, 4, axis=0), np.delete(u_whole, 4, axis=0))
     readings[4, :3] = np.nan
-    with pytest.raises(InputError, match="position 5 do not fix its 3 motions"):
+    with pytest.raises(InputError, match="position 5 do not determine its 3 motions"):
         measure(layout, readings, noise=NOISE, installation_u=nothing, poses=start)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"direction": np.tile([0.0, 1.0, 0.0], (6, 1))}, "beam 1 does not meet mirror x squarely"),
-        ({"source": np.zeros((6, 3))}, "beam 1 leaves from behind mirror x"),
-        ({"direction": np.eye(3)[[0, 0, 0, 1, 1, 1]] * 1.1}, "no unit vector"),
-        ({"mirror": np.zeros(5, dtype=int)}, "wrong shape"),
+        ({"direction": np.tile([0.0, 1.0, 0.0], (6, 1))}, "beam 1 meets mirror x at too large an angle"),
+        ({"source": np.zeros((6, 3))}, "beam 1 starts behind mirror x"),
+        ({"direction": np.eye(3)[[0, 0, 0, 1, 1, 1]] * 1.1}, "not a unit vector"),
+        ({"mirror": np.zeros(5, dtype=int)}, "arrays of a layout do not match"),
         ({"beams": ("1", "1", "3", "4", "5", "6")}, "each name once"),
     ],
 )
@@ -504,10 +504,10 @@ def test_arguments_that_cannot_be() -> None:
     nothing = np.zeros(len(layout.installation))
     with pytest.raises(InputError, match="do not match"):
         measure(layout, readings[:, :5], noise=NOISE, installation_u=nothing, poses=start)
-    with pytest.raises(InputError, match="not positive"):
+    with pytest.raises(InputError, match="must be positive"):
         measure(layout, readings, noise=0.0, installation_u=nothing, poses=start)
     for u in (np.zeros(3), np.full(len(nothing), np.inf)):
-        with pytest.raises(InputError, match="uncertainty of the installation"):
+        with pytest.raises(InputError, match="uncertainties of the installation"):
             measure(layout, readings, noise=NOISE, installation_u=u, poses=start)
     with pytest.raises(InputError, match="poses or installation"):
         layout.readings(np.zeros((2, 5)))

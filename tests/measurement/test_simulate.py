@@ -1,4 +1,4 @@
-"""Simulated measurements against the truth machine that shares no code with `twin`."""
+"""Simulated measurements compared with the truth machine, which shares no code with `twin`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_without_noise_the_readings_are_the_truth(dmu50: Machine, calibration: C
         station = setting.stations[measured.station[i]]
         place = np.array(setting.places_mm[measured.target[i]])
         base = carried(truth, measured.positions[i], measured.carrier[i], place)
-        read = seen(np.array(station.origin_mm), np.array(station.turn_rad), base)
+        read = seen(np.array(station.origin_mm), np.array(station.rotation_rad), base)
         assert np.abs(read - measured.point_mm[i]).max() <= 1e-9
 
 
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
-    setting = Setting.drawn(plan, np.random.default_rng(5))
+    setting = Setting.draw(plan, np.random.default_rng(5))
     for instrument in INSTRUMENTS:
         exact, _ = simulate(
             plan, dmu50, calibration, instrument, np.random.default_rng(0), setting=setting, noise=False
@@ -79,16 +79,14 @@ def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan
 
 
 def placed(plan: Measurements) -> Measurements:
-    """Target K and station 1 known."""
+    """Return the plan with target K and station 1 known."""
     places, poses = np.array(plan.place_mm), np.array(plan.station_pose)
     places[plan.target == "K"] = [12.0, -34.0, 56.0]
     poses[plan.station == "1"] = [0.0, -1900.0, 150.0, 0.0, 0.0, 90.0]
     return replace(plan, place_mm=places, station_pose=poses)
 
 
-def test_what_the_plan_gives_is_not_drawn_and_not_told(
-    dmu50: Machine, calibration: Calibration, plan: Measurements
-) -> None:
+def test_given_places_are_used_and_not_written(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     measured, setting = simulate(placed(plan), dmu50, calibration, LaserTracker(), np.random.default_rng(3))
     assert setting.places_mm["K"] == (12.0, -34.0, 56.0)
     assert setting.stations["1"] == Station((0.0, -1900.0, 150.0), (0.0, 0.0, np.pi / 2))
@@ -106,8 +104,8 @@ def shop(
     return simulate(plan, machine, calibration, instrument, np.random.default_rng(3), surroundings=around)[0].point_mm
 
 
-def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """Bit for bit, noise included; the air the instrument assumes does nothing either."""
+def test_no_ambient_influence_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """Bit for bit, noise included; the air that the instrument assumes has no influence either."""
     for instrument in INSTRUMENTS:
         without = shop(plan, dmu50, calibration, instrument, None)
         for around in (Surroundings(), Surroundings(air=Air())):
@@ -115,8 +113,8 @@ def test_the_shop_does_nothing_by_default(dmu50: Machine, calibration: Calibrati
     assert Surroundings().describe() == ""
 
 
-def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """A degree more: −0.95 µm/m by Birch and Downs, along the beam; of an interferometer, on what it counts and not the dead path."""
+def test_warm_air_shortens_lengths(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
+    """One degree more: −0.95 µm/m by Birch and Downs, along the beam; for an interferometer, without the dead path."""
     warm = Surroundings(air=Air(temperature_degC=21.0))
     assert (warm.scale - 1.0) * 1e6 == pytest.approx(-0.95, abs=0.01)
     tracker = LaserTracker()
@@ -135,7 +133,7 @@ def test_warm_air_shortens_what_is_read(dmu50: Machine, calibration: Calibration
 
 
 def test_a_station_drifts_with_time(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """In the base frame, linear in the time since the plan's first point; the other station stands."""
+    """In the base frame, linear in the time since the plan's first point; the other station does not move."""
     timed = replace(plan, time_s=5000.0 + 60.0 * np.arange(len(plan)))
     rate = np.array([12.0, -7.0, 3.0])
     around = Surroundings(drift_um_per_h={"1": (12.0, -7.0, 3.0)})
@@ -156,7 +154,7 @@ def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: M
     times = np.arange(len(plan), dtype=float)
     times[np.flatnonzero(plan.station == "2")[1]] = np.nan
     timed = replace(plan, time_s=times)
-    with pytest.raises(InputError, match="a drift of no station: '3'; expected one of"):
+    with pytest.raises(InputError, match="drift of an unknown station: '3'; expected one of"):
         shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"3": (1.0, 0.0, 0.0)}))
     with pytest.raises(InputError, match="time_s in every row") as caught:
         shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"2": (1.0, 0.0, 0.0)}))
@@ -165,7 +163,7 @@ def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: M
 
 
 def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pytest.CaptureFixture[str]) -> None:
-    """A plan by its bare name; what the shop did stands in the file; bad options say what they want."""
+    """A plan by its bare name; the ambient influences are in the file; bad options are explained."""
     out = tmp_path / "measured.csv"
     with pytest.raises(SystemExit) as stopped:
         cli.main(["simulate", "thesis_plan.csv", "-o", str(out), "--air", "21,1013.25,50", "--drift", "1=5,0,-2.5"])

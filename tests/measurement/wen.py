@@ -1,11 +1,11 @@
-"""What Wen et al. (2023) have and the package does not: their layouts, and their self-calibration (Algorithm 2).
+"""Layouts and self-calibration (Algorithm 2) of Wen et al. (2023), which are not part of the package.
 
-Of the paper this holds: eq. 1 and 2 and beams 1 to 3 of eq. 3 and 4; Algorithm 2 in four steps at most; the twelve indices of its
-fig. 7b, in the order x_d1, y_d1, α_1, x_d2, … (not in that of its eq. 30), in mm and rad, cut after the 33rd eigenvalue, and no other
-way. This does not: the sign of beams 4 to 6 (`twin.measurement.instruments.multi_axis`); that x and y are unique (rank 46 of 48, and
-159 of 165 with nine beams); that α is solved (a third of it lies in what the truncation leaves out); that the result does not depend on
-the installation (tenfold error of it, tenfold error of x); and so that 1.884 nm is what 0.1 nm of noise does: with the installation
-known that is 0.029 nm and 4.17e-7 mrad.
+These statements of the paper hold: eq. 1 and 2 and beams 1 to 3 of eq. 3 and 4; Algorithm 2 in four steps at most; the twelve indices
+of its fig. 7b, in the order x_d1, y_d1, α_1, x_d2, … (not in that of its eq. 30), in mm and rad, cut after the 33rd eigenvalue, and in
+no other way. These do not: the sign of beams 4 to 6 (`twin.measurement.instruments.multi_axis`); that x and y are unique (rank 46 of
+48, and 159 of 165 with nine beams); that α is solved (a third of it is in the truncated part); that the result does not depend on the
+installation (ten times its error gives ten times the error of x); and therefore that 1.884 nm is due to 0.1 nm of noise: with a known
+installation that is 0.029 nm and 4.17e-7 mrad.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from twin.numerics.observability import Determinability, Unknown, decompose, det
 
 STEPS = 25
 STILL = 1e-3
-"""A step that changes the readings by less than this, root of the sum of squares in standard uncertainties, is the last."""
+"""Change of the readings, root of the sum of squares in standard uncertainties, that ends the iteration."""
 MRAD = 1e-3
 MOTIONS = ("x", "y", "z", "turn x", "turn y", "turn z")
 
@@ -31,13 +31,13 @@ MOTIONS = ("x", "y", "z", "turn x", "turn y", "turn z")
 def six_beams(
     *, width: float = 0.2, depth: float = 0.2, gap: float = 0.15, base: float = 0.06, planar: bool = True
 ) -> MultiAxis:
-    """Three parallel beams on each of two neighbouring sides of a stage in its plane (Wen et al., fig. 2 and 3).
+    """Return three parallel beams on each of two adjacent sides of a planar stage (Wen et al., fig. 2 and 3).
 
     Args:
         width: b of the stage, metres.
         depth: h of the stage, metres.
         gap: from the sources to the sides, metres.
-        base: from one beam to the next, metres.
+        base: distance between beams, metres.
         planar: as of `MultiAxis`.
     """
     steps = np.array([-base, 0.0, base])
@@ -56,7 +56,7 @@ def six_beams(
 
 
 def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) -> MultiAxis:
-    """Three beams in an equilateral triangle on each of three neighbouring faces of a cube (Wen et al., fig. 4).
+    """Return three beams in an equilateral triangle on each of three adjacent faces of a cube (Wen et al., fig. 4).
 
     Args:
         side: of the cube, metres.
@@ -83,42 +83,44 @@ def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) ->
 
 
 def of_beams(layout: MultiAxis) -> np.ndarray:
-    """Mask of the installation's unknowns that belong to beams: all that Wen et al. have."""
+    """Return a mask of the installation's unknowns that belong to beams: all that Wen et al. have."""
     return np.array([name.startswith("beam ") for name in layout.installation])
 
 
 def joint_covariance(found: Displacement) -> np.ndarray:
-    """(n·f, n·f) joint covariance of all motions, position after position."""
-    n, f, p = found.lever.shape
-    flat = found.lever.reshape(n * f, p)
+    """Return (n·f, n·f) the joint covariance of all motions, position after position."""
+    n, f, p = found.by_installation.shape
+    flat = found.by_installation.reshape(n * f, p)
     whole = flat @ found.installation_covariance @ flat.T
     for i in range(n):
-        whole[i * f : (i + 1) * f, i * f : (i + 1) * f] += found.own[i]
+        whole[i * f : (i + 1) * f, i * f : (i + 1) * f] += found.noise_covariance[i]
     return np.asarray((whole + whole.T) / 2.0)
 
 
 def u_installation(found: Displacement) -> np.ndarray:
-    """(n, f) the installation's part of the standard uncertainties of the motions."""
-    return np.sqrt(np.einsum("nfp,pq,nfq->nf", found.lever, found.installation_covariance, found.lever))
+    """Return (n, f) the installation's part of the standard uncertainties of the motions."""
+    return np.sqrt(
+        np.einsum("nfp,pq,nfq->nf", found.by_installation, found.installation_covariance, found.by_installation)
+    )
 
 
 def standard_uncertainty(found: Displacement) -> np.ndarray:
-    """(n, f) standard uncertainties of the motions, metres and radians."""
-    return np.sqrt(np.einsum("nii->ni", found.own) + u_installation(found) ** 2)
+    """Return (n, f) the standard uncertainties of the motions, metres and radians."""
+    return np.sqrt(np.einsum("nii->ni", found.noise_covariance) + u_installation(found) ** 2)
 
 
 @final
 @dataclass(frozen=True)
 class SelfCalibration:
-    """What Algorithm 2 found.
+    """Result of Algorithm 2.
 
     Attributes:
         poses: (n, 6) metres and radians.
         installation: (p,) deviations from the nominal layout.
-        residual: (n, m) readings less predicted, metres.
-        determinability: of all the unknowns at the solution, the truncation of the last step its tolerance.
-        steps: taken.
-        converged: whether the last one was still.
+        residual: (n, m) readings minus predicted, metres.
+        determinability: of all unknowns at the solution, with the truncation of the last step as tolerance.
+        steps: number of steps.
+        converged: whether the iteration converged.
     """
 
     poses: np.ndarray
@@ -130,7 +132,7 @@ class SelfCalibration:
 
 
 def plausible_of(layout: MultiAxis, length: float, angle: float, scale: float) -> np.ndarray:
-    """(p,) one size for the lengths of an installation, one for its angles, one for the scale."""
+    """Return (p,) one size for the lengths of an installation, one for its angles, one for the scale."""
     return np.array(
         [scale if name == "scale" else angle if " turn " in name else length for name in layout.installation]
     )
@@ -145,18 +147,18 @@ def question(
     pose_sizes: tuple[float, float],
     installation_sizes: np.ndarray,
 ) -> tuple[np.ndarray, tuple[Unknown, ...]]:
-    """Derivatives and unknowns of a self-calibration: installation first, beam after beam, then position after position.
+    """Return derivatives and unknowns of a self-calibration: installation first, beam after beam, then position after position.
 
     Args:
         layout: nominal.
         poses: (n, 6).
         installation: (p,).
-        unknown: (p,) mask of the installation's numbers that are.
-        pose_sizes: plausible translation and turn, metres and radians.
+        unknown: (p,) mask of the installation's unknown parameters.
+        pose_sizes: plausible translation and rotation, metres and radians.
         installation_sizes: (p,) plausible, metres, radians, one.
 
     Returns:
-        (n·m, q) metres a metre or radian, and the q unknowns.
+        (n·m, q) metres per metre or radian, and the q unknowns.
     """
     _, by_pose, by_installation = layout.derivatives(poses, installation)
     n, m, f = by_pose.shape
@@ -187,20 +189,20 @@ def self_calibrate(
 ) -> SelfCalibration:
     """Algorithm 2 of Wen et al. (2023): Newton steps by a truncated Moore-Penrose inverse.
 
-    Along the null space every step is the shortest: what is found there is the start, projected. The paper names neither the truncation
-    nor the units that "shortest" is measured in; both are arguments here.
+    Along the null space every step has minimum norm: the result there is the projected initial value. The paper states neither the
+    truncation nor the units of the norm; both are arguments here.
 
     Args:
         layout: nominal.
         readings: (n, m) metres.
         noise: standard uncertainty of a reading, metres.
         tolerance: singular values at or below this share of the largest are left out.
-        poses: (n, 6) to start from.
-        installation: (p,) to start from; the nominal layout if None.
-        unknown: (p,) mask of the installation's numbers sought; all of the beams if None.
-        length: unit of lengths in the singular values and in "shortest", metres; mm as in the paper's table 1.
+        poses: (n, 6) initial values.
+        installation: (p,) initial values; the nominal layout if None.
+        unknown: (p,) mask of the installation's parameters to be estimated; all of the beams if None.
+        length: unit of lengths in the singular values and in the norm, metres; mm as in the paper's table 1.
         angle: unit of angles there, radians; mrad likewise.
-        steps: at most.
+        steps: largest number of steps.
     """
     given = np.asarray(readings, dtype=float)
     sought = of_beams(layout) if unknown is None else np.asarray(unknown, dtype=bool)

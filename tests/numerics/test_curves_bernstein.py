@@ -611,7 +611,7 @@ def test_an_estimate_is_the_same_curve_and_uncertainty_in_either_basis(dmu50: Ma
             CurveSpace("E_YX", basis, (0.0, 500.0), 2, 12),
             CurveSpace("E_XC", FOURIER, (0.0, 360.0), 1, 7),
         ]
-        found.append(Unknowns(dmu50, spaces, ["E_C0Y"], told=["X"]))
+        found.append(Unknowns(dmu50, spaces, ["E_C0Y"], fixed_axes=["X"]))
     size = len(found[0])
     theta, root = rng.standard_normal(size), rng.standard_normal((size, size))
     kept = [i for i, column in enumerate(found[0].columns) if column.index < 8]

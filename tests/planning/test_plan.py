@@ -52,7 +52,7 @@ class Carried:
         self, machine: Machine, plan: Measurements, told: Forecast, truth: Calibration, seeds: Sequence[int]
     ) -> None:
         self.machine, self.told = machine, told
-        setting = Setting.drawn(plan, np.random.default_rng(0))
+        setting = Setting.draw(plan, np.random.default_rng(0))
 
         def found(seed: int, noise: bool = True) -> Identification:
             rng = np.random.default_rng(seed)

@@ -61,8 +61,8 @@ def test_a_kit_file_says_what_there_is(own: Path, slides: Path) -> None:
     assert kit.known == {"pillar", "V"} and not kit.opaque
     assert kit.stations["pillar"].pose == pytest.approx([2000, -500, -100, 0, 0, 170])
     # Upright, its x towards the middle of what is measured: straight ahead along y from the front.
-    x = np.degrees(kit.stations["front"].turn_rad[2])
-    assert kit.stations["front"].turn_rad[:2] == (0.0, 0.0) and 80.0 < x < 100.0
+    x = np.degrees(kit.stations["front"].rotation_rad[2])
+    assert kit.stations["front"].rotation_rad[:2] == (0.0, 0.0) and 80.0 < x < 100.0
     assert kit.targets["U"].facing == (0.0, -1.0, 0.0) and kit.targets["T"].facing is None
     assert np.degrees(kit.targets["U"].acceptance_rad) == pytest.approx(60.0)
     assert (kit.seconds.point, kit.seconds.aim, kit.seconds.target, kit.seconds.station) == (10, 15, 20, 600)

@@ -1,11 +1,10 @@
-"""What `twin identify` makes of every real set: a table of residuals, each computed here from the calibration file that it wrote.
+"""Table of residuals of `twin identify` for every real data set, each computed here from the calibration file that it wrote.
 
-    python -m tests.real                (some minutes; needs the folder of real measurements beside the project)
+    python -m tests.real                (some minutes; needs the folder of real measurements next to the project)
     python -m tests.real ur10-c plates  (only these)
 
-Stations and the targets' places are fitted to the rows for each calibration alike, by a robust loss, with SciPy. "Before" is the
-machine as drawn. "Held out" is the residual of the other half of the positions, with calibration, stations and places from the first
-half.
+For each calibration, stations and the targets' places are fitted to the rows by a robust loss, with SciPy. "Before" is the nominal
+machine. "Held out" is the residual of the other half of the positions, with calibration, stations and places from the first half.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from twin.machine.machine import Machine
 
 SEED = 16
 KEPT = 0.97
-"""Share of the rows, the nearest, whose RMS is shown beside that of all: a few lost beams would decide the other."""
+"""Share of the rows, those with the smallest residuals, whose RMS is shown next to that of all, which a few lost beams dominate."""
 STARTS = 3
 FEW = 20
 LIMIT_S = 900.0
@@ -48,24 +47,24 @@ class RealSet:
 
 
 def given(folder: str, table: str, machine: str) -> Callable[[Path], tuple[Path, Path]]:
-    """Table and machine file as they lie in the folder."""
+    """Return the table and machine file in the folder."""
     return lambda _: (beside("data", "real", folder, table), beside("data", "real", folder, machine))
 
 
 def of_ur10(folder: Path) -> tuple[Path, Path]:
-    """Series A, 11,911 poses."""
+    """Return series A, 11,911 poses."""
     shared = beside("data", "real", "ur10")
     return ur10.write_table(shared, folder / "ur10.csv"), ur10.write_machine(shared, folder, as_given=False)
 
 
 def of_plate(folder: Path) -> tuple[Path, Path]:
-    """The plate of 2011."""
+    """Return the plate of 2011."""
     holes = plates.holes_mm(beside("data", "real", "plates"))
     return plates.write_table(holes, folder / "plate.csv"), plates.write_machine(folder)
 
 
 def of_stage(axis: str) -> Callable[[Path], tuple[Path, Path]]:
-    """One axis of the ISO 230-2 stage."""
+    """Return one axis of the ISO 230-2 stage."""
     return lambda folder: (
         stage.write_table(beside("data", "real", "stage-iso230-2"), axis, folder / "stage.csv"),
         stage.write_machine(folder),
@@ -93,7 +92,7 @@ SETS = (
 
 @dataclass(frozen=True)
 class Table:
-    """The numbers of a measurement table, read without `twin`."""
+    """Numbers of a measurement table, read without `twin`."""
 
     positions: np.ndarray
     target: np.ndarray
@@ -114,7 +113,7 @@ class Table:
         return cls(numbers(*axes), target, points, places)
 
     def part(self, rows: np.ndarray) -> Table:
-        """Of some rows."""
+        """Return some rows."""
         return Table(self.positions[rows], self.target[rows], self.point_mm[rows], self.place_mm[rows])
 
 
@@ -125,7 +124,7 @@ class SetUpFit:
         self.calibration = calibration
         read = np.isfinite(table.point_mm)
         free = 0 if np.isfinite(table.place_mm).all() else 3 * (int(table.target.max()) + 1)
-        # A line of one coordinate does not show how its station is turned.
+        # Readings of one coordinate along a line do not determine the rotation of the station.
         self.turns = bool(read.any(axis=0).sum() > 1)
         poses, best = self._poses(table), None
         for start in (
@@ -151,12 +150,12 @@ class SetUpFit:
         self.solution = best.x
 
     def residual(self, table: Table) -> np.ndarray:
-        """(n, 3) read less predicted, mm; zero where nothing was read."""
+        """Return (n, 3) measured minus predicted, mm; zero where nothing was read."""
         return self._left(self.solution, table, self._poses(table))
 
     @staticmethod
     def _nearest_turn(points: np.ndarray, read: np.ndarray) -> np.ndarray:
-        """Return the rotation vector that turns points nearest to the readings, both about their means (Kabsch 1976)."""
+        """Return the rotation vector from points to readings, both about their means (Kabsch 1976)."""
         seen = np.where(np.isfinite(read), read, 0.0)
         u, _, v = np.linalg.svd((seen - seen.mean(axis=0)).T @ (points - points.mean(axis=0)))
         return np.asarray(Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v).as_rotvec())
@@ -173,14 +172,14 @@ class SetUpFit:
 
 
 def rms_um(left: np.ndarray) -> tuple[float, float]:
-    """RMS distance of all rows, and of the nearest share of them, µm."""
+    """Return the RMS distance of all rows, and of the share of them with the smallest residuals, µm."""
     far = np.sort(np.linalg.norm(left, axis=1))
     kept = far[: max(int(KEPT * len(far)), 1)]
     return 1e3 * float(np.sqrt(np.mean(far**2))), 1e3 * float(np.sqrt(np.mean(kept**2)))
 
 
 def identified(table: Path, machine: Path, options: tuple[str, ...], folder: Path) -> tuple[str, dict, float]:
-    """What the command said on stderr if it refused, its JSON otherwise, and the seconds it took."""
+    """Run the command; return its message on stderr if it refused, otherwise its JSON, and the time in seconds."""
     out, said = folder / "calibration.yaml", folder / "identified.json"
     for path in (out, said):
         path.unlink(missing_ok=True)
@@ -199,11 +198,11 @@ def identified(table: Path, machine: Path, options: tuple[str, ...], folder: Pat
 
 
 def half_of(path: Path, table: Table, machine: Machine, folder: Path) -> tuple[Path, np.ndarray]:
-    """The rows of a random half of the positions as a table of their own, and (n,) which they are."""
+    """Return the rows of a random half of the positions as a table, and (n,) which they are."""
     _, pose = np.unique(np.round(table.positions, 3), axis=0, return_inverse=True)
     pose = pose.reshape(-1)
     chosen = np.random.default_rng(SEED).random(pose.max() + 1) < 0.5
-    # The ends of a travel stay in, beyond them nothing is predicted; and of few positions every second one.
+    # The end points of a travel stay in, to avoid extrapolation; of few positions every second one.
     if len(chosen) < FEW:
         chosen = np.arange(len(chosen)) % 2 == 0
     ends = [pose[i] for q in table.positions.T if np.ptp(q) > 0.0 for i in (int(np.argmin(q)), int(np.argmax(q)))]
@@ -218,7 +217,7 @@ def half_of(path: Path, table: Table, machine: Machine, folder: Path) -> tuple[P
 
 
 def row_of(one: RealSet) -> str:
-    """The line of one set."""
+    """Return the line of one set."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         path, machine_file = one.files(folder)

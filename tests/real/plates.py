@@ -1,9 +1,9 @@
 """The drilling machine of `../shared/data/real/plates`: URDF, machine file, and the holes of one plate as a measurement table.
 
-The holes were drilled at their nominal places and read on a coordinate measuring machine. A hole lies where the drill's axis really was
-when the control thought it at the nominal place: so the drill is the target, on the tool side, at the tool frame's origin; the plate is
-the work and at rest in the base frame; the coordinate measuring machine is a station whose place and turn nobody knows. It read x and y
-of each hole: z stays empty.
+The holes were drilled at their nominal places and measured on a coordinate measuring machine. A hole is where the drill's axis actually
+was at the nominal position of the control. So the drill is the target, on the tool side, at the tool frame's origin; the plate is
+the workpiece, at rest in the base frame; the coordinate measuring machine is a station of unknown pose. It measured x and y of each
+hole: z stays empty.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from tests.real import write_both
 
 PLATE: Final = "D1597A_redrilled_meas_2011"
 U_MM: Final = 0.0037
-"""Standard uncertainty of a coordinate. Nobody states the machine's; this is what the source's own fit leaves, 5.2 µm in the plane, a
-coordinate."""
+"""Standard uncertainty of a coordinate. Not stated for the machine; this is the residual of the source's fit, 5.2 µm in the plane,
+per coordinate.
+"""
 _URDF: Final = """<?xml version="1.0"?>
 <!-- A drilling machine of two axes in a plane; metres. The lengths of a chain that only translates are immaterial. -->
 <robot name="plate_drill">
@@ -46,17 +47,17 @@ frames: {tool: drill, work: table}
 
 
 def write_machine(folder: Path) -> Path:
-    """URDF and machine file in ``folder``."""
+    """Write URDF and machine file into ``folder``."""
     return write_both(folder, "plate_drill", _URDF, _MACHINE)
 
 
 def holes_mm(shared: Path) -> np.ndarray:
-    """(n, 4) x and y as read, X and Y as meant, mm."""
+    """Return (n, 4) x and y as measured, X and Y as nominal, mm."""
     return np.loadtxt(shared / PLATE, skiprows=4)[:, :4]
 
 
 def write_table(holes: np.ndarray, path: Path) -> Path:
-    """Holes as a measurement table: what was meant as commands, what was read as points."""
+    """Write the holes as a measurement table: nominal positions as commands, measured ones as points."""
     lines = ["X_mm,Y_mm,target,carrier,x_mm,y_mm,z_mm,u_x_mm,u_y_mm,place_x_mm,place_y_mm,place_z_mm"]
     lines += [f"{X},{Y},drill,tool,{x},{y},,{U_MM},{U_MM},0,0,0" for x, y, X, Y in holes]
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")

@@ -1,14 +1,14 @@
 """The stage of `../shared/data/real/stage-iso230-2`: URDF, machine file, and its ISO 230-2 run as a measurement table.
 
-A slide driven by a screw and a motor with a resolver, position read by a laser triangulation sensor that looks along the axis: one
+A slide driven by a screw and a motor with a resolver. Its position is measured by a laser triangulation sensor along the axis: one
 coordinate, x. Nine targets, five cycles, both directions.
 
-The reports print the tables of the two directions under each other's headings. The numbers their program worked on (the ``.dat``
-beside the report of x) have them the other way round, and so do the logs of the motion in the source's repository: the slide goes to
-20.5 mm before it reads what the report calls forward at 20 mm. `readings` puts them right: arriving from below, the slide stands lower.
+The reports print the tables of the two directions under each other's headings. The input of their program (the ``.dat``
+file with the report of x) and the logs of the motion in the source's repository have the opposite assignment: the slide moves to
+20.5 mm before the reading that the report calls forward at 20 mm. `readings` corrects it: arriving from below, the slide is lower.
 
-Order and time are not in the reports. In the log of x every cycle goes up through all targets and down again, one reading every
-28.5 s, 17 s where it turns; cycles follow one another the same way. The tables' rows are in that order and have those times.
+The reports contain neither order nor time. In the log of x every cycle goes up through all targets and down again, one reading every
+28.5 s, 17 s at the turning point; cycles follow one another in the same way. The tables' rows are in that order and have those times.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ frames: {tool: slide, work: bed}
 
 
 def write_machine(folder: Path) -> Path:
-    """URDF and machine file in ``folder``."""
+    """Write URDF and machine file into ``folder``."""
     return write_both(folder, "stage", _URDF, _MACHINE)
 
 
 def readings(shared: Path, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Targets (9,), and what was read arriving from below and from above, each (9, 5 cycles), mm."""
+    """Return targets (9,), and readings arriving from below and from above, each (9, 5 cycles), mm."""
     text = (shared / REPORTS[axis]).read_text(encoding="utf-8")
     targets, above = _table(text, "Data forward direction")
     _, below = _table(text, "Data backward direction")
@@ -59,7 +59,7 @@ def readings(shared: Path, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def numbers(shared: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The same of x as the reports' program had it: from below and from above, each (9, 5), mm."""
+    """Return the same for x from the input of the reports' program: from below and from above, each (9, 5), mm."""
     text = (shared / NUMBERS).read_text(encoding="utf-8")
     found = []
     for way in ("FWD", "BWD"):
@@ -70,7 +70,7 @@ def numbers(shared: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_table(shared: Path, axis: str, path: Path) -> Path:
-    """One axis's run as a measurement table, in the order in which it was measured; rounds are cycles."""
+    """Write one axis's run as a measurement table, in the order in which it was measured; rounds are cycles."""
     targets, below, above = readings(shared, axis)
     lines = ["X_mm,approach_X,target,carrier,x_mm,y_mm,z_mm,round,time_s"]
     time = 0.0
@@ -85,7 +85,7 @@ def write_table(shared: Path, axis: str, path: Path) -> Path:
 
 
 def _table(text: str, heading: str) -> tuple[np.ndarray, np.ndarray]:
-    """First and other columns of the table below a heading, the row numbers left out."""
+    """Return the first and the other columns of the table below a heading, without the row numbers."""
     body = text.split(f"### {heading}")[1].split("\n#")[0]
     rows = [[float(cell) for cell in line.split("|")[1:] if cell] for line in body.splitlines() if line[:1].isdigit()]
     table = np.array(rows)

@@ -1,4 +1,4 @@
-"""Real measurements of others: a robot before a laser tracker, a drilling machine's plate on a coordinate measuring machine."""
+"""Real measurements of other authors: a robot with a laser tracker, a drilled plate on a coordinate measuring machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.identification.spread import Spread, covariance_of
-from twin.identification.start import first_setup
+from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -27,7 +27,7 @@ from twin.measurement.table import Measurements, load
 from twin.numerics.curves import POWER, CurveSpace
 
 SEED = 20200714
-"""Of the halves: the day the series was begun."""
+"""Seed of the halves: the day on which the series was begun."""
 SPREADS: tuple[Spread, ...] = ("between rounds", "between poses")
 
 
@@ -36,7 +36,7 @@ def folder(name: str) -> Path:
 
 
 def rms_mm(left: np.ndarray) -> float:
-    """RMS of the distance, coordinates not read counting nothing."""
+    """Return the RMS of the distance; coordinates that were not read are ignored."""
     return float(np.sqrt(np.mean(np.nansum(left**2, axis=1))))
 
 
@@ -61,7 +61,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 
 def halves(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of one random half of the poses and of the other."""
+    """Return the rows of one random half of the poses and of the other."""
     order = np.random.default_rng(SEED).permutation(len(robot.data))
     return np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])
 
@@ -77,21 +77,21 @@ def found(robot: Robot) -> Identification:
 
 
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
-    """Stations, targets and some of the machine's unknowns, least squares."""
+    """Return stations, targets and some of the machine's unknowns, by least squares."""
     network = Network(machine, data, LaserTracker(), unknowns)
-    setup, _ = first_setup(machine, data, lengths_only=False)
+    setup, _ = initial_setup(machine, data, lengths_only=False)
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
 
 def unseen_mm(machine: Machine, data: Measurements, other: Measurements) -> float:
-    """Error at other poses of the machine as drawn, station and target fitted."""
+    """Return the error of the nominal machine at other poses, with station and target fitted."""
     _, solution = fitted(machine, data, Unknowns(machine, (), ()))
     network = Network(machine, other, LaserTracker(), Unknowns(machine, (), ()))
-    return rms_mm(1e3 * network.difference(solution.theta, solution.setup, np.arange(len(other))))
+    return rms_mm(1e3 * network.residuals_m(solution.theta, solution.setup, np.arange(len(other))))
 
 
 def test_the_robot_is_two_files_and_its_joints_reach_their_goals(robot: Robot) -> None:
-    """Zeros, signs and links are those of the data; the URDF beside them is of another robot, the UR10e."""
+    """Zeros, signs and links are those of the data; the URDF next to them is of another robot, the UR10e."""
     assert robot.machine.names == ("J1", "J2", "J3", "J4", "J5", "J6")
     assert len(robot.data) == 11_911
     assert not robot.data.set_aside
@@ -99,7 +99,7 @@ def test_the_robot_is_two_files_and_its_joints_reach_their_goals(robot: Robot) -
     off = {}
     for name, machine in (("own", robot.machine), ("given", robot.as_given)):
         poses = Kinematics(machine, Calibration.zero(machine), tool_length_mm=0.0).forward(robot.data.positions)
-        # The probe is where all goals say together: a point of the flange.
+        # All goals together give the place of the probe on the flange.
         left = robot.goals_mm - poses.point_mm
         place = np.linalg.lstsq(poses.rotation.reshape(-1, 3), left.ravel(), rcond=None)[0]
         off[name] = np.linalg.norm(left - poses.rotation @ place, axis=1)
@@ -113,20 +113,20 @@ def test_the_robot_is_two_files_and_its_joints_reach_their_goals(robot: Robot) -
 
 
 def test_geometric_identification_halves_the_error_at_poses_it_never_saw(robot: Robot, found: Identification) -> None:
-    """From 0.84 mm to 0.45 mm and less, as published beside the data."""
+    """From 0.84 mm to 0.45 mm and less, as published with the data."""
     first, second = (robot.data.select(rows) for rows in halves(robot))
     before = unseen_mm(robot.machine, first, second)
-    after = rms_mm(found.predicted_mm(second))
+    after = rms_mm(found.residuals_mm(second))
     assert found.converged
     assert 0.80 <= before <= 0.87
     assert after <= 0.45
-    # Not an accident of the half it was fitted to.
+    # Not by chance of the half to which it was fitted.
     assert after == pytest.approx(rms_mm(found.residual_mm[found.used]), rel=0.03)
-    # What one target on the last axis and a free station cannot tell is said, not made up (J1 is the station's, two of J2 too).
+    # Errors that one target on the last axis and a free station do not determine are named (J1 and two of J2 are the station's).
     assert {one.name for one in found.unidentified} == {
         *(f"E_{letter}0J1" for letter in "XYAB"),
         *("E_Y0J2", "E_B0J2"),
-        # The one target sits on the last axis, where a tilt of it is a shift: only what they do together shows.
+        # The one target sits on the last axis, where tilt and shift are confounded: only their sum is determined.
         *(f"E_{letter}0J6" for letter in "XYAB"),
     }
 
@@ -134,16 +134,16 @@ def test_geometric_identification_halves_the_error_at_poses_it_never_saw(robot: 
 def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_links(
     robot: Robot, found: Identification
 ) -> None:
-    """The URDF beside the data misses by 8 mm; links 10 mm off come out, and nothing depends on where the search began."""
+    """The URDF next to the data is wrong by 8 mm; links 10 mm off are identified, and nothing depends on the initial values."""
     first, second = (robot.data.select(rows) for rows in halves(robot))
     assert unseen_mm(robot.as_given, first, second) > 7.0
     given = geometric(robot.as_given, first)
-    # Both are nearly the least-squares answer: where the model leaves 0.25 mm a coordinate, priors of errors and set-up pull what is
-    # centimetres off by micrometres.
-    np.testing.assert_allclose(given.predicted_mm(second), found.predicted_mm(second), atol=5e-3)
+    # Both are nearly the least-squares estimate: with residuals of 0.25 mm per coordinate, priors of errors and set-up change values of
+    # centimetres by micrometres.
+    np.testing.assert_allclose(given.residuals_mm(second), found.residuals_mm(second), atol=5e-3)
     difference = {name: value - found.calibration.location[name] for name, value in given.calibration.location.items()}
     # UR10 less UR10e, from Universal Robots' tables: upper arm 0.7 mm, forearm 0.75 mm, wrist 10.209 mm (and 4.15 mm at the last axis).
-    # A millirad of tilt between drawing and axis turns 10 mm by 10 µm.
+    # A tilt of one milliradian between nominal and actual axis moves 10 mm by 10 µm.
     links = {"E_X0J3": 700.0, "E_X0J4": -750.0, "E_Y0J5": -10_209.0}
     for name, expected in links.items():
         assert difference[name] == pytest.approx(expected, abs=10.0)
@@ -152,12 +152,12 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
 
 
 def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identification) -> None:
-    """Estimates of two halves differ by what their 95 % intervals allow: halves drawn by place, and one in time after the other.
+    """Estimates of two halves differ as their 95 % intervals allow: halves drawn by place, and one in time after the other.
 
-    The model leaves effects out that change little within a place, so places are the sample (`ur10.write_table`). Taken as drawn one by
-    one, the poses give intervals three times too narrow; the uncertainty of a reading alone, eight times narrower still.
+    The model lacks effects that change little within a place, so places are the sample (`ur10.write_table`). If the poses are taken as
+    independent, intervals are three times too narrow; with the uncertainty of a reading alone, eight times narrower still.
     """
-    # The last axis's shift beside them, its tilt taken as zero: together they would not be told.
+    # The last axis's shift with them, its tilt taken as zero: the two are confounded.
     names = tuple(name for name in found.calibration.location if name not in ("E_A0J6", "E_B0J6"))
     unknowns, count = Unknowns(robot.machine, (), names), len(names)
     _, settled = fitted(robot.machine, robot.data.select(halves(robot)[0]), unknowns)
@@ -186,7 +186,7 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
         assert held.sum() >= stats.binom.ppf(0.01, count, 0.95)
         naive += int(np.sum(np.abs(difference) < COVERAGE_FACTOR * np.sqrt(np.diag(one_pose + two_pose))))
         if k > 0:
-            # All together, correlations included; in time not, where the halves are other regions and the model misses in both.
+            # All together, correlations included; in time not, where the halves are other regions and the model has misfits in both.
             distance = float(difference @ np.linalg.solve(covariance, difference))
             assert stats.chi2.ppf(0.001, count) < distance < stats.chi2.isf(0.001, count)
     assert naive < 0.5 * count * len(splits)
@@ -210,20 +210,20 @@ def plate(drill: Machine, tmp_path_factory: pytest.TempPathFactory) -> Measureme
 
 
 def straight(machine: Machine, *wanted: str) -> Unknowns:
-    """Scales as straight lines, and the squareness: the model of the publication, but a scale for each axis."""
+    """Return scales as straight lines, and the squareness: the model of the publication, but with a scale for each axis."""
     ranges = {f"E_{axis.name * 2}": (axis.lower or 0.0, axis.upper or 0.0) for axis in machine.axes}
     curves = [CurveSpace(name, POWER, ranges[name], first=1, count=2) for name in SCALES if name in wanted]
     return Unknowns(machine, curves, [name for name in wanted if name == SQUARENESS])
 
 
 def scale_ppm(calibration: Calibration) -> tuple[float, float]:
-    """One scale from the mean lines of E_XX and E_YY over their ranges, weighted by their covariance, and its standard uncertainty."""
+    """Return one scale from the mean lines of E_XX and E_YY, weighted by their covariance, and its standard uncertainty."""
     names, rows = [], []
     for name in SCALES:
         curve = calibration.curves[name]
         u, w = np.polynomial.legendre.leggauss(40)
         half = (curve.domain[1] - curve.domain[0]) / 2.0
-        # µm a mm is 1e3 ppm; the mean line of u^k has the slope 3/2 ∫ u^k u du.
+        # µm per mm is 1e3 ppm; the mean line of u^k has the slope 3/2 ∫ u^k u du.
         rows.append([1e3 / half * 1.5 * float(np.sum(w * u**k * u)) for k in range(len(curve.coefficients))])
         names.append([f"{name}[{k}]" for k in range(len(curve.coefficients))])
     values = [np.dot(row, calibration.curves[name].coefficients) for row, name in zip(rows, SCALES, strict=True)]
@@ -235,15 +235,15 @@ def scale_ppm(calibration: Calibration) -> tuple[float, float]:
 
 
 def test_a_plate_shows_scale_and_squareness_as_published(drill: Machine, plate: Measurements) -> None:
-    """−34.6 ± 0.7 ppm and 64.3 ± 1.4 µrad, 10.8 → 5.2 µm RMS in the plane; either alone leaves 8.3 or 8.8 µm.
+    """−34.6 ± 0.7 ppm and 64.3 ± 1.4 µrad, 10.8 → 5.2 µm RMS in the plane; either alone gives 8.3 or 8.8 µm.
 
-    The published uncertainties are of ordinary least squares with the residuals' own variance; ours are from the scatter from hole to
-    hole, each with its own.
+    The published uncertainties are of ordinary least squares with the residuals' own variance; ours are from the variation between
+    holes, each with its own.
     """
     left = {}
     for wanted in ((), SCALES, (SQUARENESS,), (*SCALES, SQUARENESS)):
         network, solution = fitted(drill, plate, straight(drill, *wanted))
-        left[wanted] = 1e3 * rms_mm(1e3 * network.difference(solution.theta, solution.setup, np.arange(len(plate))))
+        left[wanted] = 1e3 * rms_mm(1e3 * network.residuals_m(solution.theta, solution.setup, np.arange(len(plate))))
     # Printed to 0.1 µm.
     assert left[()] == pytest.approx(10.8, abs=0.05)
     assert left[SCALES] == pytest.approx(8.3, abs=0.05)
@@ -258,24 +258,24 @@ def test_a_plate_shows_scale_and_squareness_as_published(drill: Machine, plate: 
     u_square = float(np.sqrt(calibration.covariance.of([SQUARENESS]).matrix[0, 0]))
     assert scale == pytest.approx(-34.6, abs=0.7)
     assert calibration.squareness[SQUARENESS] == pytest.approx(64.3, abs=1.4)
-    # The same data and nearly the same scatter: robust and ordinary uncertainties differ by the unevenness of the holes.
+    # The same data and nearly the same noise: robust and ordinary uncertainties differ by the unevenness of the holes.
     assert u_scale == pytest.approx(0.7, rel=0.25)
     assert u_square == pytest.approx(1.4, rel=0.25)
 
 
 def test_the_squareness_of_the_plate_has_the_sign_of_the_contract(drill: Machine, plate: Measurements) -> None:
-    """E_C0Y turns Y right-handed, E_XY −= y·E_C0Y: the published number is the shear x += s·y, so its sign is the other one."""
+    """E_C0Y rotates Y right-handed, E_XY −= y·E_C0Y: the published number is the shear x += s·y, so its sign is opposite."""
     holes = plates.holes_mm(folder("plates"))
     error, meant = holes[:, :2] - holes[:, 2:], np.column_stack([holes[:, 2:], np.ones(len(holes))])
     (_, by_x), (by_y, _) = np.linalg.lstsq(meant, error, rcond=None)[0][:2]
     turned_x, turned_y = by_x * 1e6, -by_y * 1e6
     _, solution = fitted(drill, plate, straight(drill, *SCALES, SQUARENESS))
-    # Turns of 70 µrad and scales of 35 ppm meet at second order only: 1e-3 of a µrad.
+    # Rotations of 70 µrad and scales of 35 ppm interact at second order only: 1e-3 of a µrad.
     assert solution.theta[-1] == pytest.approx(turned_y - turned_x, abs=0.01)
 
 
 def test_the_plate_is_identified_with_curves_of_any_degree(drill: Machine, plate: Measurements) -> None:
-    """`identify` as a user calls it, with no model told: the mean lines agree with the published scale and squareness."""
+    """`identify` as a user calls it, without a given model: the mean lines agree with the published scale and squareness."""
     wanted = (*SCALES, SQUARENESS)
     found = identify(plate, drill, wanted=lambda name: name in wanted, spread="between poses")
     scale, u_scale = scale_ppm(found.calibration)
@@ -286,18 +286,18 @@ def test_the_plate_is_identified_with_curves_of_any_degree(drill: Machine, plate
     assert abs(found.calibration.squareness[SQUARENESS] - 64.3) < COVERAGE_FACTOR * u_square
     assert u_scale < 1.5
     assert u_square < 2.0
-    # Degrees beyond one are chosen because they predict holes left out.
+    # Degrees above one are chosen because they predict held-out holes.
     assert rms_mm(found.residual_mm[found.used]) < 5.1e-3
 
 
 def test_too_few_rounds_have_no_scatter(drill: Machine, plate: Measurements) -> None:
-    """All holes are one round: there is nothing to take the scatter between rounds from, and that is said."""
+    """All holes are one round: the variation between rounds cannot be estimated, which the message states."""
     with pytest.raises(InputError, match="too few rounds"):
         identify(plate, drill, wanted=lambda name: name == SQUARENESS, spread="between rounds")
 
 
 def test_a_station_that_read_a_plane_is_placed_by_it(drill: Machine, tmp_path: Path) -> None:
-    """Holes of a known machine, read from a known place, without noise: z empty, and everything else comes back."""
+    """Holes of a known machine, measured from a known place, without noise: z empty, and everything else is identified."""
     grid = np.array([[x, y] for x in np.linspace(-300, 300, 9) for y in np.linspace(-240, 240, 8)])
     scale, squareness, turn, shift = np.array([40e-6, -25e-6]), 60e-6, 0.7, np.array([120.0, -45.0])
     actual = grid * (1.0 + scale)

@@ -1,7 +1,7 @@
-"""What `twin diagnose` says of real measurements of others: a stage by ISO 230-2, a drilled plate, a robot before a laser tracker.
+"""`twin diagnose` on real measurements of other authors: a stage by ISO 230-2, a drilled plate, a robot with a laser tracker.
 
-The truth is what others found in the same data by other means: the mean reversals of the source's own ISO 230-2 evaluation, scale and
-squareness of the publication of the plates, and for the robot an error that poses nobody has shown the program have too.
+The truth is what the authors found in the same data by other means: the mean reversals of the source's own ISO 230-2 evaluation, scale
+and squareness of the publication of the plates, and for the robot an error that held-out poses have too.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, load
 
 FACTOR = 3.0
-"""Standard uncertainties an answer may be off by: 1 in 370."""
+"""Standard uncertainties by which an answer may be wrong: 1 in 370."""
 
 
 def the(found: Diagnosis, effect: str, where: str, orders: tuple[int, ...] | None = None) -> Cause:
-    """The strongest cause of that name; a harmonic of one of those orders."""
+    """Return the strongest cause of that name; for a harmonic, of one of those orders."""
     for cause in found.causes:
         if (cause.effect, cause.where) == (effect, where) and (
             orders is None or number(cause, "order").value in orders
@@ -52,7 +52,7 @@ def run(
 
 
 def test_the_table_of_the_stage_is_what_its_reports_had() -> None:
-    """The reports' tables of x against the numbers they were made from, five digits kept; directions as in the latter."""
+    """The reports' tables of x compared with their input, five digits kept; directions as in the latter."""
     shared = folder("stage-iso230-2")
     _, below, above = stage.readings(shared, "x")
     for printed, number_of in zip((below, above), stage.numbers(shared), strict=True):
@@ -60,22 +60,22 @@ def test_the_table_of_the_stage_is_what_its_reports_had() -> None:
 
 
 def test_the_reversal_of_a_stage_is_named_with_its_size(run: tuple[str, Measurements, Diagnosis]) -> None:
-    """25.4 µm and 12.8 µm on average (the reports' ``B_avg``); arriving from below the slide stands lower, so the sign is −.
+    """25.4 µm and 12.8 µm on average (the reports' ``B_avg``); arriving from below the slide is lower, so the sign is −.
 
-    A mean of differences takes in what the slide drifts between the two directions, eight minutes apart at one end; the diagnosis takes
-    that out. Both are sizes of something that changes from target to target (16 to 34 µm on x), and it says so in its u.
+    A mean of differences includes the drift of the slide between the two directions, eight minutes at one end; the diagnosis removes
+    it. Both are sizes of a reversal that changes from target to target (16 to 34 µm on x), which is in its u.
     """
     axis, _, found = run
     size = number(the(found, "reversal", "X"), "size")
     assert abs(size.value + {"x": 25.37, "y": 12.77}[axis]) < FACTOR * size.u
-    # What nine places know of their mean, from how the printed reversals differ from place to place: 1.9 µm on x, 1.6 µm on y.
+    # Standard uncertainty of the mean of nine places, from the variation of the printed reversals: 1.9 µm on x, 1.6 µm on y.
     _, below, above = stage.readings(folder("stage-iso230-2"), axis)
     by_place = 1e3 * (below - above).mean(axis=1)
     assert size.u == pytest.approx(by_place.std(ddof=1) / np.sqrt(len(by_place)), rel=0.35)
 
 
 def test_the_drift_of_a_stage_is_told_from_its_reversal(run: tuple[str, Measurements, Diagnosis]) -> None:
-    """From the first cycle to the last the slide reads 5.6 µm lower on x, 12.7 µm on y, as much as it reverses by there."""
+    """From the first cycle to the last the slide reads 5.6 µm lower on x, 12.7 µm on y, as much as its reversal there."""
     axis, data, found = run
     drifting = {"station_drift", "thermal_drift"}
     drifts = [cause for cause in found.causes if cause.effect in drifting]
@@ -86,19 +86,19 @@ def test_the_drift_of_a_stage_is_told_from_its_reversal(run: tuple[str, Measurem
     pattern = drifts[0].pattern_um[:, 0]
     rounds = np.array(data.round)
     seen = pattern[rounds == "5"].mean() - pattern[rounds == "1"].mean()
-    # A few tenths are the form's: exponential or straight.
+    # A few tenths depend on the form: exponential or straight.
     assert seen == pytest.approx({"x": -5.7, "y": -12.7}[axis], abs=1.5)
 
 
 def test_nothing_of_a_stage_is_left_that_matters(run: tuple[str, Measurements, Diagnosis]) -> None:
-    """What is left is 2 to 3 µm of some 30; the form of the drift is one of several, and that is said."""
+    """Residuals are 2 to 3 µm of some 30 µm; the form of the drift is one of several, which is stated."""
     _, _, found = run
     assert found.verdict == "ambiguous"
     assert found.unexplained is not None and found.unexplained.share < 0.02 and found.unexplained.size_um < 3.0
 
 
 def test_nothing_is_promised_between_the_nine_places_of_a_stage(run: tuple[str, Measurements, Diagnosis]) -> None:
-    """A curve through eight places does not foretell the ninth: it is named, and enters neither calibration nor gain."""
+    """A curve through eight places does not predict the ninth: it is named, and enters neither calibration nor gain."""
     _, _, found = run
     assert not the(found, "positioning", "E_XX").promised
     assert the(found, "reversal", "X").promised and not found.extended.curves
@@ -114,8 +114,7 @@ def test_nothing_is_promised_between_the_nine_places_of_a_stage(run: tuple[str, 
 def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_path: Path) -> None:
     """Scale −34.6 ± 0.7 ppm, squareness 64.3 ± 1.4 µrad as published, both, and neither by another name.
 
-    Where no uncertainty is stated and nothing was repeated, holes near each other say it; where the drill sits on its slide changes
-    nothing.
+    Without stated uncertainty and repeats, neighbouring holes give it; the place of the drill on its slide has no influence.
     """
     shared = folder("plates")
     machine = Machine.load(plates.write_machine(tmp_path))
@@ -131,11 +130,11 @@ def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_pa
     for name in ("E_XX", "E_YY"):
         the(found, "positioning", name)
         curve = found.extended.curves[name]
-        # The mean line over the range, as a least-squares line has it: 3/2 ∫ f(u) u du a half range.
+        # The least-squares line over the range: 3/2 ∫ f(u) u du per half range.
         u, w = np.polynomial.legendre.leggauss(40)
         values = sum(c * u**k for k, c in enumerate(curve.coefficients))
         scales.append(1.5e3 * float(np.sum(w * u * values)) * 2.0 / (curve.domain[1] - curve.domain[0]))
-    # One scale for both is the publication's model; by axis they differ by what two mean lines over other ranges may.
+    # One scale for both is the publication's model; by axis they differ as two mean lines over other ranges may.
     assert np.mean(scales) == pytest.approx(-34.6, abs=3.0)
     assert found.gain is not None and found.gain.rms_after_um < 5.2 / np.sqrt(2.0)
 
@@ -155,22 +154,22 @@ def robot(folder_of: Path, tmp_path: Path) -> tuple[Machine, Measurements, Calib
 
 
 def amplitude(cause: Cause) -> float:
-    """Of a harmonic, mrad."""
+    """Return the amplitude of a harmonic, mrad."""
     return 1e-3 * float(np.hypot(number(cause, "cos").value, number(cause, "sin").value))
 
 
-# Every third place takes minutes; with fewer than some hundred places orders next to each other are not told apart.
+# Every third place takes minutes; with fewer than some hundred places neighbouring orders are confounded.
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [3])
 def test_a_robot_errs_periodically_in_its_first_three_joints(step: int, tmp_path: Path) -> None:
-    """Seventeen periods a turn, 0.2 to 0.3 mrad; at places neither selection nor fit has seen, 0.33 mm are left of 0.45 at most."""
+    """Seventeen periods per turn, 0.2 to 0.3 mrad; at places not used in selection or fit, 0.33 mm remain of 0.45 at most."""
     machine, data, calibration, _ = robot(folder("ur10"), tmp_path)
     every = np.isin(data.round, np.unique(data.round)[::step])
     found = diagnose(data.select(every), machine, calibration)
     for joint in ("J1", "J2", "J3"):
-        # J3 turns half-way at most: from a part of a turn one order more or less looks nearly the same.
+        # J3 moves over half a turn at most, where neighbouring orders look nearly the same.
         cause = the(found, "harmonic", f"E_C{joint}", orders=(17,) if joint != "J3" else (16, 17, 18))
-        # Published nowhere; by our least squares on all poses 0.2 to 0.28, and its own u is some 0.02.
+        # Not published; by our least squares on all poses 0.2 to 0.28, and its own u is some 0.02.
         assert 0.15 < amplitude(cause) < 0.35
     assert found.gain is not None and found.gain.held_out is not None
     assert np.sqrt(3.0) * found.gain.held_out.after_um < 1e3 * 0.33

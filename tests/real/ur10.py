@@ -1,11 +1,11 @@
 """The UR10 of `../shared/data/real/ur10`: its machine file, and its poses as a measurement table.
 
 Landgraf et al. (2021), "A Hybrid Neural Network Approach for Increasing the Absolute Accuracy of Industrial Robots" (CASE), series A.
-A laser tracker read a 6-D probe on the flange; its position alone is used, as one target whose place on the flange is unknown.
+A laser tracker measured a 6-D probe on the flange; only its position is used, as one target whose place on the flange is unknown.
 
-The URDF beside the data is a UR10e's (``<robot name="ur10e">``), a younger robot with other links. The robot measured is a UR10: with
-the lengths Universal Robots publish for that one, the commanded joints reach the goal poses of the table within 0.6 mm (median
-0.09 mm), with the URDF's own only within 50 mm (median 10 mm). `write_machine` writes either robot.
+The URDF next to the data is a UR10e's (``<robot name="ur10e">``), a younger robot with other links. The robot measured is a UR10: with
+the link lengths that Universal Robots publish for it, the commanded joints reach the goal poses of the table within 0.6 mm (median
+0.09 mm), with those of the URDF only within 50 mm (median 10 mm). `write_machine` writes either robot.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import numpy as np
 POSES: Final = "Series_A_measurements_grid.csv"
 JOINTS: Final = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 U_MM: Final = 0.03
-"""Standard uncertainty of a coordinate: the middle of the repeatability of 22 to 42 µm in the data's README, which holds the robot's
-own and the tracker's and prefers no direction."""
+"""Standard uncertainty of a coordinate: the middle of the repeatability of 22 to 42 µm in the data's README, which includes robot and
+tracker and is the same in all directions.
+"""
 LENGTHS: Final = (
     ('xyz="0 0 0.1807"', 'xyz="0 0 0.1273"'),
     ('xyz="-0.6127 0 0"', 'xyz="-0.612 0 0"'),
@@ -29,12 +30,13 @@ LENGTHS: Final = (
     ('xyz="0 -0.11985 -2.458164590756244e-11"', 'xyz="0 -0.1157 0"'),
     ('xyz="0 0.11655 -2.390480459346185e-11"', 'xyz="0 0.0922 0"'),
 )
-"""Joint origins of the UR10e in the URDF beside the data, and of the UR10 (Universal Robots, "DH parameters for calculations of
-kinematics and dynamics")."""
+"""Joint origins of the UR10e in the URDF next to the data, and of the UR10 (Universal Robots, "DH parameters for calculations of
+kinematics and dynamics").
+"""
 
 
 def write_machine(shared: Path, folder: Path, *, as_given: bool) -> Path:
-    """A machine file in ``folder``: on the URDF beside the data, or on one with the lengths of the robot that was measured."""
+    """Write a machine file into ``folder``: for the URDF next to the data, or with the lengths of the robot that was measured."""
     urdf = shared / "ur10_robot.urdf"
     if not as_given:
         text = urdf.read_text(encoding="utf-8")
@@ -55,10 +57,10 @@ def write_machine(shared: Path, folder: Path, *, as_given: bool) -> Path:
 
 
 def write_table(shared: Path, path: Path) -> Path:
-    """The poses as a measurement table: joints in degrees, the probe in the tracker's frame.
+    """Write the poses as a measurement table: joints in degrees, the probe in the tracker's frame.
 
-    A round is all poses about one place in space: some twenty turns of the probe, measured one after the other with the arm nearly at
-    rest. They miss alike, so places are what was drawn independently, not poses.
+    A round is all poses at one place in space: some twenty orientations of the probe, measured one after the other with the arm nearly
+    at rest. Their errors are correlated, so places are independent samples, not poses.
     """
     with (shared / POSES).open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.DictReader(file, delimiter=";"))
@@ -83,7 +85,7 @@ def write_table(shared: Path, path: Path) -> Path:
 
 
 def goals_mm(shared: Path) -> np.ndarray:
-    """(n, 3) where each pose was meant to put the probe, in the robot's base frame, mm."""
+    """Return (n, 3) the intended position of the probe at each pose, in the robot's base frame, mm."""
     with (shared / POSES).open(encoding="utf-8-sig", newline="") as file:
         rows = csv.DictReader(file, delimiter=";")
         return 1e3 * np.array([[_number(row[f"Goal {axis}"]) for axis in "xyz"] for row in rows])

@@ -1,4 +1,4 @@
-"""Truth machines as serial chains, in plain numpy from the contract's words (§1, §5).
+"""Truth machines as serial chains, in plain numpy from the conventions of the documentation.
 
 Units: mm and radians; errors in mm and radians.
 """
@@ -28,7 +28,7 @@ class Link:
     Attributes:
         axis: its name.
         before: (4, 4) from the end of the link before it to its error frame, at zero.
-        linear: whether it translates.
+        linear: whether it is linear.
         direction: (3,) of its command, in the error frame.
         zero: command at which the joint is at zero, mm.
     """
@@ -56,7 +56,7 @@ class Errors:
         self.location = {axis.name: np.zeros(6) for axis in machine.axes}
 
     def add(self, effect: Hidden) -> None:
-        """Add one effect of the contract's table; those of the instrument act elsewhere."""
+        """Add one named effect; those of the instrument act elsewhere."""
         v, where, plan = effect.numbers, effect.where, self._plan
         if effect.effect == "reversal":
             self._along(where, 0.5 * v["size"] * plan.approach_of(where))
@@ -94,7 +94,7 @@ class Errors:
         return np.asarray(sum(v[power] * u ** int(power[1:]) for power in v))
 
     def _along(self, axis: str, value: np.ndarray) -> None:
-        """µm or µrad along the command."""
+        """Add µm or µrad along the command."""
         link = self._machine.link(axis)
         first, size = (0, UM) if link.linear else (3, URAD)
         self.motion[axis][:, first : first + 3] += size * value[:, None] * link.direction
@@ -113,13 +113,13 @@ class Chain(TruthMachine):
     """A machine of two serial chains from the same base.
 
     Attributes:
-        sides: the axes of the tool side and of the work side, from the base outwards, and (4, 4) where each side's frame is at the end.
+        sides: the axes of the tool side and of the work side, from the base outwards, and (4, 4) each side's frame at the end.
         targets: name → side and place in that frame, mm.
-        home: of all axes but the one that runs.
-        rounds, stops, poses: of the plan.
-        sensors: of temperature.
-        has_spindle: whether the table has its speed.
-        places_known: whether the table gives the targets' places. Of a single axis the directions across it are known by nothing else.
+        home: positions of the axes at rest during a run.
+        rounds, stops, poses: numbers of the plan.
+        sensors: temperature sensors.
+        has_spindle: whether the table has a column of spindle speeds.
+        places_known: whether the table gives the targets' places. For a single axis, nothing else determines the directions across it.
         write: writes the machine file and the URDF into a folder.
     """
 
@@ -148,11 +148,11 @@ class Chain(TruthMachine):
         return self.write(folder)
 
     def link(self, axis: str) -> Link:
-        """The link of an axis."""
+        """Return the link of an axis."""
         return next(link for links, _ in self.sides.values() for link in links if link.axis == axis)
 
     def direction(self, axis: str) -> np.ndarray:
-        """All linear axes of these machines have error frames that are parallel to the base."""
+        """Return the direction of a linear axis; all of these machines have error frames that are parallel to the base."""
         return self.link(axis).direction
 
     def _readings(self, plan: Plan, effects: Sequence[Hidden], moved: np.ndarray) -> np.ndarray:
@@ -192,7 +192,7 @@ class Chain(TruthMachine):
         return np.array([self.targets[name][1] for name in plan.target])
 
     def _points(self, plan: Plan, errors: Errors, place: np.ndarray) -> np.ndarray:
-        """(n, 3) the targets in the base, mm."""
+        """Return (n, 3) the targets in the base, mm."""
         found = np.zeros((len(plan), 3))
         for side, (links, end) in self.sides.items():
             rows = plan.carrier == side
@@ -211,7 +211,7 @@ class Chain(TruthMachine):
         return found
 
     def plan(self, rng: np.random.Generator) -> Plan:
-        """Runs of each axis there and back, then poses of all axes, the same in every round."""
+        """Return runs of each axis back and forth, then poses of all axes, the same in every round."""
         low, high = (np.array([getattr(axis, end) for axis in self.axes]) for end in ("low", "high"))
         drawn = rng.uniform(low, high, (self.poses, len(self.axes)))
         q, approach, target, number = [], [], [], []
@@ -251,10 +251,10 @@ class Chain(TruthMachine):
         return replace(found, channels={f"place_{a}_mm": self.places(found)[:, i] for i, a in enumerate("xyz")})
 
     def _stops(self, drawn: np.ndarray) -> list[tuple[np.ndarray, list[str], tuple[int, float] | None]]:
-        """Poses of one round, the targets that are read at each, and a direction of approach that the run makes sure of."""
+        """Return the poses of one round, the targets read at each, and a direction of approach that the run ensures."""
         found: list[tuple[np.ndarray, list[str], tuple[int, float] | None]] = []
         for i, axis in enumerate(self.axes):
-            # An endless axis stops short of where it began.
+            # An endless axis stops before its initial position.
             places = np.linspace(axis.low, axis.high, self.stops + axis.endless)[: self.stops]
             own = [name for name, (side, _) in self.targets.items() if side == axis.side]
             for run, sign in ((places, 1.0), (places[::-1], -1.0)):
@@ -269,7 +269,7 @@ class Chain(TruthMachine):
 
 
 def rotations(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) of rotation vectors, by Rodrigues' formula."""
+    """Return (n, 3, 3) rotations of rotation vectors, by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     x, y, z = (vectors / np.maximum(angle[:, 0], 1e-300)).T
     o = np.zeros_like(x)

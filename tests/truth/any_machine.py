@@ -1,4 +1,4 @@
-"""The truth machines: what the benchmark asks of one, and the DMU 50 of `tests.truth.hidden`."""
+"""The truth machines of the benchmark: their interface, and the DMU 50 of `tests.truth.hidden`."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from tests.truth.machine import AXES, RANGES
 SHIFTS = ("thermal_growth", "thermal_drift", "thermal_lag", "spindle_growth")
 """Effects that shift the tool side along a direction of the base."""
 SPEEDS = (0.0, 6000.0, 12000.0, 3000.0, 0.0, 9000.0, 12000.0, 0.0)
-"""Of the spindle, rpm, one after the other for as long."""
+"""Spindle speeds, rpm, one after the other for equal times."""
 
 
 class TruthMachine(ABC):
     """A machine in plain numpy that measures itself.
 
     Attributes:
-        name: of the machine in the benchmark.
+        name: name of the machine in the benchmark.
         axes: in command order.
         bundled: name of its machine file, if that comes with `twin`.
-        sigma_mm: standard deviation of a coordinate that is read.
+        sigma_mm: standard deviation of a measured coordinate.
         squareness, locations: names of the constants that it may have.
         drooping: rotary axes whose cradle may droop.
         loaded: axes along which gravity acts with a load that varies.
@@ -52,7 +52,7 @@ class TruthMachine(ABC):
         """Draw what is measured."""
 
     def readings(self, plan: Plan, effects: Sequence[Hidden] = (), moved: np.ndarray | None = None) -> np.ndarray:
-        """(n, 3) what a perfect instrument reads, mm.
+        """Return (n, 3) the readings of a perfect instrument, mm.
 
         Args:
             plan: what is measured.
@@ -60,14 +60,14 @@ class TruthMachine(ABC):
             moved: (n, 3) a shift of each target in the base, mm.
         """
         total = np.zeros((len(plan), 3)) if moved is None else moved
-        # What shifts the tool side and what the instrument does are the same on every machine.
+        # Shifts of the tool side and errors of the instrument are the same on every machine.
         rest = [effect for effect in effects if effect.effect not in (*SHIFTS, "affine_scale")]
         total = sum((_shift(plan, effect) for effect in effects if effect.effect in SHIFTS), total)
         read = self._readings(plan, rest, total)
         for effect in effects:
             if effect.effect == "affine_scale":
                 rows = plan.round == effect.where.removeprefix("round ")
-                # About the middle of what is read: an instrument is aligned anew with every round.
+                # About the middle of the readings: an instrument is realigned in every round.
                 read = read + rows[:, None] * ((read - read[rows].mean(axis=0)) @ _affine(effect))
         return read
 
@@ -77,22 +77,22 @@ class TruthMachine(ABC):
 
     @abstractmethod
     def set_up(self, plan: Plan) -> np.ndarray:
-        """(3n, k) how the readings change with the pose of each station and the place of each target."""
+        """Return (3n, k) the change of the readings with the pose of each station and the place of each target."""
 
     @abstractmethod
     def carried(self, plan: Plan, vector: np.ndarray) -> np.ndarray:
-        """(n, 3) in the base: a vector that is fixed to the side of each row's target."""
+        """Return (n, 3) in the base: a vector that is fixed to the side of each row's target."""
 
     @abstractmethod
     def direction(self, axis: str) -> np.ndarray:
-        """(3,) in the base: where a linear axis moves its side, all axes at zero."""
+        """Return (3,) in the base: the direction in which a linear axis moves its side, all axes at zero."""
 
     @abstractmethod
     def places(self, plan: Plan) -> np.ndarray:
-        """(n, 3) each row's target in the frame of its side, mm."""
+        """Return (n, 3) each row's target in the frame of its side, mm."""
 
     def left_over(self, plan: Plan, change: np.ndarray) -> np.ndarray:
-        """(3n,) a change of the readings in standard deviations of the noise, less what the set-up absorbs.
+        """Return (3n,) a change of the readings in standard deviations of the noise, without what the set-up absorbs.
 
         Args:
             plan: what is measured.
@@ -103,17 +103,17 @@ class TruthMachine(ABC):
         return np.asarray(scaled - basis @ (basis.T @ scaled))
 
     def noncentrality(self, plan: Plan, change: np.ndarray) -> float:
-        """λ of a change of the readings: chi² of what the set-up leaves of it."""
+        """Return λ of a change of the readings: its chi² without what the set-up absorbs."""
         return float(np.sum(self.left_over(plan, change) ** 2))
 
 
 def spindle(time_s: np.ndarray) -> dict[str, np.ndarray]:
-    """The column ``spindle_rpm``: how fast the spindle ran up to each reading."""
+    """Return the column ``spindle_rpm``: the spindle speed up to each reading."""
     return {"spindle_rpm": np.array(SPEEDS)[(np.linspace(0.0, len(SPEEDS) - 1e-9, len(time_s))).astype(int)]}
 
 
 def _shift(plan: Plan, effect: Hidden) -> np.ndarray:
-    """(n, 3) mm that the tool side is shifted along a direction of the base, as a function of time, temperature or speed."""
+    """Return (n, 3) mm shift of the tool side along a direction of the base, as a function of time, temperature or speed."""
     v = effect.numbers
     direction, _, sensor = effect.where.partition(" by ")
     if effect.effect == "thermal_drift":
@@ -131,13 +131,13 @@ def _shift(plan: Plan, effect: Hidden) -> np.ndarray:
 
 
 def lagged(time_s: np.ndarray, values: np.ndarray, constant: float, start: float) -> np.ndarray:
-    """(n,) the first-order lag of values, which are the mean of two neighbours in between.
+    """Return (n,) the first-order lag of values, with the mean of two neighbours in between.
 
     Args:
         time_s: (n,) increasing.
-        values: (n,) what it follows.
+        values: (n,) the input.
         constant: time constant, s.
-        start: where it begins.
+        start: initial value.
     """
     found = np.full(len(values), start)
     follows = 1.0 - np.exp(-np.diff(time_s) / constant)
@@ -147,7 +147,7 @@ def lagged(time_s: np.ndarray, values: np.ndarray, constant: float, start: float
 
 
 def _affine(effect: Hidden) -> np.ndarray:
-    """(3, 3) symmetric: scales (ppm) and shears (µrad, the change of a right angle) of an instrument."""
+    """Return (3, 3) symmetric: scales (ppm) and shears (µrad, the change of a right angle) of an instrument."""
     v = effect.numbers
     shears = np.array([[0.0, v["shear_xy"], v["shear_xz"]], [0.0, 0.0, v["shear_yz"]], [0.0] * 3])
     return 1e-6 * (np.diag([v["scale_x"], v["scale_y"], v["scale_z"]]) + 0.5 * (shears + shears.T))
@@ -155,10 +155,10 @@ def _affine(effect: Hidden) -> np.ndarray:
 
 @lru_cache(maxsize=2)
 def absorbed(machine: TruthMachine, plan: Plan) -> np.ndarray:
-    """(3n, r) orthonormal basis of what the set-up absorbs."""
+    """Return (3n, r) an orthonormal basis of the changes that the set-up absorbs."""
     columns = machine.set_up(plan)
     q, r = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))
-    # Some columns may be the same change: all targets together move as their station does.
+    # Columns may be dependent: a shift of all targets equals one of their station.
     u, values, _ = np.linalg.svd(r)
     return np.asarray(q @ u[:, values > 1e-7 * values[0]])
 
@@ -168,8 +168,8 @@ class Dmu50(TruthMachine):
     """The DMU 50 with its calibration's errors, which the method knows: `tests.truth.hidden` with its plan.
 
     Args:
-        stops: of each axis's run.
-        poses: of all axes, a round.
+        stops: number of stops of each axis's run.
+        poses: number of poses of all axes per round.
     """
 
     name = bundled = "dmu50"

@@ -1,4 +1,4 @@
-"""Machines that are no five-axis mills: a drill of two axes, a saw with two axes the same way, a robot of six joints, a stage."""
+"""Machines that are not five-axis mills: a drill of two axes, a saw with two parallel axes, a robot of six joints, a stage."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ frames: {tool: slide, work: bed}
 
 
 def write_stage(folder: Path) -> Path:
-    """URDF and machine file of a slide of 500 mm in ``folder``."""
+    """Write URDF and machine file of a slide of 500 mm into ``folder``."""
     return write_both(folder, "stage", _STAGE, _STAGE_FILE)
 
 
 def write_drill(folder: Path, *, second: str = "0 0 1") -> Path:
-    """URDF and machine file in ``folder``; the quill's axis may be turned."""
+    """Write URDF and machine file into ``folder``; the quill's axis may be rotated."""
     return write_both(folder, "drill", _DRILL.replace("0 0 1", second), _DRILL_FILE)
 
 
 def write_robot(folder: Path, joints: int = 6, reach_deg: float = 360.0) -> Path:
-    """A chain of turning joints, 0.3 m apart, about z and y in turn."""
+    """Write a chain of revolute joints, 0.3 m apart, about z and y in turn."""
     links, axes = ['<link name="l0"/>'], []
     for i in range(1, joints + 1):
         about = "0 0 1" if i % 2 else "0 1 0"

@@ -1,7 +1,7 @@
-"""A truth machine with something hidden in it: the DMU 50 measured by a realistic plan, in plain numpy, sharing no code with `twin`.
+"""A truth machine with hidden effects: the DMU 50 measured by a realistic plan, in plain numpy, sharing no code with `twin`.
 
-Single-axis runs there and back, poses of all five axes, three targets on either side, three rounds, time, temperatures and the
-direction each axis came from. Effects are written from the words of the contract's table (§5); mm and radians inside.
+Single-axis runs back and forth, poses of all five axes, three targets on either side, three rounds, time, temperatures and the
+direction of approach of each axis. Effects are written from their definitions in the documentation; mm and radians inside.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HOME = np.array([250.0, 225.0, -200.0, 0.0, 0.0])
 STEP_S = 8.0
 G = 9.81
 MASSES = {"cradle": (260.0, (0.0, -0.15, -0.24)), "table": (120.0, (0.0, 0.0, -0.032))}
-"""kg, and the centre in the link's frame, m: what turns with B, read off the URDF."""
+"""kg, and the centre in the link's frame, m, of everything that rotates with B, from the URDF."""
 TARGETS = {
     "K": ("tool", (-100.0, 70.0, 180.0)),
     "P": ("tool", (30.0, -70.0, 10.0)),
@@ -39,7 +39,7 @@ STATIONS = {"1": ((0.0, -2000.0, 200.0), (0.0, 0.0, 1.6)), "2": ((1900.0, -300.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured, in the order it is: n rows."""
+    """Rows of the measurement in order: n of them."""
 
     q: np.ndarray
     approach: np.ndarray
@@ -61,7 +61,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect of the contract's table at one place."""
+    """One named effect at one place."""
 
     effect: str
     where: str
@@ -81,14 +81,14 @@ def plan(
     stations: int = 1,
     same: bool = True,
 ) -> Plan:
-    """Runs of each axis there and back, then poses of all axes; ``same`` in every round, or new ones."""
+    """Return runs of each axis back and forth, then poses of all axes; ``same`` in every round, or new ones."""
     q, target, number = [], [], []
     drawn = rng.uniform(LOW, HIGH, (poses, 5))
     names = list(TARGETS)
     for k in range(rounds):
         for axis in range(5):
             places = np.linspace(LOW[axis], HIGH[axis] - (20.0 if axis == 4 else 0.0), stops)
-            # A run begins a little outside, so that the first stop has been come to from its side.
+            # A run begins a little outside, so that the first stop is approached from that side.
             for run in (places, places[::-1]):
                 for j, place in enumerate(run):
                     for i in (0, 1):
@@ -116,7 +116,7 @@ def plan(
             start = k * (n // rounds) + axis * 2 * per_run
             approach[start : start + per_run, axis] = 1.0
             approach[start + per_run : start + 2 * per_run, axis] = -1.0
-        # Every round begins by homing all axes from below: repeats are come to alike.
+        # Every round begins by homing all axes from below: repeats have the same approach.
         first = k * (n // rounds)
         for i in range(first, first + n // rounds):
             axis = (i - first) // (2 * per_run)
@@ -141,7 +141,7 @@ def points(
     calibration: Path = CALIBRATION,
     elsewhere: Mapping[str, str] | None = None,
 ) -> np.ndarray:
-    """(n, 3) what a perfect instrument reads, mm.
+    """Return (n, 3) the readings of a perfect instrument, mm.
 
     Args:
         of: the plan.
@@ -234,14 +234,14 @@ def points(
 
 
 def lagged(time_s: np.ndarray, drive: np.ndarray, constant: float) -> np.ndarray:
-    """(n,) first-order lag of what drives it, held from the row before on: its convolution with an exponential, all rows at once."""
+    """Return (n,) the first-order lag of an input held from the row before on: its convolution with an exponential."""
     ends, begins = time_s[:, None] - time_s, time_s[:, None] - np.concatenate([[0.0], time_s[:-1]])
     past = np.exp(-np.maximum(ends, 0.0) / constant) - np.exp(-np.maximum(begins, 0.0) / constant)
     return np.where(ends >= 0.0, past, 0.0) @ drive
 
 
 def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
-    """(n, 3) what stations read of points (n, 3) of the base, with what is hidden in the instrument, mm."""
+    """Return (n, 3) the stations' readings of points (n, 3) of the base, with the hidden errors of the instrument, mm."""
     origin = np.array([STATIONS[name][0] for name in of.station])
     turn = np.array([STATIONS[name][1] for name in of.station])
     for h in hidden:
@@ -265,14 +265,14 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
             mask = of.station == name if kind == "station" else of.round == name
             shears = np.array([[0.0, v["shear_xy"], v["shear_xz"]], [0.0, 0.0, v["shear_yz"]], [0.0] * 3])
             strain = 1e-6 * (np.diag([v["scale_x"], v["scale_y"], v["scale_z"]]) + 0.5 * (shears + shears.T))
-            # A station is read about its origin; in a round the instrument was aligned anew, about the middle of what it reads.
+            # A station is rotated about its origin; in a round the instrument was realigned, about the middle of its readings.
             middle = np.zeros(3) if kind == "station" else seen[mask].mean(axis=0)
             seen = seen + mask[:, None] * ((seen - middle) @ strain)
     return seen
 
 
 def set_up(of: Plan) -> np.ndarray:
-    """(3n, columns) what a shift or turn of each station and a shift of each target do to the readings: what any fit absorbs."""
+    """Return (3n, columns) the change of the readings by shift and rotation of each station and shift of each target."""
     n = len(of.q)
     none = {name: np.zeros((n, 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
     base = _carried(of, none, np.array([TARGETS[name][1] for name in of.target]))
@@ -292,13 +292,13 @@ def set_up(of: Plan) -> np.ndarray:
 
 
 def turned(of: Plan, vectors: np.ndarray) -> np.ndarray:
-    """(n, 3) in the base: vectors (n, 3) that are fixed to the side of each row's target, without errors."""
+    """Return (n, 3) in the base: vectors (n, 3) that are fixed to the side of each row's target, without errors."""
     none = {name: np.zeros((len(of.q), 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
     return _carried(of, none, vectors) - _carried(of, none, np.zeros((len(of.q), 3)))
 
 
 def left_over(of: Plan, moved: np.ndarray, kind: str = "isotropic", sigma_mm: float = 3e-3) -> np.ndarray:
-    """(3n, k) changes of the readings in standard deviations of their noise, less what the set-up absorbs of them.
+    """Return (3n, k) changes of the readings in standard deviations of their noise, without what the set-up absorbs of them.
 
     Args:
         of: the plan.
@@ -321,7 +321,7 @@ def left_over(of: Plan, moved: np.ndarray, kind: str = "isotropic", sigma_mm: fl
 
 
 def noisy(read: np.ndarray, rng: np.random.Generator, kind: str, sigma_mm: float = 3e-3) -> np.ndarray:
-    """Readings: scattering alike in all directions, or as a tracker's: 0.4 + 0.3/m µm along, 15 + 6/m µm across, two sigma."""
+    """Return readings with noise: isotropic, or as a tracker's: 0.4 + 0.3/m µm along, 15 + 6/m µm across, two sigma."""
     white = rng.standard_normal(read.shape)
     if kind == "isotropic":
         return read + sigma_mm * white
@@ -333,7 +333,7 @@ def noisy(read: np.ndarray, rng: np.random.Generator, kind: str, sigma_mm: float
 
 
 def write(path: Path, of: Plan, read: np.ndarray, *, u_mm: float | None, without: Sequence[str] = ()) -> Path:
-    """The contract's table."""
+    """Write the measurement table."""
     columns: dict[str, np.ndarray] = {f"{a}_{'mm' if a in 'XYZ' else 'deg'}": of.at(a) for a in AXES}
     if of.readback is not None:
         columns |= {f"readback_{a}_{'mm' if a in 'XYZ' else 'deg'}": of.readback[:, i] for i, a in enumerate(AXES)}
@@ -360,13 +360,13 @@ def write(path: Path, of: Plan, read: np.ndarray, *, u_mm: float | None, without
 
 
 def rounded(of: Plan) -> Plan:
-    """The plan with temperatures as they are written in the table."""
+    """Return the plan with temperatures as they are written in the table."""
     return replace(of, warm={name: np.round(values, 3) for name, values in of.warm.items()})
 
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> dict:
-    """What a calibration says; read, never changed."""
+    """Return the content of a calibration, read-only."""
     return dict(yaml.safe_load(text))
 
 
@@ -379,7 +379,7 @@ def _component(error: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def _along(error: dict[str, np.ndarray], axis: str, value: np.ndarray | float) -> None:
-    """µm or µrad along the axis's command: C is commanded about its frame's −z."""
+    """Return µm or µrad along the axis's command: C is commanded about its frame's −z."""
     column, scale = {"X": (0, 1e-3), "Y": (1, 1e-3), "Z": (2, 1e-3), "B": (5, 1e-6), "C": (5, -1e-6)}[axis]
     error[axis][:, column] += scale * value
 
@@ -396,7 +396,7 @@ def _curve(entry: dict, q: np.ndarray) -> np.ndarray:
 
 
 def _exp(w: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) Rodrigues."""
+    """Return (n, 3, 3) rotations by Rodrigues' formula."""
     angle = np.linalg.norm(w, axis=1)
     safe = np.maximum(angle, 1e-300)
     n = w / safe[:, None]
@@ -415,7 +415,7 @@ def _rx(n: int, angle: float) -> np.ndarray:
 
 
 def _carried(of: Plan, error: dict[str, np.ndarray], place: np.ndarray) -> np.ndarray:
-    """(n, 3) the targets in the base, mm, innermost factor first."""
+    """Return (n, 3) the targets in the base, mm, innermost factor first."""
     tool = place.copy()
     n = len(tool)
     zero = np.zeros(n)
@@ -438,7 +438,7 @@ def _carried(of: Plan, error: dict[str, np.ndarray], place: np.ndarray) -> np.nd
 
 
 def _load(of: Plan, axis: str) -> np.ndarray:
-    """N·m of gravity about B along its command: the torque of what the cradle carries about its own axis."""
+    """Return the torque of gravity, N·m, about B along its command: that of everything on the cradle, about its own axis."""
     if axis != "B":
         raise ValueError(
             "only B turns a weight on this machine: C stands on its own axis, X and Y are level, Z's load is constant"

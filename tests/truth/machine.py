@@ -1,8 +1,8 @@
 """A truth machine: the DMU 50 executing programs and being measured, in plain numpy, sharing no code with `twin`.
 
 It reads a calibration file with yaml alone, evaluates the curves itself, runs absolute axis-mode ISO programs through a modal
-interpreter of a few lines, and says where the tool really is, and what a tracker or an interferometer reads of a reflector. It also
-draws machines whose errors are written in the datum of `twin identify`, from that datum's words alone.
+interpreter of a few lines, and returns the true position of the tool, and the readings of a tracker or an interferometer. It also
+draws machines whose errors are written in the datum of `twin identify`, from that datum's definition alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AXES = "XYZBC"
 RANGES = {"X": (0.0, 500.0), "Y": (0.0, 450.0), "Z": (-400.0, 0.0), "B": (0.0, 180.0), "C": (0.0, 360.0)}
 MOTIONS = tuple(f"E_{letter}{axis}" for axis in AXES for letter in "XYZABC")
 CONSTANTS = ("E_C0Y", "E_A0Z", "E_B0Z", "E_A0B", "E_B0B", "E_X0C", "E_A0C", "E_B0C")
-"""Squareness and locations that points on targets of unknown place can tell; E_X0B, E_Y0B and E_Y0C they cannot."""
+"""Squareness and locations that points on targets of unknown place determine; E_X0B, E_Y0B and E_Y0C they do not."""
 
 
 class TruthMachine:
@@ -59,12 +59,12 @@ class TruthMachine:
         return found
 
     def pose(self, q: np.ndarray, *, real: bool = True) -> np.ndarray:
-        """4×4 tool in the work frame; q in mm and degrees."""
+        """Return 4×4 tool in the work frame; q in mm and degrees."""
         radians = np.asarray(q) * [1, 1, 1, np.pi / 180, np.pi / 180]
         return dmu50_pose(radians, self.errors(q) if real else {}, self.tool_length)
 
     def deviations(self, commands: np.ndarray, meant: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """µm at the tool tip and µrad of the tool axis: real pose at ``commands`` against nominal pose at ``meant``."""
+        """Return µm at the tool tip and µrad of the tool axis: true pose at ``commands`` minus nominal pose at ``meant``."""
         um, urad = [], []
         for q, wanted in zip(commands, meant, strict=True):
             real, nominal = self.pose(q), self.pose(wanted, real=False)
@@ -74,7 +74,7 @@ class TruthMachine:
 
 
 def run_iso(text: str, start: dict[str, float] | None = None) -> list[tuple[str, np.ndarray]]:
-    """(G0 or G1, position) after each motion block of an absolute metric program; NaN where nothing was said."""
+    """Return (G0 or G1, position) after each motion block of an absolute metric program; NaN where none was given."""
     position = {axis: np.nan for axis in AXES} | (start or {})
     code, out = "G0", []
     for line in text.splitlines():
@@ -89,7 +89,7 @@ def run_iso(text: str, start: dict[str, float] | None = None) -> list[tuple[str,
 
 
 def carried(truth: TruthMachine, q: np.ndarray, carrier: str, place: np.ndarray) -> np.ndarray:
-    """A reflector in the base frame, mm, from the contract's two chains; q in mm and degrees, place in mm."""
+    """Return a reflector in the base frame, mm, from the two chains of the conventions; q in mm and degrees, place in mm."""
     e = {axis: error_frame(six) for axis, six in truth.errors(q).items()}
     b, c = np.radians(q[3:])
     if carrier == "tool":
@@ -102,21 +102,21 @@ def carried(truth: TruthMachine, q: np.ndarray, carrier: str, place: np.ndarray)
 
 
 def seen(origin: np.ndarray, turn: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """A point of the base frame in the frame of a station there, mm; ``turn`` its rotation vector."""
+    """Return a point of the base frame in the frame of a station, mm; ``turn`` its rotation vector."""
     return error_frame(np.concatenate([np.zeros(3), turn]))[:3, :3].T @ (point - origin)
 
 
 def in_datum(
     rng: np.random.Generator, names: tuple[str, ...] = MOTIONS, *, size: float = 30.0, constants: bool = True
 ) -> dict[str, dict]:
-    """Curves, squareness and locations of a machine, written in the datum of `twin identify` (its words, not its code).
+    """Return curves, squareness and locations of a machine in the datum of `twin identify` (by its definition, not its code).
 
-    Linear axes and B have Legendre polynomials up to degree 8, C four harmonics: no curve a constant; no straightness a slope (the
-    least-squares line over the range); of a rotary axis no part of (E_X, E_Y) or (E_A, E_B) that turns with it.
+    Linear axes and B have Legendre polynomials up to degree 8, C four harmonics: no curve has a constant; no straightness a slope (the
+    least-squares line over the range); a rotary axis has no part of (E_X, E_Y) or (E_A, E_B) that rotates with it.
 
     Args:
-        rng: the seed's generator.
-        names: the error motions it has.
+        rng: random generator.
+        names: its error motions.
         size: µm; ten times as many µrad.
         constants: whether it has squareness and locations.
     """
@@ -134,7 +134,7 @@ def in_datum(
         for pair in ("XY", "AB"):
             both = [f"E_{letter}{axis}" for letter in pair]
             present = [name for name in both if name in sums]
-            # All that the axis carries, shifted by a fixed vector (1, 0) or (0, 1), in the frame that does not turn.
+            # Everything that the axis carries, shifted by a fixed vector (1, 0) or (0, 1), in the frame that does not rotate.
             angle = np.radians(np.mean(RANGES[axis]) + x * np.ptp(RANGES[axis]) / 2.0)
             patterns = [(np.cos(angle), sign * np.sin(angle)), (-sign * np.sin(angle), np.cos(angle))]
             functions = _harmonics(angle, 4) if axis == "C" else legendre.legvander(x, 8)
@@ -165,7 +165,7 @@ def in_datum(
 
 
 def written(path: Path, errors: dict[str, dict]) -> TruthMachine:
-    """A machine with these errors, by way of its calibration file."""
+    """Return a machine with these errors, by way of its calibration file."""
     head = {"schema": "twin.calibration/1", "machine": "DMU 50 eVolution", "source": "drawn for a test"}
     path.write_text(yaml.safe_dump(head | errors, sort_keys=False))
     return TruthMachine(path)

@@ -1,4 +1,4 @@
-"""Just enough PNG to look at a screenshot: 8 bits a channel, colour, not interlaced."""
+"""A minimal PNG reader for screenshots: 8 bits per channel, colour, not interlaced."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def read_png(path: Path) -> np.ndarray:
-    """(height, width, 3) of uint8."""
+    """Return (height, width, 3) of uint8."""
     data = path.read_bytes()
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise ValueError(f"{path} is no PNG")

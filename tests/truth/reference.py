@@ -1,4 +1,4 @@
-"""The DMU 50 written a second time, in plain numpy from the contract alone: it shares no code with `twin`.
+"""A second implementation of the DMU 50, in plain numpy from the conventions alone: it shares no code with `twin`.
 
 Units: mm and radians; errors in mm and radians.
 """
@@ -25,7 +25,7 @@ def about(axis: int, angle: float) -> np.ndarray:
 
 
 def error_frame(six: np.ndarray) -> np.ndarray:
-    """Trans(e)·Exp(w), by Rodrigues' formula."""
+    """Return Trans(e)·Exp(w), by Rodrigues' formula."""
     w = np.asarray(six[3:], dtype=float)
     angle = np.linalg.norm(w)
     matrix = translation(*six[:3])
@@ -37,7 +37,7 @@ def error_frame(six: np.ndarray) -> np.ndarray:
 
 
 def dmu50_pose(q: np.ndarray, errors: dict[str, np.ndarray], tool_length: float = 0.0) -> np.ndarray:
-    """work⁻¹ · tool of contract §1.
+    """Return work⁻¹ · tool.
 
     q: X, Y, Z in mm, B, C in radians. errors: six numbers for X, Y, Z, B, C and for L_B, L_C; absent = zero.
     """
@@ -54,7 +54,7 @@ def dmu50_pose(q: np.ndarray, errors: dict[str, np.ndarray], tool_length: float 
 
 
 def sorby_forward(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Thesis eq. 3.19-3.24 (Sørby 2007): point (x, y, z) and tool axis (i, j, k); X, Y, Z counted from the table's centre.
+    """Return thesis eq. 3.19-3.24 (Sørby 2007): point (x, y, z) and tool axis (i, j, k); X, Y, Z counted from the table's centre.
 
     Derived from the chain again: the printed formulas hold.
     """
@@ -70,7 +70,7 @@ def sorby_forward(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sorby_inverse(point: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Thesis eq. 3.25-3.29: X, Y, Z (from the table's centre), B, C."""
+    """Return thesis eq. 3.25-3.29: X, Y, Z (from the table's centre), B, C."""
     x, y, z = point
     i, j, k = axis
     w = np.sqrt(max(2 * (k - k * k), 0.0))

@@ -106,7 +106,7 @@ def identify(
     with scratch_folder() as folder:
         # What is reported is what the file does: written, read back and evaluated on the rows before it takes its place.
         calibration.save(folder / output.name)
-        found = found.as_written(replace(Calibration.load(folder / output.name, loaded), path=None))
+        found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
     text = found.to_text()
     if tables is not None:

@@ -1,74 +1,79 @@
-"""From measured points to error motions, with their uncertainty.
+"""Error motions, squareness and axis locations from measured points, with their uncertainty.
 
     twin simulate thesis_plan.csv -o measured.csv --seed 7
     twin identify measured.csv -o mine.yaml --json identified.json
 
-The first measures the illustrative machine as the thesis measured the real one; with a table of your own, start at the second.
-It takes some ten seconds and asks neither where the tracker stood nor where the reflectors sat. `notebooks/01_identify.ipynb`
-goes through the result in pictures (`twin.identification.plots`, extra `plots`).
+The first command simulates the thesis's measurement on the illustrative machine; with a table of your own, start at the second. It
+takes some ten seconds and needs neither the pose of the tracker nor the places of the reflectors. `notebooks/01_identify.ipynb`
+shows the result in plots (`twin.identification.plots`, extra `plots`).
 
-**The report, from the top.** What is left, against what the instrument is good for: reduced chi² is one where the model and the
-stated uncertainty hold. Repeats alone say whether the instrument is as good as stated; lack of fit, whether something the model
-leaves out comes back at the same place. One line judges the two; where it complains, the intervals below do not cover what it
-complains of. Then each error with its largest value and the half width of its widest 95 % interval, how many orders it was
-given, and the held-out error beside that of degree 8 (for this curve, the others as chosen). Then what is not identifiable and
-why, and every row set aside with line and reason (exit status 3).
+**The report, from top to bottom.**
 
-**The estimate.** Whitened nonlinear least squares of all readings at once: error motions, squareness, locations, stations and
-targets. Every reading is weighted by its own uncertainty (`u_x_mm …`, else the instrument's model at that place), derivatives
-are analytic, no covariance is scaled by chi². A station may ride on the tool or the table (column `station_carrier`: `base`, `tool`
-or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is X's mean line, the xy-plane holds Y's.
+1. Residuals compared with the measurement uncertainty. The reduced chi² is one if the model and the stated uncertainty hold. The
+   reduced chi² of repeats alone shows whether the instrument is as good as stated. The lack-of-fit test shows whether there are
+   residuals that repeat, which the model does not describe. One line gives the verdict; if it reports a misfit, the intervals below do
+   not cover it.
+2. Each error with its peak value, the half width of its widest 95 % interval, the degree of its curve, and the held-out error next to
+   that of degree 8 (for this curve, with the other curves as chosen).
+3. Errors that are not identifiable, with the reason, and every row that was set aside, with its line and reason (exit status 3).
 
-- No curve has a constant: it is the axis's zero, a location, or the place of the targets.
-- No straightness has a slope: the line is least squares over the range, and its direction is squareness. Two curves from two
-  set-ups compare as they are.
-- What a shift or tilt of all that a rotary axis carries would do (first harmonics of E_X with E_Y, and of E_A with E_B, that
-  turn with it) is no error motion.
+**The estimate** is a whitened nonlinear least-squares fit to all readings at once: error motions, squareness, axis locations, poses of
+the stations and places of the targets. Every reading is weighted with its own uncertainty (`u_x_mm …`, otherwise the instrument's
+model). Derivatives are analytic. No covariance is scaled by chi². A station may ride on the tool or the table (column
+`station_carrier`: `base`, `tool` or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is the
+mean line of X, and the xy-plane contains the mean line of Y.
 
-How many functions of a curve the readings support is chosen curve by curve, by the error on a round and positions held out together;
-part of a turn may have powers or harmonics, whichever predicts better. The estimate takes no function as zero and none as free: each
-has a prior whose size and fall are integrated over (`twin.identification.priors`). So a curve within the noise has an interval that
-allows for what it may still hold, and a low order is no claim of zero.
+- Curves have no constant: it belongs to the axis's zero, to a location, or to the places of the targets.
+- Straightness curves have no slope: the reference line is the least-squares line over the range, and its direction is squareness.
+  Curves from two set-ups can therefore be compared directly.
+- A shift or tilt of everything that a rotary axis carries (first harmonics of E_X and E_Y, and of E_A and E_B, that rotate with the
+  axis) is not part of its error motions.
 
-**Outliers.** A few wrong points do not pull: robust weights find them, a false alarm comes in one data set of a hundred, and the
-final estimate is least squares without them. A point is compared with the points of its target from its station. Where most of
-these miss by more than the instrument's noise, the model is what is wrong: they stay in, and only what stands out of them is set
-aside. The RMS over all rows stands beside that over the rows used.
+The number of functions of each curve is chosen by its prediction error on held-out data: one round and some positions are held out
+together. For part of a turn, powers or harmonics are used, whichever predicts better. Functions are neither set to zero nor left
+free: each has a prior, whose size and decay are integrated over (`twin.identification.priors`). A curve within the noise therefore
+has an interval that allows for undetected components, and a low order does not mean that higher orders are zero.
 
-`--uncertainty` says which scatter the intervals carry: the stated uncertainty of the readings, that of their `repeats`, or the scatter
-`'between poses'` or `'between rounds'`, for data in which the model leaves something out. `--only` takes all errors it does not name
-as zero.
+**Outliers.** Robust weights find a few wrong points; a false alarm occurs in one data set of a hundred. The final estimate is least
+squares without them. Each point is compared with the other points of its target from its station. Where most of these have residuals
+larger than the instrument's noise, the model is wrong, not the readings: they stay in, and only points that differ from them are set
+aside. The report gives the RMS over all rows next to that over the rows used.
 
-**The file is the fit.** The calibration is written, read back and evaluated on the rows; the residuals of the report are those of
-the file. Where the model leaves something out, an error that the readings hardly show would be fitted to the misfit. It has a weak
-prior instead: a standard deviation of 1000 µm or µrad, or what the machine file says:
+`--uncertainty` selects the noise on which the intervals are based: the stated uncertainty of the readings, the standard deviation of
+`repeats`, or the variation `'between poses'` or `'between rounds'` for data that the model does not describe completely. `--only`
+sets all errors that it does not name to zero.
+
+**The file is the fit.** The calibration is written, read back and evaluated on the rows; the residuals in the report are those of the
+file. Where the model is incomplete, an error that the readings hardly determine would be fitted to the misfit. It therefore has a weak
+prior with a standard deviation of 1000 µm or µrad, or the value in the machine file:
 
     plausible:
       motion: {um: 200, urad: 200}
       location: {um: 5000, urad: 5000}      # and squareness
 
-**Not identifiable** means that these data look the same with and without an error, however large it is. Where only stations and
-targets can take its place, it is left out. Where it can be exchanged for other errors, all of them stay in the calibration, held by
-their priors: their sum is known, and the covariance says that each by itself is not. Most often reflectors of unknown place move with
-the table, so where B and C lie in X and Y needs their places (`place_x_mm …`) or a reference on the machine.
+**Not identifiable** means that an error of any size has no influence on the residuals of these data. If only stations and targets can
+compensate it, it is left out. If it is confounded with other errors, all of them stay in the calibration, limited by their priors:
+their sum is known, and the covariance shows that each of them is not. The most frequent case are reflectors of unknown place that
+move with the table: the position of B and C in X and Y then needs the places of the reflectors (`place_x_mm …`) or a reference on the
+machine.
 
-**Uncertainty at the tool.** U is the radius within which 95 % of a normal error of the point lies: not twice a standard
-deviation, which in space covers less. `twin info -c mine.yaml` gives each error's peak with its standard uncertainty, and U
-of the tool point over the volume with the place of the largest. `compensate` prints the correction ± U, lists the blocks whose
-correction is no larger than its own U and does not call them improved; in JSON all of it is under `uncertainty`. Where a
-calibration gives no covariance, U is unknown, never zero. U covers the calibration's own numbers only: no repeatability, no
-temperature, no rounding.
+**Uncertainty at the tool.** U is the radius of the sphere that contains 95 % of a normally distributed error of the point. It is not
+twice a standard deviation, which in space covers less. `twin info -c mine.yaml` gives each error's peak with its standard
+uncertainty, and U of the tool point over the volume with the place of the largest. `compensate` prints the correction ± U, lists the
+blocks whose correction does not exceed its own U and does not count them as improved; in JSON all of it is under `uncertainty`. If a
+calibration has no covariance, U is unknown, never zero. U covers the calibration only: no repeatability, no temperature, no rounding.
 
-**The stages**, in `twin.identification.identify`; each takes the values before it and returns one.
+**The stages**, in `twin.identification.identify`; each takes the results of the stages before it.
 
-1. `inputs.prepared`: measurements → `Placed`: rows that fit their commands, the instrument, and stations and targets to start from.
-2. `determined.determined`: → `Determined`: the unknowns that the data determine, one model for each family of curves.
-3. `robust.robust_start`: → `Start`: an estimate that a few wrong points do not pull.
-4. `orders.choose`: → `Choice`: how many functions of each curve the held-out readings support.
-5. `priors.prior_precision`: → how firmly each function is held about zero.
-6. `robust.without_outliers`: → `Estimate`: least squares (`solve.solve`) without the outliers.
+1. `inputs.prepared`: measurements → `PreparedData`: rows that agree with their commands, the instrument, and initial values of stations
+   and targets.
+2. `determined.determined_models`: → `DeterminedModel`: the unknowns that the data determine, one model for each family of curves.
+3. `robust.robust_start`: → `RobustStart`: an estimate that is not affected by a few wrong points.
+4. `orders.choose`: → `Choice`: the number of functions of each curve that the held-out readings support.
+5. `priors.prior_precision`: → the precision of each function's prior about zero.
+6. `robust.without_outliers`: → `FinalEstimate`: least squares (`solve.solve`) without the outliers.
 7. `spread.covariance_of`: → its covariance.
-8. → `Identification`: the calibration, what is not identifiable, and the residuals of the calibration.
+8. → `Identification`: the calibration, the errors that are not identifiable, and the residuals of the calibration.
 """
 
 from twin.identification.identify import identify

@@ -1,4 +1,4 @@
-"""The estimate: from a measurement table to a calibration with its covariance, one stage after the other."""
+"""The estimate: from a measurement table to a calibration with its covariance, stage by stage."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import locked
 from twin._common.units import MM
-from twin.identification.determined import Determined, Wanted, determined
-from twin.identification.inputs import Placed, prepared
+from twin.identification.determined import DeterminedModel, Wanted, determined_models
+from twin.identification.inputs import PreparedData, prepared
 from twin.identification.orders import Choice, choose
-from twin.identification.outliers import explained, model_is_wrong
+from twin.identification.outliers import explained, many_outliers_notice
 from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, residuals_of
-from twin.identification.robust import FinalEstimate, Start, robust_start, without_outliers
+from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
 from twin.machine.machine import Machine
@@ -30,10 +30,10 @@ Say = Callable[[str, float], None]
 @final
 @dataclass(frozen=True)
 class _Model:
-    """The largest model in one family of bases, a robust estimate of it, and how many functions of its curves pay."""
+    """The largest model in one family of bases, a robust estimate of it, and the number of functions of its curves."""
 
-    determined: Determined
-    start: Start
+    determined: DeterminedModel
+    start: RobustStart
     choice: Choice
 
 
@@ -48,28 +48,28 @@ def identify(
 ) -> Identification:
     """Identify a machine's error motions, squareness and locations together with stations and targets.
 
-    Whitened nonlinear least squares with analytic derivatives of every reading by every unknown. The datum is the machine's own
-    (`twin.identification.unknowns`); the covariance is that of the readings carried through, never rescaled by chi².
+    Whitened nonlinear least squares with analytic derivatives of all readings with respect to all unknowns. The datum is the machine's
+    own (`twin.identification.unknowns`); the covariance is propagated from that of the readings and never scaled by chi².
 
     Args:
         data: the measurements.
         machine: the machine.
-        instrument: what read them; a tracking interferometer if only lengths were read, else a laser tracker (AT960).
-        wanted: whether an error of that ISO 230-1 name is sought at all; all by default.
-        spread: whose scatter the covariance carries: the stated uncertainty of the readings; the scatter of their repeats; or the
-            scatter from pose to pose or from round to round, for a model that leaves something out (`twin.identification.spread`).
-        say: told what is being done and how far it is.
+        instrument: the instrument; by default a tracking interferometer if only lengths were read, otherwise a laser tracker (AT960).
+        wanted: whether an error of that ISO 230-1 name is to be estimated; all by default.
+        spread: noise on which the covariance is based: the stated uncertainty of the readings; the standard deviation of their repeats;
+            or the variation between poses or between rounds, for an incomplete model (`twin.identification.spread`).
+        say: callback for progress, called with the stage and the fraction done.
 
     Raises:
-        InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; nothing that moved.
+        InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; no axis that moved.
     """
-    # On a shared machine the threads of a linear algebra library wait for each other longer than they work.
+    # On a shared computer the threads of a linear algebra library wait for each other longer than they work.
     with threadpool_limits(limits=1, user_api="blas"):
         say("placing the stations", 0.0)
         placed = prepared(machine, data, instrument)
-        scatter = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
+        from_repeats = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
         say("choosing the curves", 0.1)
-        model = _best([_model(one, placed) for one in determined(machine, placed, wanted, scatter)])
+        model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
         say("estimating", 0.75)
         precision = prior_precision(model.determined.network, model.start)
         estimate = without_outliers(model.determined.network, model.start, precision)
@@ -79,13 +79,13 @@ def identify(
         return _result(model, estimate, covariance, spread, wanted)
 
 
-def _model(of: Determined, placed: Placed) -> _Model:
+def _model(of: DeterminedModel, placed: PreparedData) -> _Model:
     start = robust_start(of.network, placed.setup, of.triangle)
-    return _Model(of, start, choose(of.network, start, of.together))
+    return _Model(of, start, choose(of.network, start, of.confounded))
 
 
 def _best(models: list[_Model]) -> _Model:
-    """The model that predicts held-out readings best; of those that predict alike the first."""
+    """Return the model that predicts held-out readings best; the first of equally good ones."""
     best, *others = models
     for other in others:
         if other.choice.held_out < best.choice.held_out * (1.0 - 1e-6):
@@ -104,7 +104,7 @@ def _result(
     calibration = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution)
-    left, whitened = residuals_of(calibration, network, solution.setup)
+    residual, whitened = residuals_of(calibration, network, solution.setup)
     return Identification(
         calibration=calibration,
         unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
@@ -116,10 +116,10 @@ def _result(
         spread=spread,
         data=data,
         used=locked(used),
-        residual_mm=locked(np.where(network.read, left / MM, np.nan)),
+        residual_mm=locked(np.where(network.read, residual / MM, np.nan)),
         whitened=locked(whitened),
-        set_aside=(*data.set_aside, *explained(network, left, whitened, rows.bad)),
-        notices=(*data.notices, *model_is_wrong(rows), *unknown_reference(solution, unknowns)),
+        set_aside=(*data.set_aside, *explained(network, residual, whitened, rows.bad)),
+        notices=(*data.notices, *many_outliers_notice(rows), *unknown_reference(solution, unknowns)),
         converged=solution.converged,
         network=network,
         solution=solution,

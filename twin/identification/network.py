@@ -1,7 +1,7 @@
-"""Readings against prediction: whitened residuals and their derivatives by machine and set-up, in pieces of bounded size.
+"""The least-squares problem: whitened residuals and their derivatives with respect to machine and set-up, in chunks of bounded size.
 
-One row of numbers is one coordinate that was read. Whitening is by the covariance the instrument states for the reading (or the
-one the table gives), taken at the reading itself so that it does not move with the estimate.
+One row is one coordinate that was read. Whitening uses the covariance that the instrument's model (or the table) states for the
+reading, evaluated at the reading itself, so that it does not change with the estimate.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix
 
 PIECE: Final = 1024
-"""Points worked on at a time."""
-WHOLE: Final = 8192
-"""Points seen at a time where all of what is seen is kept."""
+"""Number of points in a chunk."""
+VIEW_CHUNK: Final = 8192
+"""Number of points in a chunk of a `View`, whose results are all kept."""
 
 
 @final
 @dataclass(frozen=True)
 class WhitenedRows:
-    """Some points: their rows in the data, and (unknowns + 1, k, 3) whitened derivatives by each unknown, residuals last.
+    """Some points: their rows in the data, and (unknowns + 1, k, 3) whitened derivatives with respect to each unknown, residuals last.
 
     Zero where nothing was read.
     """
@@ -44,30 +44,30 @@ class WhitenedRows:
 
     @property
     def residual(self) -> np.ndarray:
-        """(k, 3)."""
+        """Whitened residuals, (k, 3)."""
         return self.columns[-1]
 
     @property
     def jacobian(self) -> np.ndarray:
-        """(k, 3, unknowns)."""
+        """Whitened derivatives, (k, 3, unknowns)."""
         return self.columns[:-1].transpose(1, 2, 0)
 
 
 @final
 @dataclass(frozen=True)
 class View:
-    """Some points as their stations see them; metres, derivatives whitened.
+    """Some points in their stations' frames; metres, derivatives whitened.
 
     Attributes:
-        rows: in the data.
+        rows: rows in the data.
         residual: (k, 3) whitened.
         points: (k, 3) in the base frame.
         seen: (k, 3) the points in their stations' frames.
         whitening: (k, 3, 3).
-        by_seen: (k, 3, 3) reading by the point in the station's frame.
-        by_base: (k, 3, 3) by the point in the base frame.
-        by_error: (k, 3, 6·frames) by every component of every error frame.
-        by_place: (k, 3, 3) by the target's place on its carrier.
+        by_seen: (k, 3, 3) derivative of the reading with respect to the point in the station's frame.
+        by_base: (k, 3, 3) with respect to the point in the base frame.
+        by_error: (k, 3, 6·frames) with respect to every component of every error frame.
+        by_place: (k, 3, 3) with respect to the target's place on its carrier.
     """
 
     rows: np.ndarray
@@ -81,26 +81,26 @@ class View:
     by_place: np.ndarray
 
     def part(self, some: slice | np.ndarray) -> View:
-        """Of some of these points."""
+        """Return some of these points."""
         return View(*(own[some] for own in self.arrays()))
 
     def arrays(self) -> list[np.ndarray]:
-        """All of it, in order."""
+        """Return all arrays in order."""
         return [getattr(self, field.name) for field in fields(self)]
 
 
 @final
 class Network:
-    """Data, instrument and model together.
+    """Data, instrument and model of a least-squares problem.
 
     Args:
         machine: the machine.
         data: the measurements.
-        instrument: what read them; its covariance is used where the table gives no uncertainties.
-        unknowns: of the machine.
-        base: errors taken as known; none if None.
-        covariance: (n, 3, 3) of the readings, m²; the table's and the instrument's if None.
-        check: whether positions that a curve of ``base`` does not cover are refused.
+        instrument: the instrument; its covariance is used where the table gives no uncertainties.
+        unknowns: unknowns of the machine.
+        base: errors that are known; none if None.
+        covariance: (n, 3, 3) of the readings, m²; that of the table and the instrument if None.
+        check: whether positions outside the domain of a curve of ``base`` are refused.
     """
 
     def __init__(
@@ -129,15 +129,15 @@ class Network:
         self._shapes = unknowns.shapes(data.positions)
         self._orders: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[np.ndarray, np.ndarray]] = {}
 
-    def scattered(self, factor: float) -> Network:
-        """The same with all variances of the readings times a factor."""
+    def with_variance_factor(self, factor: float) -> Network:
+        """Return the same problem with all variances of the readings multiplied by a factor."""
         other = copy(self)
         other.covariance = locked(self.covariance * factor)
         other.whitening = locked(self.whitening / np.sqrt(factor))
         return other
 
     def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) station and (n,) target of each row as a set-up counts them: it may have been found from other rows."""
+        """Return (n,) station and (n,) target of each row as indices of a set-up, which may come from other rows."""
         names = setup.stations, setup.targets
         if names not in self._orders:
             stations, targets = ({name: i for i, name in enumerate(own)} for own in names)
@@ -148,7 +148,7 @@ class Network:
         return self._orders[names]
 
     def errors(self, theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(k, 6·frames) the error frames of an estimate at some points."""
+        """Return (k, 6·frames) the error frames of an estimate at some points."""
         found = np.array(self._base[rows])
         for value, shapes in zip(theta, self._shapes, strict=True):
             if value != 0.0:
@@ -156,51 +156,51 @@ class Network:
                     found[:, at] += value * values[rows]
         return found
 
-    def pieces(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
-        """Residuals and derivatives of all points, machine's columns first, then the set-up's."""
-        return (self.piece(theta, setup, rows) for rows in self.shares)
+    def chunks(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
+        """Yield residuals and derivatives of all points in chunks, the machine's columns first, then the set-up's."""
+        return (self.chunk(theta, setup, rows) for rows in self.row_chunks)
 
     @cached_property
-    def shares(self) -> list[np.ndarray]:
-        """All rows, `PIECE` at a time."""
+    def row_chunks(self) -> list[np.ndarray]:
+        """All rows, in chunks of `PIECE`."""
         points = len(self.data)
         return [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
-        """(n, 3) whitened residuals, zero where nothing was read."""
+        """Return (n, 3) whitened residuals, zero where nothing was read."""
         found = np.zeros((len(self.data), 3))
-        for rows in self.shares:
-            found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.difference(theta, setup, rows))
+        for rows in self.row_chunks:
+            found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.residuals_m(theta, setup, rows))
         return found
 
-    def difference(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
-        """(k, 3) read less predicted, metres, in each station's frame; zero where nothing was read."""
+    def residuals_m(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+        """Return (k, 3) measured minus predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._order(setup)[1][rows]]
         points = self._observation.points(q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows])
         seen = self._seen(points, setup, rows)
-        return self._left(seen, setup, rows)
+        return self._residuals(seen, setup, rows)
 
     def _seen(self, points: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
-        """Points of the base frame in the frame of the station that read them."""
+        """Return points of the base frame in the frame of the station that read them."""
         station = self._order(setup)[0][rows]
         return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
 
-    def _left(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+    def _residuals(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
         predicted = np.nan_to_num(self.instrument.read(seen), nan=0.0)
         if setup.lengths_only:
             predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
     def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
-        """Some points as the stations see them, with every derivative an effect may need."""
-        first = self._view(theta, setup, rows[:WHOLE])
-        if len(rows) <= WHOLE:
+        """Return some points in their stations' frames, with every derivative an effect may need."""
+        first = self._view(theta, setup, rows[:VIEW_CHUNK])
+        if len(rows) <= VIEW_CHUNK:
             return first
-        # In pieces, or what they are worked out from would take more room than they do.
+        # In chunks, because the intermediate results need more memory than the result.
         found = View(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
-        for start in range(0, len(rows), WHOLE):
-            some = slice(start, start + WHOLE)
+        for start in range(0, len(rows), VIEW_CHUNK):
+            some = slice(start, start + VIEW_CHUNK)
             part = first if start == 0 else self._view(theta, setup, rows[some])
             for whole, own in zip(found.arrays(), part.arrays(), strict=True):
                 whole[some] = own
@@ -221,7 +221,7 @@ class Network:
         by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
         return View(
             rows=rows,
-            residual=np.einsum("nij,nj->ni", whitening, self._left(seen, setup, rows)),
+            residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
             points=carried.points,
             seen=seen,
             whitening=whitening,
@@ -231,22 +231,22 @@ class Network:
             by_place=by_base @ carried.rotation,
         )
 
-    def piece(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
-        """Residuals and derivatives of some points."""
+    def chunk(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
+        """Return residuals and derivatives of some points."""
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
-        # An unknown a row: each is then written, and factorised, as it lies in memory.
+        # One row for each unknown, so that it is contiguous in memory when it is written and factorised.
         by_error = np.ascontiguousarray(view.by_error.transpose(2, 0, 1))
         columns = np.zeros((machine + len(setup) + 1, len(rows), 3))
         columns[-1] = view.residual
         for column, shapes in zip(columns, self._shapes, strict=False):
             for at, values in shapes:
                 column += by_error[at] * values[rows, None]
-        self.by_setup(view, setup, columns[machine:-1].transpose(1, 2, 0))
+        self.fill_setup_columns(view, setup, columns[machine:-1].transpose(1, 2, 0))
         return WhitenedRows(rows, columns)
 
-    def by_setup(self, view: View, setup: SetUp, into: np.ndarray) -> None:
-        """Derivatives by the set-up's unknowns, into (k, 3, unknowns) of zeros."""
+    def fill_setup_columns(self, view: View, setup: SetUp, into: np.ndarray) -> None:
+        """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))
         for kind, i, at in setup.slots:
             of = np.flatnonzero((target if kind == "place" else station) == i)
@@ -262,7 +262,7 @@ class Network:
 
 
 def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
-    """(n, 3, 3) m²: the table's standard uncertainties where it gives them for every coordinate read, else the instrument's model."""
+    """Return (n, 3, 3) m²: from the table's standard uncertainties if all of a row are given, else from the instrument's model."""
     read = np.isfinite(data.point_mm)
     points = np.where(read, data.point_mm, 0.0) * MM
     found = np.array(instrument.covariance(np.where(np.linalg.norm(points, axis=1, keepdims=True) > 0, points, 1e-3)))
@@ -274,7 +274,7 @@ def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
 
 
 def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) W with W C Wᵀ = 1 on the coordinates that were read, zero on the others."""
+    """Return (n, 3, 3) W with W C Wᵀ = 1 on the coordinates that were read, zero on the others."""
     found = np.zeros_like(covariance)
     for pattern in np.unique(read, axis=0):
         rows = np.flatnonzero(np.all(read == pattern, axis=1))

@@ -1,12 +1,12 @@
-"""How many functions each curve gets: by the error on rounds and positions that were held out.
+"""Choice of the number of functions of each curve, by the prediction error on rounds and positions that were held out.
 
-Around one estimate with as many functions as the positions allow, the problem is linear, and a curve cut short is that estimate
-under the condition that the coefficients cut are zero. So one factorisation a fold serves all candidates: cutting is conditioning.
-The search starts at the best number that is the same for all curves and then goes from curve to curve, each time trying every number
-for that one, until no curve changes.
+Near one estimate with as many functions as the positions allow, the problem is linear, and a truncated curve is that estimate
+conditional on zero values of the truncated coefficients. So one factorisation for each fold serves all candidates: truncation is
+conditioning. The search starts at the best number that is the same for all curves and then tries every number for one curve after the
+other, until no curve changes.
 
-A fold leaves out one round and some interior positions together: rounds alone repeat the same positions, and a curve that swings
-between them would pass (thesis: degree 8 on 11 points).
+A fold leaves out one round and some interior positions together: rounds alone repeat the same positions, and a curve that oscillates
+between them would not be detected (thesis: degree 8 on 11 points).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dpstrf
 from twin._common.arrays import locked
 from twin._common.threads import side_by_side
 from twin.identification.network import Network
-from twin.identification.robust import Start
+from twin.identification.robust import RobustStart
 from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
 from twin.measurement.table import Measurements
@@ -31,20 +31,21 @@ from twin.numerics.curves import CurveSpace
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8
 SWEEPS: Final = 6
-ALIKE: Final = 2e-15
-"""Held-out chi² a reading that is rounding: of models that predict alike the smallest is taken, so that noise-free data do not
-bring functions that are not there."""
+ROUNDING: Final = 2e-15
+"""Held-out chi² per reading that is rounding: of models that predict equally well the smallest is taken, so that noise-free data do not
+give functions that do not exist.
+"""
 
 
 @final
 @dataclass(frozen=True)
 class Folds:
-    """Which points belong together.
+    """Groups of points that are held out together.
 
     Attributes:
         round_of: (n,) group of rounds.
-        pose_of: (n,) group of positions; −1 for those never held out (the ends of an axis's travel).
-        rounds, poses: how many groups there are.
+        pose_of: (n,) group of positions; −1 for those never held out (end points of an axis's travel).
+        rounds, poses: number of groups.
     """
 
     round_of: np.ndarray
@@ -54,7 +55,7 @@ class Folds:
 
     @classmethod
     def of(cls, data: Measurements) -> Folds:
-        """From the rounds and positions of a table."""
+        """Return the folds of a table's rounds and positions."""
         names = list(dict.fromkeys(data.round))
         rounds = min(len(names), ROUND_FOLDS)
         round_of = np.array([names.index(name) % rounds for name in data.round])
@@ -68,7 +69,7 @@ class Folds:
         return cls(locked(round_of), locked(group[pose]), rounds, count if count > 1 else 0)
 
     def held_out(self) -> list[np.ndarray]:
-        """(rounds, poses + 1) masks of cells, one a fold; the last column is what is never held out by position."""
+        """Return (rounds, poses + 1) masks of cells, one for each fold; the last column contains positions that are never held out."""
         count = max(self.rounds if self.rounds > 1 else 0, self.poses)
         masks = []
         for fold in range(count):
@@ -84,14 +85,14 @@ class Folds:
 @final
 @dataclass(frozen=True)
 class Choice:
-    """How many functions each curve gets, and what the alternatives predict.
+    """Number of functions of each curve, and prediction errors of the alternatives.
 
     Attributes:
-        counts: functions kept by curve, those the datum takes included; 0 for a curve left out.
-        held_out: RMS of the whitened readings held out.
+        counts: number of functions by curve, those excluded by the datum counted; 0 for a curve left out.
+        held_out: RMS of the whitened residuals held out.
         by_curve: for every curve, held-out RMS by number of functions, the others as chosen.
-        uniform: held-out RMS with the same number everywhere, by that number.
-        readings: how many readings were held out, all folds together.
+        uniform: held-out RMS with the same number for all curves, by that number.
+        readings: number of readings held out, all folds together.
     """
 
     counts: Mapping[str, int]
@@ -101,8 +102,8 @@ class Choice:
     readings: int
 
 
-def choose(network: Network, start: Start, whole: Sequence[str] = ()) -> Choice:
-    """The model that predicts held-out readings best.
+def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> Choice:
+    """Return the model that predicts held-out readings best.
 
     Args:
         network: data and the largest model.
@@ -122,8 +123,8 @@ def choose(network: Network, start: Start, whole: Sequence[str] = ()) -> Choice:
         for name in search.curves:
             if name in whole:
                 continue
-            found = search.tried(name, sizes)
-            limit = min(found.values()) * (1.0 + 1e-6) + ALIKE * readings
+            found = search.scores_of(name, sizes)
+            limit = min(found.values()) * (1.0 + 1e-6) + ROUNDING * readings
             sizes[name] = min(size for size, value in found.items() if value <= limit)
             by_curve[name] = found
         if sizes == before:
@@ -143,11 +144,11 @@ def choose(network: Network, start: Start, whole: Sequence[str] = ()) -> Choice:
 
 @final
 class _Search:
-    """Held-out chi² of curves cut short.
+    """Held-out chi² of truncated curves.
 
     Args:
-        unknowns: of the largest model.
-        folds: its estimates without what each holds out.
+        unknowns: unknowns of the largest model.
+        folds: its estimates without the readings that each holds out.
         whole: curves that keep all their functions.
     """
 
@@ -157,11 +158,11 @@ class _Search:
         self._folds, self._whole = folds, whole
 
     def score(self, sizes: Mapping[str, int]) -> float:
-        """With a number of functions for each curve."""
-        return sum(fold.score(fold.without(self._gone(sizes), [])[0]) for fold in self._folds)
+        """Return the held-out chi² with a number of functions for each curve."""
+        return sum(fold.score(fold.conditional(self._removed_columns(sizes), [])[0]) for fold in self._folds)
 
     def uniform(self) -> dict[int, tuple[float, dict[str, int]]]:
-        """With the same number for all curves, as far as they have it: by that number, and what each curve then has."""
+        """Return the held-out chi² by number of functions, the same for all curves that have it, and the number of each curve."""
         found = {}
         for size in range(1, max((c.count for c in self.curves.values()), default=0) + 1):
             fitted = {
@@ -171,22 +172,22 @@ class _Search:
             found[size] = (self.score(fitted), fitted)
         return found
 
-    def tried(self, name: str, sizes: Mapping[str, int]) -> dict[int, float]:
-        """With every number of functions for one curve, the others as given."""
+    def scores_of(self, name: str, sizes: Mapping[str, int]) -> dict[int, float]:
+        """Return the held-out chi² by number of functions of one curve, the others as given."""
         curve, own = self.curves[name], self._columns[name]
         found = dict.fromkeys(_sizes(curve), 0.0)
-        others = self._gone({one: size for one, size in sizes.items() if one != name})
+        others = self._removed_columns({one: size for one, size in sizes.items() if one != name})
         for fold in self._folds:
-            theta, covariance = fold.without(others, own)
+            theta, covariance = fold.conditional(others, own)
             found[curve.count] += fold.score(theta)
             for group in reversed(curve.groups()):
                 for k in reversed(group):
-                    theta, covariance = _zeroed(theta, covariance, own, k - curve.first)
+                    theta, covariance = _with_zero(theta, covariance, own, k - curve.first)
                 found[_below(curve, group)] += fold.score(theta)
         return found
 
-    def _gone(self, sizes: Mapping[str, int]) -> list[int]:
-        """Columns that are zero then, curve by curve."""
+    def _removed_columns(self, sizes: Mapping[str, int]) -> list[int]:
+        """Return the columns that are zero, curve by curve."""
         return [
             i
             for name, curve in self.curves.items()
@@ -196,12 +197,12 @@ class _Search:
 
 
 def _sizes(curve: CurveSpace) -> list[int]:
-    """Numbers of functions a curve can have, 0 first."""
+    """Return the numbers of functions that a curve can have, 0 first."""
     return [0, *(group[-1] + 1 for group in curve.groups())]
 
 
 def _below(curve: CurveSpace, group: tuple[int, ...]) -> int:
-    """Number of functions left when a group and all above it are gone."""
+    """Return the number of functions that remain without a group and all above it."""
     sizes = _sizes(curve)
     return sizes[sizes.index(group[-1] + 1) - 1]
 
@@ -209,12 +210,12 @@ def _below(curve: CurveSpace, group: tuple[int, ...]) -> int:
 @final
 @dataclass(frozen=True)
 class _Fold:
-    """An estimate without what is held out, and how it predicts that; plausible units.
+    """An estimate without the held-out readings, and its prediction of them; scaled by the priors.
 
     Attributes:
         theta: (p,) unknowns, the set-up's as differences from the full estimate.
         covariance: (p, p) of it.
-        held: (p + 1, p + 1) normal matrix of the readings held out, linearised at ``origin``.
+        held: (p + 1, p + 1) normal matrix of the held-out readings, linearised at ``origin``.
         origin: (p,) the full estimate.
     """
 
@@ -224,27 +225,27 @@ class _Fold:
     origin: np.ndarray
 
     def score(self, theta: np.ndarray) -> float:
-        """Chi² of the readings held out."""
+        """Return chi² of the held-out readings."""
         step = np.append(theta - self.origin, -1.0)
         return float(step @ self.held @ step)
 
-    def without(self, gone: list[int], kept: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """The estimate on condition that some unknowns are zero, and (p, kept) its covariance with others."""
-        if not gone:
+    def conditional(self, removed: list[int], kept: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the estimate conditional on zero values of some unknowns, and (p, kept) its covariance with others."""
+        if not removed:
             return self.theta.copy(), self.covariance[:, kept].copy()
-        # Pivoted: what the datum or another condition has fixed already adds nothing.
-        lower, pivot, rank, _ = dpstrf(self.covariance[np.ix_(gone, gone)], tol=1e-15, lower=1)
-        rows = [gone[i - 1] for i in pivot[:rank]]
+        # Pivoted, because unknowns that the datum or another condition fixes have no variance.
+        lower, pivot, rank, _ = dpstrf(self.covariance[np.ix_(removed, removed)], tol=1e-15, lower=1)
+        rows = [removed[i - 1] for i in pivot[:rank]]
         right = np.concatenate([self.theta[rows, None], self.covariance[np.ix_(rows, kept)]], axis=1)
         solved = cho_solve((lower[:rank, :rank], True), right)
         cross = self.covariance[:, rows]
         theta = self.theta - cross @ solved[:, 0]
-        theta[gone] = 0.0
+        theta[removed] = 0.0
         return theta, self.covariance[:, kept] - cross @ solved[:, 1:]
 
 
-def _zeroed(theta: np.ndarray, covariance: np.ndarray, own: list[int], k: int) -> tuple[np.ndarray, np.ndarray]:
-    """One more of a curve's own unknowns on condition that it is zero."""
+def _with_zero(theta: np.ndarray, covariance: np.ndarray, own: list[int], k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the estimate conditional on a zero value of one more of a curve's unknowns."""
     variance = covariance[own[k], k]
     if variance > 1e-20:
         gain = covariance[:, k] / variance
@@ -255,7 +256,7 @@ def _zeroed(theta: np.ndarray, covariance: np.ndarray, own: list[int], k: int) -
 
 
 def _ends(poses: np.ndarray) -> np.ndarray:
-    """(poses,) whether one is the first or last of a line along an axis: beyond it a curve would have to guess."""
+    """Return (poses,) whether a position is the first or last of a line along an axis, beyond which a curve would be extrapolated."""
     found = np.zeros(len(poses), dtype=bool)
     for axis in range(poses.shape[1]):
         _, line, size = np.unique(np.delete(poses, axis, axis=1), axis=0, return_inverse=True, return_counts=True)
@@ -267,17 +268,17 @@ def _ends(poses: np.ndarray) -> np.ndarray:
 
 
 def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrices of [J | r] by group of rounds and of positions, and how many readings each holds."""
+    """Return the normal matrices of [J | r] by group of rounds and of positions, and the number of readings in each."""
     size = len(solution.spectrum.scale) + 1
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
     cell_of = folds.round_of * (folds.poses + 1) + pose
     cells = folds.rounds * (folds.poses + 1)
     scale = np.append(solution.spectrum.scale, 1.0)
 
-    def summed(share: Sequence[np.ndarray]) -> np.ndarray:
+    def summed(chunks: Sequence[np.ndarray]) -> np.ndarray:
         normal = np.zeros((cells, size, size))
-        for piece_rows in share:
-            piece = network.piece(solution.theta, solution.setup, piece_rows)
+        for rows_of_chunk in chunks:
+            piece = network.chunk(solution.theta, solution.setup, rows_of_chunk)
             both = piece.columns
             both *= scale[:, None, None]
             both *= np.sqrt(weight[piece.rows])[:, None]
@@ -287,7 +288,7 @@ def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: F
                 normal[cell] += rows @ rows.T
         return normal
 
-    normal = np.sum(side_by_side(network.shares, summed), axis=0)
+    normal = np.sum(side_by_side(network.row_chunks, summed), axis=0)
     normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
     return normal, count.reshape(folds.rounds, folds.poses + 1)
@@ -302,7 +303,7 @@ def _folds(network: Network, solution: FitSolution, normal: np.ndarray, folds: F
         held = normal[mask].sum(axis=0)
         train = total - held
         inner = free.T @ train[:-1, :-1] @ free / variance
-        # The plausible sizes as a prior: it decides nothing but what the rest of the data leave open.
+        # The prior affects only what the remaining data do not determine.
         inverse = np.linalg.inv(inner + np.eye(len(inner)))
         covariance = free @ inverse @ free.T
         theta = origin + covariance @ train[:-1, -1] / variance

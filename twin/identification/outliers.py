@@ -1,11 +1,11 @@
-"""Readings too far off to be chance, where the model itself may be what is far off.
+"""Outliers: readings with residuals too large for chance, for a model that may itself be wrong.
 
-A row is judged by its residual against the covariance that is stated for it. Where the readings of its target from its station miss by
-more than that, the model's misfit is added: an isotropic standard deviation in space, one for each target and station, that makes the
-median of the squared distances the median of chi². So a target whose model is wrong, or a robot that is not calibrated yet, has a
-misfit and not thousands of outliers. A misfit is a smooth function of the positions and no normal noise, so its limit is wider
-(`TAIL`). Its robust weights are those of a convex loss (Huber 1964): a loss that lets far rows go (Geman and McClure 1985) would let
-the estimate settle on some of the readings and call the others outliers.
+A row is assessed by its residual and its stated covariance. If the residuals of its target from its station are larger than that, the
+misfit of the model is added: an isotropic standard deviation in space, one for each target and station, that makes the median of the
+squared distances equal to the median of chi². So a target with a wrong model, or a robot that is not calibrated yet, has a misfit and
+not thousands of outliers. A misfit is a smooth function of the positions, not normal noise, so its limit is wider (`TAIL`). Its robust
+weights are those of a convex loss (Huber 1964): with a redescending loss (Geman and McClure 1985) the estimate could fit some of the
+readings and treat the others as outliers.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from twin.identification.spread import repeats
 from twin.measurement.checks import RowNote
 
 FALSE_ALARM: Final = 0.01
-"""Chance that a data set without any outlier has a point called one."""
+"""Probability that a data set without any outlier has a point classified as one."""
 TAIL: Final = 1.5
-"""Times that limit where all of the spread is the model's misfit."""
-GROUP: Final = 30
-"""Rows of one target from one station from which a misfit of their own is known; smaller groups have one together."""
+"""Factor on that limit if all of the deviation is the model's misfit."""
+GROUP_ROWS: Final = 30
+"""Number of rows of one target from one station above which it has its own misfit; smaller groups share one."""
 HUBER: Final = 2.0
-"""Distance, in standard deviations of a coordinate, from which a row of a model that is far off pulls no harder."""
-FITS: Final = 1.1
-"""Size of the whitened residuals up to which the model is taken to fit: what chance makes of some hundred readings."""
+"""Distance, in standard deviations of a coordinate, above which a row's influence no longer increases if the model has a misfit."""
+NOISE_OF_FIT: Final = 1.1
+"""Size of the whitened residuals up to which the model is taken to fit, in view of their random variation for some hundred readings."""
 OUTLIER: Final = "outlier, not used"
-MANY: Final = 0.02
-"""Share of the rows beyond which outliers are a sign that the model is wrong."""
+MANY_OUTLIERS: Final = 0.02
+"""Share of the rows above which outliers indicate that the model is wrong."""
 
 
 @final
 @dataclass(frozen=True)
-class JudgedRows:
-    """Rows judged by their residuals.
+class RowAssessment:
+    """Assessment of the rows by their residuals.
 
     Attributes:
-        bad: (n,) too far off to be chance.
+        bad: (n,) outliers.
         weight: (n,) robust weights: one for a good point.
-        noise: size of the whitened residuals of most rows, root of the mean over the groups of their squares; one where the model fits.
-        misfit_um: by target and station, standard deviation of the model's misfit a coordinate; only where it is not zero.
+        noise: size of the whitened residuals of most rows, root of the mean over the groups of their squares; one if the model fits.
+        misfit_um: by target and station, standard deviation of the model's misfit per coordinate; only if it is not zero.
     """
 
     bad: np.ndarray
@@ -56,16 +56,16 @@ class JudgedRows:
 
 
 def outliers(network: Network, whitened: np.ndarray) -> np.ndarray:
-    """(n,) points too far off to be chance: `judged`."""
-    return judged(network, whitened).bad
+    """Return (n,) which points are outliers, as `assess_rows`."""
+    return assess_rows(network, whitened).bad
 
 
-def judged(network: Network, whitened: np.ndarray) -> JudgedRows:
-    """Judge all rows by the residuals of an estimate.
+def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
+    """Assess all rows by the residuals of an estimate.
 
     Args:
         network: data and model.
-        whitened: (n, 3) residuals of a robust estimate, over the standard deviations that are stated.
+        whitened: (n, 3) residuals of a robust estimate divided by the stated standard deviations.
     """
     count = np.count_nonzero(network.read, axis=1)
     median = np.array([chi2_isf(0.5, k) if k else 1.0 for k in range(4)])[count]
@@ -89,33 +89,33 @@ def judged(network: Network, whitened: np.ndarray) -> JudgedRows:
     limit = np.array([chi2_isf(FALSE_ALARM / len(count), k) if k else np.inf for k in range(4)])[count]
     each = distance / np.maximum(count, 1)
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
-    whole = float(np.sqrt(np.mean(noise)))
-    return JudgedRows(
+    overall = float(np.sqrt(np.mean(noise)))
+    return RowAssessment(
         bad=locked(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
         weight=locked((1.0 - share) * redescending + share * convex),
-        noise=whole if whole > FITS else 1.0,
+        noise=overall if overall > NOISE_OF_FIT else 1.0,
         misfit_um=misfit,
     )
 
 
 def _groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
-    """(n,) group of each row, and the targets and stations in each: one of each with rows enough, one of all others."""
+    """Return (n,) the group of each row, and its targets and stations: one group for each pair with enough rows, one for all others."""
     keys = list(zip(network.data.target.tolist(), network.data.station.tolist(), strict=True))
     count: dict[tuple[str, str], int] = {}
     for key in keys:
         count[key] = count.get(key, 0) + 1
-    large = [key for key, number in count.items() if number >= GROUP]
+    large = [key for key, number in count.items() if number >= GROUP_ROWS]
     place = {key: k for k, key in enumerate(large)}
     small = [key for key in count if key not in place]
     return np.array([place.get(key, len(large)) for key in keys]), [[key] for key in large] + [small]
 
 
 def _misfit(squares: np.ndarray, values: np.ndarray, median: np.ndarray) -> float:
-    """The size of an isotropic misfit, metres, that makes the median of squared distances what chance makes it; zero if none does.
+    """Return the isotropic misfit, metres, that makes the median of squared distances equal to that of chi²; zero if none is needed.
 
     Args:
-        squares: (k, 3) of the whitened residuals along the eigenvectors.
-        values: (k, 3) what a misfit of one metre adds to the variance along each.
+        squares: (k, 3) squared whitened residuals along the eigenvectors.
+        values: (k, 3) increase of the variance along each by a misfit of one metre.
         median: (k,) of chi².
     """
 
@@ -132,7 +132,7 @@ def _misfit(squares: np.ndarray, values: np.ndarray, median: np.ndarray) -> floa
 
 
 def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, bad: np.ndarray) -> tuple[RowNote, ...]:
-    """Each outlier in words: how far, in which direction, and what the repeats of the same point say."""
+    """Return a note for each outlier: its size and direction, and the residuals of repeats of the same point."""
     data = network.data
     group = repeats(data)
     notes = []
@@ -140,35 +140,33 @@ def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, ba
         off = difference[row]
         size = float(np.linalg.norm(off)) / MM
         sigmas = float(np.linalg.norm(whitened[row]))
-        mates = np.flatnonzero((group == group[row]) & ~bad)
-        text = (
-            f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: {size * 1e3:.1f} µm off"
-        )
+        repeats_of_row = np.flatnonzero((group == group[row]) & ~bad)
+        text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: residual {size * 1e3:.1f} µm"
         if not network.instrument.lengths_only and size > 0.0:
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM
-            text += f", {abs(along) * 1e3:.1f} of it along the beam"
+            text += f", {abs(along) * 1e3:.1f} µm of it along the beam"
         text += f" ({sigmas:.1f} standard deviations)"
-        if len(mates):
-            others = float(np.median(np.linalg.norm(difference[mates], axis=1))) / MM
-            text += f"; its {len(mates)} repeats are {others * 1e3:.1f} µm off"
+        if len(repeats_of_row):
+            others = float(np.median(np.linalg.norm(difference[repeats_of_row], axis=1))) / MM
+            text += f"; median residual of its {len(repeats_of_row)} repeats: {others * 1e3:.1f} µm"
         notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}", OUTLIER, sigmas))
     return tuple(notes)
 
 
-def model_is_wrong(rows: JudgedRows) -> tuple[str, ...]:
-    """Return a sentence for the reader where so many rows are outliers that the model is what is wrong, and not the readings."""
+def many_outliers_notice(rows: RowAssessment) -> tuple[str, ...]:
+    """Return a notice if the share of outliers indicates that the model is wrong, not the readings."""
     share = float(np.mean(rows.bad)) if len(rows.bad) else 0.0
-    if share <= MANY:
+    if share <= MANY_OUTLIERS:
         return ()
     text = (
-        f"{int(np.sum(rows.bad)):,} of {len(rows.bad):,} rows ({100.0 * share:.1f} %) are outliers of this model. "
-        "So many are rarely bad readings: suspect the model (`twin diagnose`)"
+        f"{int(np.sum(rows.bad)):,} of {len(rows.bad):,} rows ({100.0 * share:.1f} %) are outliers: probably the model is incomplete, "
+        "not the readings wrong. Run `twin diagnose`"
     )
-    far = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
-    if far is None:
+    largest = max(rows.misfit_um, key=lambda key: rows.misfit_um[key], default=None)
+    if largest is None:
         return (text,)
-    target, station = far
+    target, station = largest
     return (
-        f"{text}. The other rows of target {target} from station {station} miss by {rows.misfit_um[far]:.3g} µm a coordinate",
+        f"{text}. Misfit of the other rows of target {target} from station {station}: {rows.misfit_um[largest]:.3g} µm per coordinate",
     )

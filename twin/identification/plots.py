@@ -1,7 +1,7 @@
-"""Pictures of an identification. Needs the extra ``plots`` (matplotlib).
+"""Plots of an identification. They need the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own, with the colours of `twin.display.figures`, whose `save` writes it. Colours tell apart
-for colour-blind readers; line styles and markers do so without colour.
+Every function returns a new `Figure` with the colours of `twin.display.figures`, whose `save` writes it. Colours are distinguishable
+for colour-blind readers; line styles and markers without colour.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from twin.machine.motion_curve import Curve
 from twin.uncertainty.at_tool import DEFINITION, UncertaintyMap
 
 FINE: Final = 361
-"""Points a curve is drawn with."""
+"""Number of points with which a curve is drawn."""
 
 
 def plot_motions(
@@ -57,15 +57,15 @@ def plot_motions(
     truth: Mapping[str, Curve] | None = None,
     title: str = "",
 ) -> Figure:
-    """The six error motions of one axis with their 95 % intervals: against position; of a rotary axis alone, within a turn, polar.
+    """Plot the six error motions of one axis with their 95 % intervals: against position, or polar for a rotary axis within a turn.
 
     Args:
         found: the estimate.
         axis: its name.
-        thesis: the thesis's points and curves on the same data, drawn beside it in this estimate's datum: their line, mean or turning
-            shift, whatever the datum has no room for, is taken off as fitted to the points, and off the curve likewise. A rotary
-            axis's are drawn against its angle, too: they would cross the middle of a polar plot.
-        truth: of a simulation, by ISO 230-1 name: drawn dotted, in this estimate's datum.
+        thesis: the thesis's points and curves from the same data, in this estimate's datum: components that the datum excludes
+            (line, mean, rotating shift) are fitted to the points and subtracted from points and curve. A rotary axis is then plotted
+            against its angle, because these curves would cross the centre of a polar plot.
+        truth: true curves of a simulation, by ISO 230-1 name: drawn dotted, in this estimate's datum.
         title: a heading.
 
     Raises:
@@ -99,11 +99,11 @@ def plot_motions(
 
 
 def plot_orders(found: Identification, names: Sequence[str] = (), *, title: str = "") -> Figure:
-    """Held-out error against the number of functions: the same for all curves, and for some curves one by one.
+    """Plot the held-out error against the number of functions: the same for all curves, and for some curves one by one.
 
     Args:
         found: the estimate.
-        names: curves to show one by one; the four whose held-out error suffers most from degree 8 if empty.
+        names: curves to show one by one; if empty, the four whose held-out error increases most with degree 8.
         title: a heading.
     """
     choice = found.choice
@@ -112,19 +112,19 @@ def plot_orders(found: Identification, names: Sequence[str] = (), *, title: str 
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
     dress(left)
     dress(right)
-    _alike(left, found)
+    _same_for_all(left, found)
     _one_by_one(right, found, shown)
     for plot in (left, right):
         plot.set_ylabel("error of held-out readings, RMS\n[standard deviations of a reading]")
         plot.set_xlabel("functions of a curve, the datum's included (degree + 1)")
         plot.xaxis.set_major_locator(MaxNLocator(integer=True))
         plot.legend(frameon=False, fontsize=9)
-    heading(figure, title or "What predicts readings it has not seen")
+    heading(figure, title or "Prediction error of held-out readings")
     return figure
 
 
-def _alike(plot: Axes, found: Identification) -> None:
-    """The same number of functions for every curve."""
+def _same_for_all(plot: Axes, found: Identification) -> None:
+    """Plot the same number of functions for every curve."""
     choice, sizes = found.choice, sorted(found.choice.uniform)
     errors = [choice.uniform[n] for n in sizes]
     plot.plot(sizes, errors, color=FORWARD, marker="o", markersize=4, label="same number for all")
@@ -133,15 +133,15 @@ def _alike(plot: Axes, found: Identification) -> None:
         label = f"degree 8 everywhere: {error:.3f}"
         dots(plot, THESIS_FUNCTIONS, error, BACKWARD, "s", 9, markerfacecolor="none", label=label)
     plot.axhline(choice.held_out, color=THIRD, linestyle="--", label=f"chosen curve by curve: {choice.held_out:.3f}")
-    plot.axhline(1.0, color=RUN, linewidth=0.8, linestyle=":", label="scatter of the readings alone")
+    plot.axhline(1.0, color=RUN, linewidth=0.8, linestyle=":", label="noise of the readings alone")
     plot.set_yscale("log")
     plot.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
     plot.minorticks_off()
-    plot.set_title("all curves alike", loc="left", fontsize=10)
+    plot.set_title("same number for all curves", loc="left", fontsize=10)
 
 
 def _one_by_one(plot: Axes, found: Identification, names: Sequence[str]) -> None:
-    """Some curves, the others with the number that was chosen."""
+    """Plot some curves, the others with their chosen number of functions."""
     choice = found.choice
     styles = zip(names, (FORWARD, BACKWARD, THIRD, BOTH), "osD^", ("-", "--", "-.", ":"), strict=False)
     for name, colour, marker, style in styles:
@@ -158,10 +158,10 @@ def _one_by_one(plot: Axes, found: Identification, names: Sequence[str]) -> None
 
 
 def plot_residuals(found: Identification, *, title: str = "") -> Figure:
-    """What is left, in standard deviations: by axis position, and by station and target.
+    """Plot the residuals in standard deviations: by axis position, and by station and target.
 
-    Means at each position of a moving axis, and the RMS of each target from each station, should lie in their grey bands in 95 % of
-    cases; the bands are narrower than those of so many free readings, because the estimate has fitted itself to these.
+    Means at each position of a moving axis, and the RMS of each target from each station, are within their grey bands in 95 % of the
+    cases. The bands are narrower than for independent readings, because the estimate was fitted to these.
 
     Args:
         found: the estimate.
@@ -183,16 +183,16 @@ def plot_residuals(found: Identification, *, title: str = "") -> Figure:
         plot.set_visible(False)
     legend_below(figure)
     fit = found.misfit
-    judged = f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
-    heading(figure, title or f"What is left: {judged}")
+    statistics = f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"
+    heading(figure, title or f"Residuals: {statistics}")
     return figure
 
 
 def _by_position(plot: Axes, found: Identification, read: np.ndarray, i: int) -> None:
-    """Whitened residuals along one axis, with their means in the band of such means."""
+    """Plot whitened residuals along one axis, with their means and the band of such means."""
     data, axis = found.data, found.calibration.machine.axes[i]
     at = np.round(data.positions[:, i], 3)
-    # An axis at rest stands at one place for most of a plan: only rows of a line along this axis say something about it.
+    # An axis is at rest during most of a plan: only rows of a line along this axis are informative.
     mine = _moving(data.positions, i)
     width = 0.012 * np.ptp(at[mine])
     for k, (colour, marker) in enumerate(zip((FORWARD, BACKWARD, THIRD), "osD", strict=True)):
@@ -211,10 +211,10 @@ def _by_position(plot: Axes, found: Identification, read: np.ndarray, i: int) ->
 
 
 def correlation(found: Identification) -> tuple[tuple[str, ...], np.ndarray]:
-    """How far the data tell the reported errors apart: the largest correlation of any part of one with any part of another.
+    """Return how strongly the reported errors are confounded: the largest correlation of any part of one with any part of another.
 
-    Of two curves that is their largest canonical correlation (Hotelling 1936), which does not depend on the functions they are written
-    in; of two numbers the size of their correlation. From the covariance of the estimate with the scatter of the readings.
+    For two curves this is their largest canonical correlation (Hotelling 1936), which does not depend on their functions;
+    for two numbers it is the absolute correlation. From the covariance of the estimate with the stated noise.
 
     Args:
         found: the estimate.
@@ -235,7 +235,7 @@ def correlation(found: Identification) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def plot_correlation(found: Identification, *, title: str = "") -> Figure:
-    """`correlation` as a picture, from white (told apart) to dark (only their combination is known).
+    """Plot `correlation`, from white (separable) to dark (only the combination is determined).
 
     Args:
         found: the estimate.
@@ -256,27 +256,27 @@ def plot_correlation(found: Identification, *, title: str = "") -> Figure:
     plot.tick_params(length=0)
     bar = figure.colorbar(picture, ax=plot, shrink=0.8)
     bar.set_label("largest correlation of any part of one with any part of the other")
-    heading(figure, title or "What the data cannot tell apart")
+    heading(figure, title or "Errors that are confounded in these data")
     return figure
 
 
 def plot_uncertainty(found: UncertaintyMap, horizontal: str, vertical: str, *, title: str = "") -> Figure:
-    """U of the tool point over a plane of a grid (`ToolUncertainty.on_grid`), the other axes where the grid has its middle position.
+    """Plot U of the tool point over a plane of a grid (`ToolUncertainty.on_grid`), the other axes at the grid's middle position.
 
     Args:
         found: the map.
-        horizontal: name of the axis drawn to the right.
-        vertical: of the one drawn upwards.
+        horizontal: name of the horizontal axis of the plot.
+        vertical: name of the vertical axis of the plot.
         title: a heading.
 
     Raises:
-        InputError: axes that the map does not spread over.
+        InputError: axes along which the map has a single position.
     """
     at = {name: np.unique(found.positions[:, i]) for i, name in enumerate(found.axes)}
     if not all(len(at.get(name, ())) > 1 for name in (horizontal, vertical)) or horizontal == vertical:
         spread = [name for name, places in at.items() if len(places) > 1]
         raise InputError(
-            "no plane of this map", expected=f"two of {', '.join(spread)}", value=f"{horizontal}, {vertical}"
+            "not a plane of this map", expected=f"two of {', '.join(spread)}", value=f"{horizontal}, {vertical}"
         )
     across, up = at[horizontal], at[vertical]
     rest = {name: float(at[name][len(at[name]) // 2]) for name in found.axes if name not in (horizontal, vertical)}
@@ -317,7 +317,7 @@ def _along(
 
 
 def _interval(plot: Axes, found: Identification, name: str, width: float, scale: float) -> float:
-    """A curve with its 95 % interval; returns how far that reaches from zero."""
+    """Draw a curve with its 95 % interval; return the largest distance of the interval from zero."""
     q = np.linspace(*found.calibration.curves[name].domain, FINE)
     value, u = found.interval(name, q)
     low, high = value - COVERAGE_FACTOR * u, value + COVERAGE_FACTOR * u
@@ -356,35 +356,35 @@ class _Points:
 
 
 def _thesis_points(thesis: ThesisIdentification, axis: Axis) -> dict[str, _Points]:
-    """What the datum has no room for is taken off as least squares over the points has it, off the curve likewise."""
+    """Return the thesis's points and curves without the components that the datum excludes, fitted to the points by least squares."""
     motions = {name: motion for name, motion in thesis.motions.items() if split_name(name)[2] == axis.name}
-    taken = _taken(axis, {name: (motion.position, motion.mean) for name, motion in motions.items()})
+    excluded = _excluded_by_datum(axis, {name: (motion.position, motion.mean) for name, motion in motions.items()})
     found = {}
     for name, motion in motions.items():
         q = motion.position
         fine = np.linspace(q.min(), q.max(), FINE)
-        # The curve of a straightness was fitted to what its own line's slope had been taken off.
+        # The curve of a straightness was fitted after its own line's slope had been subtracted.
         slope = np.polyfit(q, motion.mean, 1)[0] if _straightness(axis, name) else 0.0
-        curve = thesis.calibration.curves[name](fine) + slope * fine - taken[name](fine)
-        found[name] = _Points(q, motion.mean - taken[name](q), motion.deviation, fine, curve)
+        curve = thesis.calibration.curves[name](fine) + slope * fine - excluded[name](fine)
+        found[name] = _Points(q, motion.mean - excluded[name](q), motion.deviation, fine, curve)
     return found
 
 
 def _in_datum(truth: Mapping[str, Curve], axis: Axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Positions and values of curves, in the datum of an identification."""
+    """Return positions and values of curves in the datum of an identification."""
     curves = {name: curve for name, curve in truth.items() if split_name(name)[2] == axis.name}
     lines = {name: (q, curve(q)) for name, curve in curves.items() for q in [np.linspace(*curve.domain, FINE)]}
-    taken = _taken(axis, lines)
-    return {name: (q, values - taken[name](q)) for name, (q, values) in lines.items()}
+    excluded = _excluded_by_datum(axis, lines)
+    return {name: (q, values - excluded[name](q)) for name, (q, values) in lines.items()}
 
 
-def _taken(
+def _excluded_by_datum(
     axis: Axis, lines: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """What the datum of `twin.identification.unknowns` has no room for, by least squares over the points.
+    """Return the components that the datum of `twin.identification.unknowns` excludes, by least squares over the points.
 
-    A linear axis: the line of a straightness, else the mean. A rotary one: the mean, and of the pairs across the axis what a shift or
-    tilt of all that turns with it does.
+    For a linear axis: the line of a straightness, otherwise the mean. For a rotary axis: the mean and, in pairs across the axis, the
+    effect of a shift or tilt of everything that rotates with it.
     """
     if axis.linear:
         return {name: np.poly1d(np.polyfit(*line, int(_straightness(axis, name)))) for name, line in lines.items()}
@@ -401,7 +401,7 @@ def _taken(
 
 
 def _shapes(axis: Axis, present: Sequence[str], name: str, component: int, q: np.ndarray) -> np.ndarray:
-    """(n, k) what a mean of each motion present, and each shift or tilt of what turns, does to one motion."""
+    """Return (n, k) the effect of the mean of each motion present, and of each rotating shift or tilt, on one motion."""
     own = [np.full(len(q), float(name == one)) for one in present]
     return np.column_stack([*own, *(pattern[component](q) for pattern in turning_patterns(axis))])
 
@@ -411,7 +411,7 @@ def _summed(shapes: Callable[[np.ndarray], np.ndarray], size: np.ndarray, q: np.
 
 
 def _straightness(axis: Axis, name: str) -> bool:
-    """Whether an error motion is a translation across a linear axis."""
+    """Return whether an error motion is a translation across a linear axis."""
     component = split_name(name)[0]
     return axis.linear and component < 3 and component != int(np.argmax(np.abs(axis.direction)))
 
@@ -437,28 +437,27 @@ def _by_target(plot: Axes, found: Identification, read: np.ndarray) -> None:
 
 
 def _fitted(found: Identification, masks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """What the estimate has taken from some groups of whitened readings, each (n, 3) booleans.
+    """Return the reduction of variance of some groups of whitened residuals by the fit; each group is (n, 3) booleans.
 
-    Residuals have covariance 1 − F Fᵀ, F from the estimate's own derivatives.
+    Residuals have covariance 1 − F Fᵀ, with F from the estimate's own derivatives.
 
     Returns:
-        (groups,) 1ᵀ F Fᵀ 1, by which the variance of the sum of a group is less than its count; and the trace, by which that of the
-        sum of its squares is.
+        (groups,) 1ᵀ F Fᵀ 1, by which the variance of a group's sum is reduced; and the trace, by which the expected sum of squares is.
     """
     solution = found.solution
     by_direction = solution.spectrum.scale[:, None] * solution.basis / np.sqrt(solution.stiffness)
     total, trace = np.zeros((len(masks), by_direction.shape[1])), np.zeros(len(masks))
-    for piece in found.network.pieces(solution.theta, solution.setup):
-        taken = piece.jacobian @ by_direction
+    for piece in found.network.chunks(solution.theta, solution.setup):
+        excluded = piece.jacobian @ by_direction
         for i, mask in enumerate(masks):
-            of = taken[mask[piece.rows]]
+            of = excluded[mask[piece.rows]]
             total[i] += of.sum(axis=0)
             trace[i] += np.sum(of**2)
     return np.sum(total**2, axis=1), trace
 
 
 def _moving(positions: np.ndarray, axis: int) -> np.ndarray:
-    """(n,) rows on a line along an axis, the others standing still; all rows where there is no line."""
+    """Return (n,) rows on a line along an axis, the others at rest; all rows if there is no line."""
     _, line = np.unique(np.round(np.delete(positions, axis, axis=1), 3), axis=0, return_inverse=True)
     line = line.reshape(-1)
     lengths = [len(np.unique(np.round(positions[line == k, axis], 3))) for k in range(line.max() + 1)]
@@ -467,12 +466,12 @@ def _moving(positions: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _inverse_root(covariance: np.ndarray) -> np.ndarray:
-    """(r, p) W with W C Wᵀ = 1 on what varies."""
+    """Return (r, p) W with W C Wᵀ = 1 on the combinations with variance."""
     values, vectors = np.linalg.eigh(covariance)
     keep = values > 1e-9 * values[-1]
     return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T)
 
 
 def _loss(scores: Mapping[int, float]) -> float:
-    """What degree 8 costs one curve in held-out error."""
+    """Return the increase of one curve's held-out error by degree 8."""
     return scores.get(THESIS_FUNCTIONS, 0.0) - min(scores.values())

@@ -1,4 +1,4 @@
-"""What an identification found, in values, words and JSON."""
+"""Result of an identification: values, report and JSON."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from twin.measurement.table import Measurements, RowNote
 from twin.numerics.curves import basis_named
 
 SCHEMA = "twin.identification/1"
-DOUBT = 1e-3
-"""A misfit that chance makes less often than this is one."""
+SIGNIFICANCE = 1e-3
+"""Significance level of the tests for a misfit."""
 CONSISTENT = "consistent with the stated uncertainty of the readings"
 FEWEST_DOF = 10
-"""Degrees of freedom below which a chi² says little: at ten, a model that leaves out as much as the noise has p = 0.03."""
+"""Degrees of freedom below which chi² is not informative: at ten, a misfit as large as the noise gives p = 0.03."""
 POOR_PREDICTION = 2.0
-"""Held-out RMS over that of the fit beyond which a fit says nothing of other places: three quarters of each reading went into it."""
+"""Held-out RMS over RMS of the fit, above which the fit does not predict other positions: it uses three quarters of the readings."""
 THESIS_FUNCTIONS = 9
-"""Functions of the thesis's degree 8."""
+"""Number of functions of the thesis's degree 8."""
 
 
 @final
@@ -49,22 +49,22 @@ class Identification:
     """An estimate of a machine's errors from measured points.
 
     Attributes:
-        calibration: what the data determine, with its joint covariance.
-        unidentified: what they do not.
-        held_by_prior: of these, the errors that are in the calibration all the same, since others refer to them, with the standard
-            deviation of the prior that holds them, µm or µrad.
-        setup: stations and targets as found.
-        setup_u: standard uncertainty of each of its numbers, by name; metres and radians.
+        calibration: the errors that the data determine, with their joint covariance.
+        unidentified: errors that the data do not determine.
+        held_by_prior: errors among these that are in the calibration nevertheless, because others refer to them, with the standard
+            deviation of their prior, µm or µrad.
+        setup: stations and targets as estimated.
+        setup_u: standard uncertainty of each of their parameters, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
-        choice: how many functions each curve has, and what the others would predict.
-        spread: whose scatter the covariance is: ``stated``, ``repeats``, ``between poses`` or ``between rounds``.
-        data: the rows used and those left out as outliers.
-        used: (n,) which were used.
-        residual_mm: (n, 3) read less predicted, in each station's frame; NaN where nothing was read.
-        whitened: (n, 3) the same over the stated standard deviations.
-        set_aside, notices: what a reader of the result must know.
-        converged: whether the estimate settled.
-        network, solution: the problem and its solution, for whoever builds on them.
+        choice: number of functions of each curve, and prediction errors of the alternatives.
+        spread: noise on which the covariance is based: ``stated``, ``repeats``, ``between poses`` or ``between rounds``.
+        data: the rows used and the outliers.
+        used: (n,) which rows were used.
+        residual_mm: (n, 3) measured minus predicted, in each station's frame; NaN where nothing was read.
+        whitened: (n, 3) residuals divided by the stated standard deviations.
+        set_aside, notices: facts to know before using the result.
+        converged: whether the estimate converged.
+        network, solution: the least-squares problem and its solution, for further computations.
     """
 
     calibration: Calibration
@@ -87,51 +87,51 @@ class Identification:
 
     @property
     def complete(self) -> bool:
-        """Whether every row was used and the estimate settled."""
+        """Whether every row was used and the estimate converged."""
         return self.converged and not self.set_aside
 
     @property
     def verdict(self) -> str:
-        """Whether the model fits the readings, or too few of them are there to say so."""
+        """Whether the model fits the readings, or there are too few of them to decide."""
         return _verdict(self.misfit, self.choice.held_out)
 
     @cached_property
     def rms_um(self) -> float:
-        """RMS of the residuals of the coordinates read and used."""
+        """RMS of the residuals of the coordinates that were used."""
         return _rms_um(self.residual_mm[self.used])
 
     @cached_property
     def rms_all_um(self) -> float:
-        """RMS of the residuals of all coordinates read, outliers included."""
+        """RMS of the residuals of all coordinates, outliers included."""
         return _rms_um(self.residual_mm)
 
-    def as_written(self, calibration: Calibration) -> Identification:
-        """The same with every figure of the residuals computed anew from a calibration, as it was read back from its file."""
-        left, whitened = residuals_of(calibration, self.network, self.setup)
+    def evaluated_with(self, calibration: Calibration) -> Identification:
+        """Return the result with the residuals recomputed from a calibration that was read back from its file."""
+        residual, whitened = residuals_of(calibration, self.network, self.setup)
         read = self.network.read
         return replace(
             self,
             calibration=calibration,
-            residual_mm=locked(np.where(read, left / MM, np.nan)),
+            residual_mm=locked(np.where(read, residual / MM, np.nan)),
             whitened=locked(whitened),
             misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
         )
 
-    def predicted_mm(self, data: Measurements) -> np.ndarray:
-        """(n, 3) read less predicted of other data from the same stations and targets, mm; NaN where nothing was read.
+    def residuals_mm(self, data: Measurements) -> np.ndarray:
+        """Return (n, 3) the residuals of other data from the same stations and targets, mm; NaN where nothing was read.
 
         Args:
-            data: measurements this estimate has not seen.
+            data: measurements that were not used in this estimate.
 
         Raises:
-            KeyError: a station or target that this estimate does not know.
+            KeyError: a station or target that is not part of this estimate.
         """
         other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
-        left = other.difference(self.solution.theta, self.setup.of(data), np.arange(len(data)))
-        return locked(np.where(other.read, left / MM, np.nan))
+        residual = other.residuals_m(self.solution.theta, self.setup.of(data), np.arange(len(data)))
+        return locked(np.where(other.read, residual / MM, np.nan))
 
     def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
-        """An error motion and its standard uncertainty.
+        """Return an error motion and its standard uncertainty.
 
         Args:
             name: ISO 230-1 name of a curve of the calibration.
@@ -147,7 +147,7 @@ class Identification:
         return locked(np.asarray(values)), locked(u)
 
     def rows(self) -> list[dict[str, Any]]:
-        """One entry an error: name, unit, functions, RMS and peak over the range, largest standard uncertainty."""
+        """Return one entry for each error: name, unit, order, peak over the range, largest standard uncertainty, held-out errors."""
         found: list[dict[str, Any]] = []
         for name, curve in self.calibration.curves.items():
             value, u = self.interval(name, np.linspace(*curve.domain, 201))
@@ -161,7 +161,7 @@ class Identification:
                     "peak": float(np.abs(value).max()),
                     "u_max": float(u.max()),
                     "held_out": self.choice.by_curve.get(name, {}).get(count),
-                    "held_out_thesis": _nearest(self.choice.by_curve.get(name, {}), THESIS_FUNCTIONS),
+                    "held_out_thesis": _score_up_to(self.choice.by_curve.get(name, {}), THESIS_FUNCTIONS),
                 }
             )
         for name, number in (*self.calibration.squareness.items(), *self.calibration.location.items()):
@@ -171,7 +171,7 @@ class Identification:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON (``schema: twin.identification/1``)."""
+        """Return the report as JSON (``schema: twin.identification/1``)."""
         fit, order, table = self.misfit, self.setup, TableTilt.of(self.calibration)
         stations = {}
         for i, name in enumerate(order.stations):
@@ -221,12 +221,12 @@ class Identification:
 
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
-        left = f"{self._rms_text()}; {_fit_text(fit)}"
+        residuals = f"{self._rms_text()}; {_fit_text(fit)}"
         rows = [
             ("data", self.data.source),
             ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
-            ("residuals", left),
-            ("intervals from", _whose(self.spread)),
+            ("residuals", residuals),
+            ("intervals from", _spread_text(self.spread)),
             ("stations", ", ".join(self.setup.stations)),
             ("targets", ", ".join(self.setup.targets)),
             ("", "" if tilt is None else tilt.to_text(COVERAGE_FACTOR)),
@@ -236,7 +236,7 @@ class Identification:
         aside = [note(f"set aside: {one}", loud=True) for one in grouped_notes(self.set_aside)]
         notes = [*aside, *(note(notice, loud=notice.startswith(ASSUMED)) for notice in self.notices)]
         if not self.converged:
-            notes.insert(0, note("THE ESTIMATE DID NOT SETTLE: do not use it", loud=True))
+            notes.insert(0, note("THE ESTIMATE DID NOT CONVERGE: do not use it", loud=True))
         if self.held_by_prior:
             notes.append(note(self._prior_text()))
         unseen = table(("not identifiable", "why"), hidden)
@@ -246,12 +246,12 @@ class Identification:
         return card(title, *parts, wrong=doubted).text
 
     def to_text(self) -> str:
-        """The report for people."""
+        """Return the report as text."""
         fit = self.misfit
         stations = len(self.setup.stations)
         lines = [
             f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
-            f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} numbers determined",
+            f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} parameters determined",
             *texts(self.calibration.warnings),
             *assumptions(self.notices),
             "",
@@ -259,16 +259,16 @@ class Identification:
         ]
         if fit.pure_dof:
             lines.append(
-                f"repeats alone: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof}); lack of fit against them "
+                f"repeats: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof} degrees of freedom); lack of fit "
                 + ("cannot be tested" if np.isnan(fit.lack_p_value) else f"p = {fit.lack_p_value:.2g}")
             )
-        lines += [self.verdict, "", f"error motions (95 % intervals from {_whose(self.spread)}):"]
+        lines += [self.verdict, "", f"error motions (95 % intervals from {_spread_text(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
         lines += [
-            "  The degree is what held-out data support; 0: nothing beyond the noise. Higher degrees are not taken as zero:",
-            "  the intervals allow for them.",
+            "  The degree is chosen by prediction of held-out data; 0: nothing above the noise. The intervals include possible",
+            "  components of higher degree.",
             f"  {MEANING[self.calibration.datum]}",
         ]
         if self.unidentified:
@@ -276,30 +276,30 @@ class Identification:
             lines += [f"  {', '.join(names)}: {reason}" for reason, names in self._by_reason().items()]
         if self.held_by_prior:
             lines += [f"  {self._prior_text()}"]
-        degree8 = _nearest(self.choice.uniform, THESIS_FUNCTIONS)
+        degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
-            lines += ["", f"held-out readings, RMS in their standard deviations: {text}"]
+            lines += ["", f"RMS of held-out residuals, in standard deviations: {text}"]
         if self.set_aside:
             lines += ["", f"set aside ({len(self.set_aside)}):"]
             lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
         lines += [f"note: {notice}" for notice in self.notices if not notice.startswith(ASSUMED)]
         if not self.converged:
-            lines.append("THE ESTIMATE DID NOT SETTLE: do not use it")
+            lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
         return "\n".join(lines) + "\n"
 
     def _rms_text(self) -> str:
-        """The RMS of the rows used, and of all where that differs."""
-        text = f"{self.rms_um:.3g} µm RMS a coordinate"
+        """Return the RMS of the rows used, and of all rows if some were not used."""
+        text = f"{self.rms_um:.3g} µm RMS per coordinate"
         return text if self.used.all() else f"{text} over the rows used, {self.rms_all_um:.3g} µm over all"
 
     def _prior_text(self) -> str:
-        """Which of them are in the calibration all the same, and what holds them."""
+        """Return a sentence on the confounded errors in the calibration and their priors."""
         sizes: dict[str, list[str]] = {}
         for name, size in self.held_by_prior.items():
             sizes.setdefault(f"{size:g} {'µm' if unit_of(name) == 'um' else 'µrad'}", []).append(name)
-        each = "; ".join(f"{', '.join(names)} with ± {size}" for size, names in sizes.items())
-        return f"in the calibration all the same, held by a prior (k = 1), because other errors refer to them: {each}"
+        each = "; ".join(f"{', '.join(names)} ± {size}" for size, names in sizes.items())
+        return f"kept in the calibration with a prior (k = 1), because other errors refer to them: {each}"
 
     def _by_reason(self) -> dict[str, list[str]]:
         found: dict[str, list[str]] = {}
@@ -308,27 +308,27 @@ class Identification:
         return found
 
 
-def _rms_um(left_mm: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(left_mm**2))) * 1e3
+def _rms_um(residual_mm: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(residual_mm**2))) * 1e3
 
 
 def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate a calibration on the rows of an estimate.
 
     Args:
-        calibration: as a program will be compensated with it, whatever the estimate's own unknowns are.
+        calibration: the calibration; it need not consist of the estimate's own unknowns.
         network: the estimate's data, instrument and covariance.
         setup: its stations and targets.
 
     Returns:
-        (n, 3) read less predicted, metres, zero where nothing was read; (n, 3) the same over the stated standard deviations.
+        (n, 3) measured minus predicted, metres, zero where nothing was read; (n, 3) the same divided by the stated standard deviations.
     """
-    nothing = Unknowns(network.machine, (), ())
+    no_unknowns = Unknowns(network.machine, (), ())
     alone = Network(
-        network.machine, network.data, network.instrument, nothing, calibration, network.covariance, check=False
+        network.machine, network.data, network.instrument, no_unknowns, calibration, network.covariance, check=False
     )
-    left = alone.difference(np.zeros(0), setup, np.arange(len(network.data)))
-    return left, np.einsum("nij,nj->ni", network.whitening, left)
+    residual = alone.residuals_m(np.zeros(0), setup, np.arange(len(network.data)))
+    return residual, np.einsum("nij,nj->ni", network.whitening, residual)
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
@@ -344,44 +344,44 @@ def _row_text(row: Mapping[str, Any]) -> str:
 
 
 def _verdict(fit: FitStatistics, held_out: float) -> str:
-    """Return whether the model fits, in words.
+    """Return whether the model fits, as a sentence.
 
     Args:
         fit: misfit of the rows used.
-        held_out: RMS of the residuals at held-out places, in standard deviations.
+        held_out: RMS of the held-out residuals, in standard deviations.
     """
     if fit.dof < 1:
-        return "as many numbers as readings: nothing left to judge the model by"
-    if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < DOUBT:
-        return "THE MODEL LEAVES SOMETHING OUT that repeats: the intervals below do not cover it. `twin diagnose` says what."
-    if fit.p_value < DOUBT:
-        return "MORE SCATTER THAN THE INSTRUMENT'S: the intervals below rest on its stated uncertainty, which the data exceed."
+        return "NO DEGREES OF FREEDOM: as many parameters as readings, so the model cannot be tested. Measure more positions or rounds."
+    if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < SIGNIFICANCE:
+        return "SYSTEMATIC RESIDUALS, not covered by the intervals below: the model is incomplete. Run `twin diagnose`."
+    if fit.p_value < SIGNIFICANCE:
+        return "RESIDUALS LARGER THAN THE STATED UNCERTAINTY, on which the intervals below are based."
     if fit.dof < FEWEST_DOF:
-        return f"TOO FEW DATA to judge the model: {fit.dof:.0f} degrees of freedom are left. Measure more positions or rounds."
+        return f"TOO FEW DATA to test the model: {fit.dof:.0f} degrees of freedom. Measure more positions or rounds."
     if held_out > POOR_PREDICTION * max(1.0, float(np.sqrt(fit.reduced))):
         return (
-            f"TOO FEW POSITIONS to judge the model: the readings used fit, but those at held-out places are off by {held_out:.1f} "
+            f"TOO FEW POSITIONS to test the model: the fit is good, but residuals at held-out positions are {held_out:.1f} "
             "standard deviations RMS (about 1 if the model holds there). Measure more positions."
         )
     return CONSISTENT
 
 
-def _whose(spread: str) -> str:
+def _spread_text(spread: str) -> str:
     return {
         "stated": "the stated uncertainty of the readings",
-        "repeats": "the scatter of repeats",
-        "between poses": "the scatter from pose to pose",
-        "between rounds": "the scatter from round to round",
+        "repeats": "the standard deviation of repeats",
+        "between poses": "the variation between poses",
+        "between rounds": "the variation between rounds",
     }[spread]
 
 
-def _nearest(scores: Mapping[int, float], size: int) -> float | None:
-    """The score at the largest number of functions up to ``size``."""
+def _score_up_to(scores: Mapping[int, float], size: int) -> float | None:
+    """Return the score at the largest number of functions up to ``size``."""
     fitting = [n for n in scores if n <= size]
     return scores[max(fitting)] if fitting and max(fitting) >= size - 1 else None
 
 
 def _fit_text(fit: FitStatistics) -> str:
     if fit.dof <= 0:
-        return "no degrees of freedom are left to judge the fit by"
+        return "no degrees of freedom to test the fit"
     return f"reduced chi² {fit.reduced:.3f} ({fit.dof:.0f} degrees of freedom, p = {fit.p_value:.2g})"

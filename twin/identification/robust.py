@@ -1,4 +1,4 @@
-"""The estimate that a few wrong points do not pull: robust weights to begin with, least squares without the outliers in the end."""
+"""The robust estimate: first robust weights, then least squares without the outliers."""
 
 from __future__ import annotations
 
@@ -8,85 +8,85 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twin.identification.network import Network
-from twin.identification.outliers import JudgedRows, judged
+from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.setup import SetUp
 from twin.identification.solve import FitSolution, solve
 
 ROUNDS: Final = 8
-FAR: Final = 100.0
-"""Whitened residuals of the machine as drawn beyond which it is not tried whether the model fits: no machine tool before a tracker."""
-TRIED: Final = 8
-"""Steps of that trial."""
+HOPELESS_MISFIT: Final = 100.0
+"""Whitened residuals of the nominal machine above which a fit within the noise is not tried: no machine tool has such residuals."""
+TRIAL_STEPS: Final = 8
+"""Number of steps of that trial."""
 
 
-class Start(NamedTuple):
-    """A robust estimate, and (n,) the weights of the points it ended with: zero for an outlier."""
+class RobustStart(NamedTuple):
+    """A robust estimate, and (n,) the final weights of the points: zero for an outlier."""
 
     solution: FitSolution
     weight: np.ndarray
 
 
 class FinalEstimate(NamedTuple):
-    """Least squares without outliers, and the rows judged by it."""
+    """Least squares without outliers, and the assessment of the rows by it."""
 
     solution: FitSolution
-    rows: JudgedRows
+    rows: RowAssessment
 
 
-def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Start:
-    """An estimate that a few wrong points do not pull.
+def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> RobustStart:
+    """Return an estimate that is not affected by a few wrong points.
 
-    If the model does not fit, it begins with the misfit of the machine as drawn as its noise, so that what the readings say most of is
-    fitted first, and goes on with what each estimate leaves.
+    If the model does not fit, the first noise is the misfit of the nominal machine, so that well-determined unknowns are fitted first;
+    each further step uses the misfit of the estimate before.
 
     Args:
         network: data and model.
-        setup: to start from, the machine as drawn.
+        setup: initial set-up with the nominal machine.
         triangle: factor of [J | r] there.
     """
     weight = np.ones(len(network.data))
-    nothing = np.zeros(len(network.unknowns))
-    drawn = judged(network, network.residual(nothing, setup))
-    if drawn.noise <= FAR:
-        solution = solve(network, nothing, setup, weight, steps=TRIED, triangle=triangle)
-        found = _judged(network, solution)
-    if drawn.noise > FAR or found.noise > 1.0:
-        solution = solve(network, nothing, setup, weight, noise=drawn.noise, triangle=triangle)
-        found = _judged(network, solution)
+    zero = np.zeros(len(network.unknowns))
+    nominal = assess_rows(network, network.residual(zero, setup))
+    if nominal.noise <= HOPELESS_MISFIT:
+        solution = solve(network, zero, setup, weight, steps=TRIAL_STEPS, triangle=triangle)
+        found = _assessed(network, solution)
+    if nominal.noise > HOPELESS_MISFIT or found.noise > 1.0:
+        solution = solve(network, zero, setup, weight, noise=nominal.noise, triangle=triangle)
+        found = _assessed(network, solution)
     for _ in range(ROUNDS):
         fits = found.noise >= 0.9 * solution.noise
         if not np.any(found.bad) and np.all(weight == 1.0) and fits and solution.converged:
-            return Start(solution, weight)
-        fresh = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
-        still = float(np.abs(fresh - weight).max()) < 0.01 and fits
-        weight = fresh
-        if still:
+            return RobustStart(solution, weight)
+        new_weight = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
+        settled = float(np.abs(new_weight - weight).max()) < 0.01 and fits
+        weight = new_weight
+        if settled:
             break
-        pulled = solution.noise > found.noise == 1.0
-        solution = _further(network, solution, weight, found.noise)
-        if pulled:
-            # From where a prior held it, one step more than to a still one: readings without noise give the errors to the last digits.
+        had_prior = solution.noise > found.noise == 1.0
+        solution = _continued(network, solution, weight, found.noise)
+        if had_prior:
+            # One step more after a prior was active, so that noise-free readings give the errors to the last digits.
             solution = solve(network, solution.theta, solution.setup, weight, steps=1)
-        found = _judged(network, solution)
+        found = _assessed(network, solution)
     weight = (~found.bad).astype(float)
-    return Start(_further(network, solution, weight, found.noise), weight)
+    return RobustStart(_continued(network, solution, weight, found.noise), weight)
 
 
-def _judged(network: Network, solution: FitSolution) -> JudgedRows:
-    return judged(network, network.residual(solution.theta, solution.setup))
+def _assessed(network: Network, solution: FitSolution) -> RowAssessment:
+    return assess_rows(network, network.residual(solution.theta, solution.setup))
 
 
-def _further(network: Network, solution: FitSolution, weight: np.ndarray, noise: float) -> FitSolution:
+def _continued(network: Network, solution: FitSolution, weight: np.ndarray, noise: float) -> FitSolution:
     return solve(network, solution.theta, solution.setup, weight, noise=noise)
 
 
-def without_outliers(network: Network, start: Start, precision: np.ndarray) -> FinalEstimate:
-    """Least squares on all points that are no outliers of it: one is let back in when it fits after all.
+def without_outliers(network: Network, start: RobustStart, precision: np.ndarray) -> FinalEstimate:
+    """Return least squares on all points that are not its outliers; a point that fits after all is used again.
 
     Args:
         network: data and model.
         start: a robust estimate.
-        precision: (columns,) of the machine's unknowns about zero (`twin.identification.priors`).
+        precision: (columns,) precision of the priors of the machine's unknowns about zero (`twin.identification.priors`).
     """
     solution, bad = start.solution, start.weight == 0.0
     seen: set[bytes] = set()
@@ -102,7 +102,7 @@ def without_outliers(network: Network, start: Start, precision: np.ndarray) -> F
             triangle=triangle,
         )
         triangle = None
-        found = _judged(network, solution)
+        found = _assessed(network, solution)
         if np.array_equal(found.bad, bad) or found.bad.tobytes() in seen:
             return FinalEstimate(solution, replace(found, bad=bad))
         seen.add(found.bad.tobytes())

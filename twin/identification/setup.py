@@ -1,4 +1,4 @@
-"""The set-up: where the stations stand, where the targets sit, from where an interferometer counts."""
+"""The set-up: poses of the stations, places of the targets, and dead paths of an interferometer."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
 
 PLACE_PLAUSIBLE: Final = 0.2
-"""m: how far from the origin of its carrier a target may sit when nobody says where."""
+"""Prior standard deviation of a target's place on its carrier if it is not given, m."""
 STATION_PLAUSIBLE: Final = 10.0
-"""m: where a station may stand."""
+"""Prior standard deviation of a station's position, m."""
 TURN_PLAUSIBLE: Final = 1.0
-"""rad: how it may be turned beside what the data say."""
+"""Prior standard deviation of a station's rotation about its initial value, rad."""
 
 
 class Slot(NamedTuple):
-    """Unknown numbers of one kind of one station or target.
+    """Unknown parameters of one kind of one station or target.
 
     Attributes:
         kind: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
         number: index of the station or target.
-        at: where they stand among the set-up's unknowns.
+        at: their slice of the set-up's unknowns.
     """
 
     kind: Literal["turn", "origin", "dead path", "place"]
@@ -37,19 +37,19 @@ class Slot(NamedTuple):
 @final
 @dataclass(frozen=True)
 class SetUp:
-    """Stations and targets; metres and radians, in the frame that each station rides on (the base frame, as a rule).
+    """Poses of stations and places of targets; metres and radians, in the frame on which each station rides (usually the base frame).
 
     Attributes:
         stations: names.
         rotation: (stations, 3, 3) station frame in that frame.
         origin: (stations, 3).
-        dead: (stations,) path an interferometer's counter was zeroed at; zero where lengths are absolute.
+        dead: (stations,) dead path of an interferometer, at which its counter was zeroed; zero where lengths are absolute.
         targets: names.
         place: (targets, 3) on their carriers.
-        station_known, target_known: what the data say themselves.
-        lengths_only: whether the stations read lengths and nothing else, so that how they are turned does not show.
+        station_known, target_known: whether the table gives the pose or place.
+        lengths_only: whether the stations read lengths only, which do not depend on their rotation.
         free_start: whether these lengths count from an unknown zero.
-        shift: (unknowns,) how far `moved` has taken each number from where it was placed first, metres and radians; None for nowhere.
+        shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
     stations: tuple[str, ...]
@@ -65,8 +65,8 @@ class SetUp:
     shift: np.ndarray | None = None
 
     @classmethod
-    def told(cls, data: Measurements, *, lengths_only: bool) -> SetUp:
-        """What the data say; identity and zero for the rest."""
+    def from_table(cls, data: Measurements, *, lengths_only: bool) -> SetUp:
+        """Return the poses and places given in a table; identity and zero for the others."""
         stations, first = _first_rows(data.station)
         targets, first_target = _first_rows(data.target)
         pose, place = data.station_pose[first], data.place_mm[first_target] * MM
@@ -80,10 +80,10 @@ class SetUp:
         return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, lengths_only)
 
     def of(self, data: Measurements) -> SetUp:
-        """The stations and targets of other data, as they are here.
+        """Return the stations and targets of other data, with the values of this set-up.
 
         Raises:
-            KeyError: one that is not known here.
+            KeyError: a station or target that is not in this set-up.
         """
         named = dict.fromkeys(data.station.tolist()), dict.fromkeys(data.target.tolist())
         for name in (*(set(named[0]) - set(self.stations)), *(set(named[1]) - set(self.targets))):
@@ -108,7 +108,7 @@ class SetUp:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """The unknown numbers: of each station, then of each target."""
+        """Unknown parameters of each station, then of each target."""
         found: list[Slot] = []
 
         def add(kind: Literal["turn", "origin", "dead path", "place"], number: int, count: int = 3) -> None:
@@ -128,7 +128,7 @@ class SetUp:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the unknown numbers, in the order of `moved`."""
+        """Names of the unknown parameters, in the order of `moved`."""
         found: list[str] = []
         for kind, i, _ in self.slots:
             if kind == "dead path":
@@ -140,8 +140,8 @@ class SetUp:
 
     @property
     def plausible(self) -> np.ndarray:
-        """(unknowns,) how far each may be from anything, metres and radians."""
-        # Their common shift, too, may be that large.
+        """Prior standard deviation of each unknown parameter, (unknowns,), metres and radians."""
+        # The factor allows for a common shift of all targets of that size.
         place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
         kinds = {"place": place, "turn": TURN_PLAUSIBLE}
         return np.array(
@@ -149,7 +149,7 @@ class SetUp:
         )
 
     def moved(self, step: np.ndarray) -> SetUp:
-        """The set-up after a step: turns as rotation vectors in the station's own frame."""
+        """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
         rotation = np.array(self.rotation)
         shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
         for kind, i, at in self.slots:
@@ -163,7 +163,7 @@ class SetUp:
 
 
 def _first_rows(names: np.ndarray) -> tuple[tuple[str, ...], list[int]]:
-    """Names in order of appearance, and the first row of each."""
+    """Return the names in order of appearance, and the first row of each."""
     first: dict[str, int] = {}
     for row, name in enumerate(names):
         first.setdefault(name, row)

@@ -1,15 +1,13 @@
-"""Whitened nonlinear least squares with a weak prior, which acts only where the readings say little.
+"""Whitened nonlinear least squares with a weak prior, which acts only where the readings determine little.
 
-Every unknown is counted in its plausible size: an error in that of its kind (`Machine.plausible`: one standard deviation before
-anything is measured), a station or a target in that of `setup`. In these units each singular direction of the derivatives has a
-strength σ, the ratio of signal to noise. The noise s is one where the model fits within the stated uncertainty; where the model leaves
-something out, it is the size of the whitened residuals, because a direction that is weaker than the misfit would be fitted to the
-misfit.
+Every unknown is scaled by its prior standard deviation: errors by `Machine.plausible`, stations and targets by `setup`. In these units
+each singular direction of the derivatives has a strength σ, the signal-to-noise ratio. The noise s is one if the model fits within
+the stated uncertainty. If the model is incomplete, s is the size of the whitened residuals, because a direction weaker than the misfit
+would be fitted to the misfit.
 
-Every error has a Gaussian prior about zero with its plausible size, stations and targets one about where the estimate begins. Where the
-model fits, s = 1, only directions with σ ≤ 1 have it, and stay where they are: nothing that the readings determine is pulled, and
-readings without noise give the errors to the last digits. The covariance is that of this estimator: of the readings' scatter and of the
-prior.
+Every error has a Gaussian prior about zero, stations and targets about their initial values. If the model fits, s = 1, the prior acts
+only on directions with σ ≤ 1, which keep their initial values: nothing that the readings determine is biased, and noise-free readings
+give the errors to the last digits. The covariance is that of this estimator, from the readings and from the prior.
 """
 
 from __future__ import annotations
@@ -32,28 +30,32 @@ from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.effects import unit_of
 from twin.numerics.observability import WEAKEST, Determinability, Spectrum, Unknown, decompose
 
-FIRM: Final = 1e9
-"""Weight of a condition of the datum where it stands as one more reading."""
+DATUM_WEIGHT: Final = 1e9
+"""Weight of a condition of the datum when it is added as an observation."""
 STEPS: Final = 50
-PLAIN: Final = 6
-"""Steps as Gauss and Newton have them, enough for a five-axis machine seen from everywhere. Where few axes leave a station or target
-known hardly better than beforehand, the derivatives change over that uncertainty and such steps shrink by a tenth each, some to and
-fro: from here on the last few say how."""
+PLAIN_STEPS: Final = 6
+"""Number of plain Gauss-Newton steps, enough for a five-axis machine with a well-determined set-up. If a station or target remains
+nearly undetermined, the derivatives change over its uncertainty, and plain steps converge by a tenth each or oscillate; then the
+steps are accelerated with the last few.
+"""
 MEMORY: Final = 4
-WORSE: Final = 1e-6
-"""Share by which the sum of squares may grow in a step: rounding."""
+COST_TOLERANCE: Final = 1e-6
+"""Relative increase of the sum of squares accepted in a step: rounding."""
 HALVINGS: Final = 10
-FIRM_STEP: Final = 30.0
-"""Strength up to which priors of the machine's unknowns move no station or target: they would move it far for little, as no prior of
-its own holds it, and the covariance has this strength all the same."""
+LEAST_STRENGTH: Final = 30.0
+"""Strength up to which directions keep their values when the machine's unknowns have priors: such priors would move a station or target
+far for little, as it has no prior of its own here, and the covariance includes this strength anyway.
+"""
 PANEL: Final = 32
-"""Columns of a block of the factorisation: of no consequence but time."""
-NEAR: Final = 5e-3
-"""Share of its plausible size that a station or target is held within where the model leaves something out: they were fitted to the
-machine as drawn. Else one plane of points, or a place that no rotation shows, would move by decimetres to make an error smaller."""
-STILL: Final = 1e-4
-"""A step that changes the whitened residuals by no more than this (root of the sum of squares) is the last: the errors of a machine
-are small, the next step is a thousandth of it or less, and what is left 1e-7 of a standard uncertainty."""
+"""Block size of the factorisation; it affects computing time only."""
+SETUP_SHARE: Final = 5e-3
+"""Share of its prior standard deviation that limits a station or target if the model is incomplete. Otherwise points in a plane
+or a place that no rotation determines would move by decimetres to reduce an error.
+"""
+CONVERGED_CHANGE: Final = 1e-4
+"""Change of the whitened residuals (root of the sum of squares) that ends the iteration: the errors of a machine are small, so the next
+step would be a thousandth of it or less, and the remainder 1e-7 of a standard uncertainty.
+"""
 
 
 @final
@@ -65,14 +67,14 @@ class FitSolution:
         theta: (columns,) µm and µrad.
         setup: stations and targets.
         triangle: (p + 1, p + 1) factor of [J | r] at the estimate.
-        spectrum: directions (machine's and set-up's, plausible units) that the data determine, their singular values, and those
-            directions that they do not; the datum's conditions respected.
-        determined: how many numbers the readings settle: the trace of their share in the estimate.
-        converged: whether the last step was still.
-        steps: how many were taken.
-        noise: size of the whitened residuals that the prior was weighed against; one where the model fits.
-        precision: (columns,) of the machine's unknowns about zero beside the weak prior, one over µm² or µrad².
-        free: (p, f) orthonormal directions that keep the datum.
+        spectrum: directions (machine and set-up, scaled by their priors) that the data determine, their singular values, and null
+            directions; all of them fulfil the datum's conditions.
+        determined: number of parameters determined by the readings: the trace of their share in the estimate.
+        converged: whether the iteration converged.
+        steps: number of steps.
+        noise: size of the whitened residuals used for the weight of the prior; one if the model fits.
+        precision: (columns,) further priors of the machine's unknowns about zero, one over µm² or µrad².
+        free: (p, f) orthonormal directions that fulfil the datum's conditions.
     """
 
     theta: np.ndarray
@@ -88,30 +90,30 @@ class FitSolution:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """(p, f) all directions that the datum allows, plausible units, strongest first."""
+        """All directions that the datum allows, (p, f), scaled by the priors, strongest first."""
         return locked(np.concatenate([self.spectrum.directions, self.spectrum.silent], axis=1))
 
     @cached_property
     def stiffness(self) -> np.ndarray:
-        """(f,) precision of the estimate along each direction, prior included."""
+        """Precision of the estimate along each direction, (f,), prior included."""
         return locked(self.spectrum.values**2 + self.noise**2 * _with_prior(self.spectrum.values, self.noise))
 
     @property
     def unseen(self) -> np.ndarray:
-        """(p,) share of each unknown's plausible variance that readings with this noise leave."""
+        """Share of each unknown's prior variance that remains after readings with this noise, (p,)."""
         return np.asarray(self.basis**2 @ (self.noise**2 / (self.spectrum.values**2 + self.noise**2)))
 
-    def covariance(self, scatter: np.ndarray | None = None) -> np.ndarray:
-        """Return the (p, p) covariance of the estimate: that of the readings carried through, and that of the priors.
+    def covariance(self, score_covariance: np.ndarray | None = None) -> np.ndarray:
+        """Return the (p, p) covariance of the estimate, propagated from the readings and the priors.
 
-        A⁻¹ (M + P) A⁻¹ with the estimator's own A, the scatter M of the normal equations' right side and the priors' share P of it.
+        A⁻¹ (M + P) A⁻¹ with the estimator's matrix A, the covariance M of the normal equations' right side, and the priors' part P.
 
         Args:
-            scatter: (p, p) M in the derivatives' units, if not that of the stated uncertainty, JᵀJ (`twin.identification.spread`).
+            score_covariance: (p, p) M in the derivatives' units; if None, that of the stated uncertainty, JᵀJ.
         """
         scale = self.spectrum.scale
         j = self.triangle[:, :-1]
-        middle = (j.T @ j if scatter is None else scatter) * np.outer(scale, scale)
+        middle = (j.T @ j if score_covariance is None else score_covariance) * np.outer(scale, scale)
         held = np.zeros(len(scale))
         held[: len(self.precision)] = self.noise**2 * self.precision * scale[: len(self.precision)] ** 2
         inner = self.basis.T @ (middle + np.diag(held)) @ self.basis
@@ -125,30 +127,30 @@ class FitSolution:
         return float(np.sum(self.triangle[:, -1] ** 2))
 
     def rank_of(self, columns: Sequence[int], datum: np.ndarray) -> int:
-        """How many directions the data see of the set-up and some of the machine's columns, the datum's conditions kept."""
+        """Return the rank of the set-up and some of the machine's columns in the data, with the datum's conditions."""
         machine = datum.shape[1]
         scale = self.spectrum.scale
         kept = [*columns, *range(machine, len(scale))]
         conditions = np.zeros((len(datum), len(scale)))
         conditions[:, :machine] = datum
-        whole = np.concatenate([self.triangle[:, :-1] * scale, FIRM * conditions])[:, kept]
+        whole = np.concatenate([self.triangle[:, :-1] * scale, DATUM_WEIGHT * conditions])[:, kept]
         return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > WEAKEST))
 
-    def told(self, unknowns: Unknowns, readings: int) -> Determinability:
-        """What the readings determine, with names, in the units users see.
+    def determinability(self, unknowns: Unknowns, readings: int) -> Determinability:
+        """Return what the readings determine, with names and the user's units.
 
         Args:
-            unknowns: the machine's.
-            readings: how many they are.
+            unknowns: unknowns of the machine.
+            readings: number of readings.
         """
         return Determinability(named(unknowns, self.setup), self.spectrum, WEAKEST, readings)
 
 
 def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
-    """Every unknown number of a machine and its set-up, as it is to be read in a sentence.
+    """Return every unknown of a machine and its set-up with a name for the user.
 
     Args:
-        unknowns: the machine's: µm and µrad.
+        unknowns: unknowns of the machine: µm and µrad.
         setup: stations and targets: metres and radians inside, mm and µrad outside.
     """
     found = [
@@ -159,7 +161,7 @@ def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
 
 
 def named_setup(setup: SetUp) -> tuple[Unknown, ...]:
-    """The set-up's part of `named`."""
+    """Return every unknown of a set-up with a name for the user."""
     found = []
     for name, size in zip(setup.names, setup.plausible, strict=True):
         unit, factor = ("urad", URAD) if " turn " in name else ("mm", MM)
@@ -183,87 +185,86 @@ def solve(
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
 ) -> FitSolution:
-    """Gauss-Newton from a start that fulfils the datum's conditions.
+    """Return the Gauss-Newton estimate from an initial value that fulfils the datum's conditions.
 
     Args:
         network: data and model.
-        theta: machine's unknowns to start from, µm and µrad.
-        setup: stations and targets to start from; how far they are from their prior places is in it (`SetUp.shift`).
-        weight: (n,) of each point.
-        precision: (columns,) of the machine's unknowns about zero, one over µm² or µrad²; none if None.
-        noise: size of the whitened residuals that this model leaves, one at least; see the module.
-        steps: at most.
-        triangle: factor of [J | r] at the start, for whoever has it; found if None.
+        theta: initial values of the machine's unknowns, µm and µrad.
+        setup: initial stations and targets; their deviation from the prior is in it (`SetUp.shift`).
+        weight: (n,) weight of each point.
+        precision: (columns,) priors of the machine's unknowns about zero, one over µm² or µrad²; none if None.
+        noise: size of the whitened residuals that this model leaves, at least one; see the module.
+        steps: largest number of steps.
+        triangle: factor of [J | r] at the initial value; computed if None.
     """
     problem = _Problem.of(network, setup, noise, precision)
-    here = _Place(theta, setup)
-    weakest = FIRM_STEP if precision is not None else WEAKEST
-    taken, halved, before, last = 0, 0, np.inf, here
-    wanted: list[np.ndarray] = []
-    gone: list[np.ndarray] = []
+    iterate = _Iterate(theta, setup)
+    weakest = LEAST_STRENGTH if precision is not None else WEAKEST
+    taken, halved, before, last = 0, 0, np.inf, iterate
+    newton_steps: list[np.ndarray] = []
+    steps_taken: list[np.ndarray] = []
     while True:
-        found = factor(network, here.theta, here.setup, weight) if triangle is None else triangle
+        found = factor(network, iterate.theta, iterate.setup, weight) if triangle is None else triangle
         triangle = None
-        cost = problem.cost(here, found)
-        if cost > before * (1.0 + WORSE) and taken < steps:
-            # The derivatives do not hold as far as the step: the plain one, then half of it. What was learnt of how steps change does
-            # not hold either.
-            wanted = wanted[-1:]
-            gone = [wanted[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(wanted[0])]
-            here, halved, taken = last.after(gone[0] * problem.near), halved + 1, taken + 1
+        cost = problem.cost(iterate, found)
+        if cost > before * (1.0 + COST_TOLERANCE) and taken < steps:
+            # The step is too long for its derivatives: try the plain one, then half of it. The history of steps is not valid either.
+            newton_steps = newton_steps[-1:]
+            steps_taken = [newton_steps[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(newton_steps[0])]
+            iterate, halved, taken = last.stepped(steps_taken[0] * problem.near), halved + 1, taken + 1
             continue
         left, spectrum = problem.decomposed(found, problem.near)
         if taken == steps:
-            return problem.solution(here, found, spectrum, taken, converged=False)
-        along = left.T @ np.concatenate([found[:, -1], -problem.root @ here.theta])
-        step, change = _newton(spectrum, along, here.off / problem.near, noise, weakest)
-        converged = change <= STILL * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
-        wanted.append(step)
-        if taken >= PLAIN and not converged:
-            step = _ahead(wanted, gone, spectrum)
-        gone.append(step)
-        last, before, halved = here, cost, 0
-        here = here.after(step * problem.near)
+            return problem.solution(iterate, found, spectrum, taken, converged=False)
+        along = left.T @ np.concatenate([found[:, -1], -problem.root @ iterate.theta])
+        step, change = _newton(spectrum, along, iterate.deviation / problem.near, noise, weakest)
+        converged = change <= CONVERGED_CHANGE * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
+        newton_steps.append(step)
+        if taken >= PLAIN_STEPS and not converged:
+            step = _anderson_step(newton_steps, steps_taken, spectrum)
+        steps_taken.append(step)
+        last, before, halved = iterate, cost, 0
+        iterate = iterate.stepped(step * problem.near)
         taken += 1
         if converged:
-            # The last step is too small to change the derivatives: only what is left of the readings moves.
+            # The last step is too small to change the derivatives; only the residuals are updated.
             found = np.array(found)
             found[:, -1] -= found[:, :-1] @ (step * problem.near)
-            return problem.solution(here, found, spectrum, taken, converged=True)
+            return problem.solution(iterate, found, spectrum, taken, converged=True)
 
 
 @final
 @dataclass(frozen=True)
-class _Place:
-    """Where a search stands: the machine's unknowns and the set-up."""
+class _Iterate:
+    """An iterate: the machine's unknowns and the set-up."""
 
     theta: np.ndarray
     setup: SetUp
 
     @property
-    def off(self) -> np.ndarray:
-        """(p,) how far every unknown is from its prior place."""
+    def deviation(self) -> np.ndarray:
+        """Deviation of every unknown from its prior mean, (p,)."""
         shift = np.zeros(len(self.setup)) if self.setup.shift is None else self.setup.shift
         return np.concatenate([self.theta, shift])
 
-    def after(self, step: np.ndarray) -> _Place:
-        """After a step of all unknowns."""
+    def stepped(self, step: np.ndarray) -> _Iterate:
+        """Return the iterate after a step of all unknowns."""
         machine = len(self.theta)
-        return _Place(self.theta + step[:machine], self.setup.moved(step[machine:]))
+        return _Iterate(self.theta + step[:machine], self.setup.moved(step[machine:]))
 
 
 @final
 @dataclass(frozen=True)
 class _Problem:
-    """What stays the same from step to step.
+    """Constants of the iteration.
 
     Attributes:
         noise: see `solve`.
-        precision: (columns,) of the machine's unknowns about zero.
+        precision: (columns,) priors of the machine's unknowns about zero.
         root: (columns, columns) root of it, times the noise.
-        free: (p, f) orthonormal directions that keep the datum.
-        scale: (p,) plausible sizes.
-        near: (p,) sizes of the priors in the search (`NEAR`).
+        free: (p, f) orthonormal directions that fulfil the datum's conditions.
+        scale: (p,) prior standard deviations.
+        near: (p,) prior standard deviations during the iteration (`SETUP_SHARE`).
     """
 
     noise: float
@@ -275,47 +276,49 @@ class _Problem:
 
     @classmethod
     def of(cls, network: Network, setup: SetUp, noise: float, precision: np.ndarray | None) -> _Problem:
-        """Of an estimate; arguments as of `solve`."""
+        """Return the constants of an estimate; arguments as of `solve`."""
         machine = len(network.unknowns)
         held = np.zeros(machine) if precision is None else precision
         scale = np.concatenate([network.unknowns.plausible, setup.plausible])
         near = np.array(scale)
-        near[machine:] *= NEAR if noise > 1.0 else 1.0
+        near[machine:] *= SETUP_SHARE if noise > 1.0 else 1.0
         free = free_directions(network.unknowns.datum, machine, len(setup))
         return cls(noise, held, np.diag(noise * np.sqrt(held)), free, scale, near)
 
-    def cost(self, here: _Place, triangle: np.ndarray) -> float:
-        """Sum of squares of readings and priors."""
-        cost = float(np.sum(triangle[:, -1] ** 2) + np.sum((self.root @ here.theta) ** 2))
-        return cost + (float(self.noise**2 * np.sum((here.off / self.near) ** 2)) if self.noise > 1.0 else 0.0)
+    def cost(self, iterate: _Iterate, triangle: np.ndarray) -> float:
+        """Return the sum of squares of readings and priors."""
+        cost = float(np.sum(triangle[:, -1] ** 2) + np.sum((self.root @ iterate.theta) ** 2))
+        return cost + (float(self.noise**2 * np.sum((iterate.deviation / self.near) ** 2)) if self.noise > 1.0 else 0.0)
 
     def decomposed(self, triangle: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, Spectrum]:
-        """Left singular vectors of all directions that have a say in the step, and the spectrum: seen is what exceeds the noise.
+        """Return the left singular vectors of all directions that contribute to the step, and the spectrum split at the noise.
 
         Args:
             triangle: factor of [J | r].
-            scale: (p,) sizes of the priors.
+            scale: (p,) prior standard deviations.
         """
         prior = np.zeros((len(self.root), len(scale)))
         prior[:, : len(self.root)] = self.root
         matrix = np.concatenate([triangle[:, :-1], prior]) * scale
         if self.noise <= 1.0:
             return decompose(matrix, scale, free=self.free)
-        # The prior is what holds here: every direction counts, however weak the readings along it, or no step would reach the least.
-        left, every = decompose(matrix, scale, free=self.free, tolerance=0.0)
-        basis = np.concatenate([every.directions, every.silent], axis=1)
-        seen = int(np.count_nonzero(every.values > self.noise))
-        return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
+        # Here the prior limits the step, so even weakly determined directions count; otherwise no step reaches the minimum.
+        left, all_directions = decompose(matrix, scale, free=self.free, tolerance=0.0)
+        basis = np.concatenate([all_directions.directions, all_directions.silent], axis=1)
+        seen = int(np.count_nonzero(all_directions.values > self.noise))
+        return left, Spectrum(
+            all_directions.scale, all_directions.values, locked(basis[:, :seen]), locked(basis[:, seen:])
+        )
 
     def solution(
-        self, here: _Place, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
+        self, iterate: _Iterate, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
     ) -> FitSolution:
-        """The estimate where a search ended."""
+        """Return the estimate at the last iterate."""
         if self.noise > 1.0:
             _, spectrum = self.decomposed(triangle, self.scale)
         found = FitSolution(
-            theta=here.theta,
-            setup=here.setup,
+            theta=iterate.theta,
+            setup=iterate.setup,
             triangle=triangle,
             spectrum=spectrum,
             determined=0.0,
@@ -330,85 +333,87 @@ class _Problem:
 
 
 def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
-    """(f,) one for each direction that has the prior: where the model fits, those that the readings do not see."""
+    """Return (f,) one for each direction on which the prior acts: if the model fits, those that the readings do not determine."""
     return np.ones_like(strength) if noise > 1.0 else (strength <= WEAKEST).astype(float)
 
 
 def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
-    """(p + 1, p + 1) triangular factor of [J | r], rows weighted: everything a least-squares step needs.
+    """Return the (p + 1, p + 1) triangular factor of [J | r], rows weighted, which contains all that a least-squares step needs.
 
     Args:
         network: data and model.
         theta: machine's unknowns.
         setup: stations and targets.
-        weight: (n,) of each point; zero leaves it out.
+        weight: (n,) weight of each point; zero leaves it out.
     """
     size = len(theta) + len(setup) + 1
 
-    def summed(share: Sequence[np.ndarray]) -> np.ndarray:
+    def summed(chunks: Sequence[np.ndarray]) -> np.ndarray:
         found = np.zeros((size, size), order="F")
-        for rows in share:
-            piece = network.piece(theta, setup, rows)
+        for rows in chunks:
+            piece = network.chunk(theta, setup, rows)
             both = piece.columns
             both *= np.sqrt(weight[piece.rows])[:, None]
-            found = _on_top(found, both.reshape(size, -1).T)
+            found = _append_rows(found, both.reshape(size, -1).T)
         return found
 
-    whole, *others = side_by_side(network.shares, summed)
+    whole, *others = side_by_side(network.row_chunks, summed)
     for part in others:
-        whole = _on_top(whole, np.asfortranarray(np.triu(part)))
+        whole = _append_rows(whole, np.asfortranarray(np.triu(part)))
     return np.triu(whole)
 
 
-def _on_top(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Factor of a triangle on top of rows: LAPACK's factorisation that knows it is one."""
+def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the factor of a triangle on top of rows, by LAPACK's factorisation of a triangular-pentagonal matrix."""
     found, _, _, _ = dtpqrt(0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1)
     return np.asarray(found)
 
 
 def _newton(
-    spectrum: Spectrum, along: np.ndarray, off: np.ndarray, noise: float, weakest: float
+    spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, noise: float, weakest: float
 ) -> tuple[np.ndarray, float]:
-    """The step to the least sum of squares of readings and prior, and how much it changes them, root of the sum of squares.
+    """Return the Gauss-Newton step for readings and prior, and the change of the residuals, root of the sum of squares.
 
     Args:
-        spectrum: of the derivatives, with the directions that are not seen.
-        along: (d,) residuals along the directions that have a say, strongest first.
-        off: (p,) how far every unknown is from its prior place, plausible units.
+        spectrum: spectrum of the derivatives, with the null directions.
+        along: (d,) residuals along the directions that contribute, strongest first.
+        deviation: (p,) deviation of every unknown from its prior mean, in prior standard deviations.
         noise: see `solve`.
-        weakest: strength up to which a direction stays where it is, if the model fits.
+        weakest: strength up to which a direction keeps its value, if the model fits.
     """
     basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
     values = spectrum.values
     prior = noise**2 * _with_prior(values, noise)
-    right = -prior * (basis.T @ off) if noise > 1.0 else np.zeros(len(values))
+    right = -prior * (basis.T @ deviation) if noise > 1.0 else np.zeros(len(values))
     right[: len(along)] += values[: len(along)] * along
     if noise <= 1.0:
-        # What the readings hardly show stays where it is: derivatives across a plane of points do not hold for long.
+        # Hardly determined directions keep their values: derivatives across a plane of points hold over a short distance only.
         right[values <= weakest] = 0.0
     stiffness = values**2 + prior
     coefficients = right / stiffness
     return basis @ coefficients, float(np.linalg.norm(np.sqrt(stiffness) * coefficients))
 
 
-def _ahead(wanted: Sequence[np.ndarray], gone: Sequence[np.ndarray], spectrum: Spectrum) -> np.ndarray:
-    """The step to where the last few, taken as straight in what they change, would want none (Anderson 1965; Walker and Ni 2011).
+def _anderson_step(
+    newton_steps: Sequence[np.ndarray], steps_taken: Sequence[np.ndarray], spectrum: Spectrum
+) -> np.ndarray:
+    """Return the Anderson-accelerated step from the last few steps (Anderson 1965; Walker and Ni 2011).
 
     Args:
-        wanted: (p,) each, what Gauss and Newton wanted at the last places and want here.
-        gone: (p,) each, the steps between these places.
-        spectrum: here; its directions times their strength say what a step changes in the whitened residuals.
+        newton_steps: (p,) each, Gauss-Newton steps at the last iterates and at this one.
+        steps_taken: (p,) each, the steps taken between these iterates.
+        spectrum: at this iterate; directions times strength give the change of the whitened residuals by a step.
     """
-    last = list(wanted)[-MEMORY - 1 :]
+    last = list(newton_steps)[-MEMORY - 1 :]
     more = np.stack([after - before for before, after in pairwise(last)], axis=1)
-    way = np.stack(list(gone)[1 - len(last) :], axis=1)
+    steps_between = np.stack(list(steps_taken)[1 - len(last) :], axis=1)
     changes = spectrum.strength[:, None] * spectrum.directions.T
     share = np.linalg.lstsq(changes @ more, changes @ last[-1], rcond=1e-6)[0]
-    return np.asarray(last[-1] - (way + more) @ share)
+    return np.asarray(last[-1] - (steps_between + more) @ share)
 
 
 def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:
-    """(p, p − conditions) orthonormal directions that keep the datum."""
+    """Return (p, p − conditions) orthonormal directions that fulfil the datum's conditions."""
     if len(datum) == 0:
         return np.eye(machine + setup)
     _, values, v = np.linalg.svd(datum, full_matrices=True)

@@ -1,4 +1,4 @@
-"""How far readings scatter: what repeats say of it, and how it carries into an estimate whose model leaves something out."""
+"""Noise of the readings: estimates from repeats, and the covariance of an estimate whose model is incomplete."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 @final
 @dataclass(frozen=True)
 class FitStatistics:
-    """What is left beside what the readings' covariance allows; nothing is rescaled by it.
+    """Residuals compared with the stated covariance of the readings; nothing is scaled by it.
 
     Attributes:
-        chi2, dof: sum of squared whitened residuals, and how many readings are free of the estimate (no whole number: beyond
-            the chosen orders the readings settle a share of each number).
-        p_value: of a chi² that large or larger if the stated covariance holds.
-        pure_chi2, pure_dof: the part that is scatter between repeats of the same point.
-        lack_p_value: of the rest against the repeats (F test of lack of fit); NaN without repeats.
+        chi2, dof: sum of squared whitened residuals and its degrees of freedom (not an integer: beyond the chosen orders, the readings
+            determine a share of each parameter).
+        p_value: probability of a chi² at least as large if the stated covariance holds.
+        pure_chi2, pure_dof: part of it between repeats of the same point (pure error).
+        lack_p_value: p-value of the remainder compared with the repeats (F test of lack of fit); NaN without repeats.
     """
 
     chi2: float
@@ -40,25 +40,25 @@ class FitStatistics:
 
     @property
     def reduced(self) -> float:
-        """chi² a degree of freedom: one where model and stated covariance hold."""
+        """chi² per degree of freedom: one if model and stated covariance hold."""
         return self.chi2 / self.dof if self.dof else float("nan")
 
     @property
     def pure_reduced(self) -> float:
-        """The same of repeats alone: one where the stated covariance holds, whatever the model."""
+        """The same for repeats alone: one if the stated covariance holds, whatever the model."""
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
 def misfit(
     whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray
 ) -> FitStatistics:
-    """Misfit of an estimate.
+    """Return the misfit of an estimate.
 
     Args:
         whitened: (n, 3) whitened residuals.
         read: (n, 3) which coordinates were read.
         data: the measurements.
-        determined: how many numbers the readings settled.
+        determined: number of parameters determined by the readings.
         used: (n,) which points were used.
     """
     chi2 = float(np.sum(whitened[used] ** 2))
@@ -82,7 +82,7 @@ def misfit(
 
 
 def repeats(data: Measurements) -> np.ndarray:
-    """(n,) index of the point each row repeats: same command, target, station and directions of approach."""
+    """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach."""
     keys = np.concatenate([np.round(data.positions, 6), data.approach], axis=1)
     _, pose = np.unique(keys, axis=0, return_inverse=True)
     _, target = np.unique(data.target.astype(str), return_inverse=True)
@@ -92,11 +92,11 @@ def repeats(data: Measurements) -> np.ndarray:
 
 
 def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.ndarray:
-    """(n, 3, 3) covariance of the readings as the repeats scatter, m²: the instrument's model, pooled over all points.
+    """Return (n, 3, 3) the covariance of the readings from repeats, m²: the instrument's model, pooled over all points.
 
     Args:
         data: the measurements.
-        instrument: what read them.
+        instrument: the instrument.
 
     Raises:
         InputError: fewer than ten degrees of freedom of repeats.
@@ -107,30 +107,30 @@ def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.nd
     dof = int(np.sum(np.maximum(size - 1, 0)))
     if dof < 10:
         raise data.error(
-            "too few repeats to know the scatter from",
-            expected="ten or more readings of points that were read before",
+            "too few repeats to estimate the noise",
+            expected="at least ten repeated readings",
             value=dof,
         )
     mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
-    scatter = np.where(size[group, None] > 1, points - mean[group], 0.0)
-    return locked(instrument.pooled(points, scatter, dof))
+    deviations = np.where(size[group, None] > 1, points - mean[group], 0.0)
+    return locked(instrument.pooled(points, deviations, dof))
 
 
 def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:
-    """(p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
+    """Return the (p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
 
-    ``between poses`` is for a model that leaves something out that changes from pose to pose. It holds for poses drawn one by one, as
-    those the machine will work in. Where neighbours were measured together they miss alike, and ``between rounds`` is the one that
-    holds: what is left out is shared by the points of a round (poses about one place, one warming up).
+    ``between poses`` is for a model that lacks an influence which changes from pose to pose. It holds for independent poses that
+    represent those of later use. If neighbouring poses were measured together, their misfits are correlated, and ``between rounds`` is
+    valid: the points of a round share the influence (poses near one place, one warm-up).
 
     Args:
         network: data and model.
         solution: the estimate.
-        weight: (n,) of each point; zero for one that was not used.
-        spread: whose scatter it carries.
+        weight: (n,) weight of each point; zero for one that was not used.
+        spread: noise on which it is based.
 
     Raises:
-        InputError: fewer rounds than numbers determined.
+        InputError: fewer rounds than parameters determined.
     """
     data = network.data
     if spread == "between poses":
@@ -139,8 +139,8 @@ def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, s
         names, group = np.unique(data.round.astype(str), return_inverse=True)
         if len(names) <= len(solution.spectrum.strength):
             raise data.error(
-                "too few rounds to know their scatter from",
-                expected=f"more than the {len(solution.spectrum.strength)} numbers determined",
+                "too few rounds to estimate their variation",
+                expected=f"more than the {len(solution.spectrum.strength)} parameters determined",
                 value=len(names),
             )
     else:
@@ -149,12 +149,12 @@ def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, s
 
 
 def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """A⁻¹ (Σ g gᵀ) A⁻¹ with one score g a group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
+    """Return A⁻¹ (Σ g gᵀ) A⁻¹ with one score g per group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
 
-    It holds whatever the scatter between groups is, as long as the groups are many and drawn as those to come.
+    It holds for any variation between groups, provided that the groups are many and represent those of later use.
     """
     scores = np.zeros((group.max() + 1, len(solution.spectrum.scale)))
-    for piece in network.pieces(solution.theta, solution.setup):
+    for piece in network.chunks(solution.theta, solution.setup):
         own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
         np.add.at(scores, group[piece.rows], own)
     count = len(scores)

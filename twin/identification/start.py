@@ -1,8 +1,8 @@
-"""Where the stations stand, to begin with: from the machine as drawn, by a loss that a few wrong rows cannot pull.
+"""Initial values of the set-up from the nominal machine, by a robust loss that a few wrong rows do not affect.
 
-A tracker's reading y of a target at place t, carried to b + A·t, stands at station (R, o): R·y + o − A·t = b. That is linear in the
-nine entries of R, in o and in t; the nearest rotation is taken, and the estimate proper does the rest. A tracking interferometer's
-lengths (eq. 26 of the thesis, multilateration) are linear in the station once squared.
+A tracker's reading y of a target at place t, carried to b + A·t, from a station with pose (R, o) satisfies R·y + o − A·t = b. That is
+linear in the nine entries of R, in o and in t; the nearest rotation is taken, and the final estimate refines it. The lengths of a
+tracking interferometer (eq. 26 of the thesis, multilateration) are linear in the station's parameters after squaring.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 FLOOR: Final = 1e-4
-"""m: misfits below it weigh alike; the machine's own errors are that large."""
-FITS: Final = 5e-3
-"""m: a command that misses the measured motion by more does not belong to it: no machine tool errs by that."""
-ALIKE: Final = 1e-3
-"""Relative size of a direction below which the readings do not determine it."""
+"""Misfit, m, below which all rows have the same weight: the order of the machine's own errors."""
+LARGEST_MISFIT_M: Final = 5e-3
+"""Deviation of a reading from the nominal machine, m, above which the row is wrong: no machine tool has such errors."""
+RELATIVE_RANK: Final = 1e-3
+"""Relative singular value below which the readings do not determine a direction."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
-"""rad a step."""
-STILL: Final = 1e-10
+"""Largest rotation in one step, rad."""
+LEAST_ROTATION: Final = 1e-10
 
 
-class FirstSetUp(NamedTuple):
-    """Stations and targets from the machine as drawn, and (n,) how far each reading is from them, metres."""
+class InitialSetUp(NamedTuple):
+    """Initial set-up, and (n,) the misfit of each reading, metres."""
 
     setup: SetUp
     miss: np.ndarray
 
 
-def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> FirstSetUp:
-    """Stations and targets from the machine as drawn.
+def initial_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> InitialSetUp:
+    """Estimate the set-up with the nominal machine.
 
     Args:
         machine: the machine.
@@ -49,23 +49,20 @@ def first_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> 
         lengths_only: whether only lengths from an unknown zero were read.
 
     Raises:
-        InputError: a station with fewer than three points, or one that sees the machine as in a mirror.
+        InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
-    told = SetUp.told(data, lengths_only=lengths_only)
-    carried = nominal(machine, data)
-    station = np.array([told.stations.index(name) for name in data.station])
-    target = np.array([told.targets.index(name) for name in data.target])
+    initial = SetUp.from_table(data, lengths_only=lengths_only)
+    carried = nominal_carriers(machine, data)
+    station = np.array([initial.stations.index(name) for name in data.station])
+    target = np.array([initial.targets.index(name) for name in data.target])
     if lengths_only:
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
-        return _by_lengths(told, _Lengths(carried.points, carried.rotation, length, station, target))
-    return _by_points(told, carried, data, station, target)
+        return _by_lengths(initial, _Lengths(carried.points, carried.rotation, length, station, target))
+    return _by_points(initial, carried, data, station, target)
 
 
-def nominal(machine: Machine, data: Measurements) -> CarriedTargets:
-    """Return the origin of each row's carrier as the machine is drawn, and how the carrier is turned; metres.
-
-    In the frame that the row's station rides on.
-    """
+def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
+    """Return origin and rotation of each row's carrier on the nominal machine, in the frame on which its station rides; metres."""
     q = np.asarray(data.positions) * machine.scale
     errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
     return _observation(machine).carried(q, errors, data.carrier, places, data.station_carrier)
@@ -73,19 +70,19 @@ def nominal(machine: Machine, data: Measurements) -> CarriedTargets:
 
 @lru_cache(maxsize=2)
 def _observation(machine: Machine) -> Observation:
-    """The same for all calls: building its graph takes longer than a set-up of some hundred rows."""
+    """Return the forward model, cached: building its graph takes longer than a set-up of some hundred rows."""
     return Observation(machine)
 
 
 @final
 @dataclass(frozen=True)
 class _Equations:
-    """R·y + o − A·t = b for every row, linear in the unknowns of the set-up: for each station R and o, for each target t.
+    """Equations R·y + o − A·t = b of all rows, linear in the unknowns of the set-up: R and o of each station, t of each target.
 
     Attributes:
-        told: what is known.
-        y: (n, 3) readings from the mean of their station, metres; zero where not whole.
-        centre: (stations, 3) these means. In points of one plane or line where they lie must not pass for how the station is turned.
+        initial: set-up with the poses and places that are given.
+        y: (n, 3) readings minus the mean of their station, metres; zero for incomplete rows.
+        centre: (stations, 3) these means. Centring keeps the position of points in a plane or line from affecting the rotation.
         b: (n, 3) origins of the carriers.
         matrix: (n, 3, unknowns).
         known: (unknowns,) which have a value.
@@ -94,7 +91,7 @@ class _Equations:
         station: (n,) index.
     """
 
-    told: SetUp
+    initial: SetUp
     y: np.ndarray
     centre: np.ndarray
     b: np.ndarray
@@ -105,20 +102,20 @@ class _Equations:
     station: np.ndarray
 
     @property
-    def of_stations(self) -> int:
-        """How many unknowns belong to stations: twelve each."""
-        return 12 * len(self.told.stations)
+    def station_unknowns(self) -> int:
+        """Number of unknowns of the stations: twelve each."""
+        return 12 * len(self.initial.stations)
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
-        """(unknowns,) robust linear estimate, entries of R free of each other, and (n,) the weights."""
+        """Return (unknowns,) the robust linear estimate, with the entries of R independent of each other, and (n,) the weights."""
         weight, found = self.whole.astype(float), self.values
         for _ in range(SWEEPS):
             found = self._weighted(weight)
             misfit = np.linalg.norm(self.b - self.matrix @ found, axis=1)
-            fresh = np.where(self.whole, 1.0 / np.maximum(misfit, FLOOR), 0.0) * FLOOR
-            if np.allclose(fresh, weight, atol=1e-3):
+            new_weight = np.where(self.whole, 1.0 / np.maximum(misfit, FLOOR), 0.0) * FLOOR
+            if np.allclose(new_weight, weight, atol=1e-3):
                 break
-            weight = fresh
+            weight = new_weight
         return found, weight
 
     def _weighted(self, weight: np.ndarray) -> np.ndarray:
@@ -126,43 +123,43 @@ class _Equations:
         flat = (self.matrix[:, :, unknown] * root[:, :, None]).reshape(3 * len(self.y), -1)
         size = np.zeros(len(self.known))
         size[unknown] = np.linalg.norm(flat, axis=0)
-        # A turn's entries alike: across a plane of points there is only their scatter, which says nothing of it.
-        for i in range(0, self.of_stations, 12):
+        # The same scale for all entries of a rotation: across a plane of points there is only noise, which does not determine it.
+        for i in range(0, self.station_unknowns, 12):
             size[i : i + 9] = size[i : i + 9].max()
         size = size[unknown]
         scale = np.where(size > 0.0, size, 1.0)
-        # A motion along one line leaves directions that nothing determines: the smallest answer is as good as any.
-        strength, way = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
-        seen = strength > ALIKE**2 * strength[-1:]
-        way = way[:, seen]
+        # A motion along one line leaves undetermined directions, for which the smallest solution is taken.
+        strength, directions = np.linalg.eigh((flat.T @ flat) / np.outer(scale, scale))
+        seen = strength > RELATIVE_RANK**2 * strength[-1:]
+        directions = directions[:, seen]
         right = ((self.b - self.matrix @ self.values) * root).ravel()
         found = np.array(self.values)
-        found[unknown] = way @ ((way.T @ (flat.T @ right / scale)) / strength[seen]) / scale
+        found[unknown] = directions @ ((directions.T @ (flat.T @ right / scale)) / strength[seen]) / scale
         return found
 
 
 def _by_points(
-    told: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
-) -> FirstSetUp:
-    point = _filled(told, data.point_mm, station)
+    initial: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
+) -> InitialSetUp:
+    point = _zero_for_unread(initial, data.point_mm, station)
     whole = np.isfinite(point).all(axis=1)
-    for i, name in enumerate(told.stations):
-        if not told.station_known[i] and np.count_nonzero(whole & (station == i)) < 3:
+    for i, name in enumerate(initial.stations):
+        if not initial.station_known[i] and np.count_nonzero(whole & (station == i)) < 3:
             raise data.error(
                 f"station {name} has fewer than 3 points with all three coordinates, or with the same two",
-                expected="points to place it by, or its pose in the station columns",
+                expected="more points of this station, or its pose in the station columns",
                 row=int(np.flatnonzero(station == i)[0]),
             )
-    equations = _equations(told, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
+    equations = _equations(initial, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
     found, weight = equations.solve()
-    rotation = _nearest_rotations(told, found, data, station)
-    return _turned(equations, rotation, weight)
+    rotation = _nearest_rotations(initial, found, data, station)
+    return _with_fitted_rotations(equations, rotation, weight)
 
 
 def _equations(
-    told: SetUp, y: np.ndarray, whole: np.ndarray, carried: CarriedTargets, station: np.ndarray, target: np.ndarray
+    initial: SetUp, y: np.ndarray, whole: np.ndarray, carried: CarriedTargets, station: np.ndarray, target: np.ndarray
 ) -> _Equations:
-    n, stations, targets = len(y), len(told.stations), len(told.targets)
+    n, stations, targets = len(y), len(initial.stations), len(initial.targets)
     centre = np.zeros((stations, 3))
     for i in range(stations):
         of = whole & (station == i)
@@ -175,46 +172,45 @@ def _equations(
             matrix[rows, i, 12 * station + 3 * i + j] = y[:, j]
             matrix[rows, i, 12 * stations + 3 * target + j] = -carried.rotation[:, i, j]
         matrix[rows, i, 12 * station + 9 + i] = 1.0
-    known = np.concatenate([np.repeat(told.station_known, 12), np.repeat(told.target_known, 3)])
-    origin = told.origin + _each(told.rotation, centre)
-    placed = np.concatenate([told.rotation.reshape(stations, 9), origin], axis=1)
-    values = np.where(known, np.concatenate([placed.ravel(), told.place.ravel()]), 0.0)
-    return _Equations(told, y, centre, carried.points, matrix, known, values, whole, station)
+    known = np.concatenate([np.repeat(initial.station_known, 12), np.repeat(initial.target_known, 3)])
+    origin = initial.origin + _rotate_each(initial.rotation, centre)
+    placed = np.concatenate([initial.rotation.reshape(stations, 9), origin], axis=1)
+    values = np.where(known, np.concatenate([placed.ravel(), initial.place.ravel()]), 0.0)
+    return _Equations(initial, y, centre, carried.points, matrix, known, values, whole, station)
 
 
-def _nearest_rotations(told: SetUp, found: np.ndarray, data: Measurements, station: np.ndarray) -> np.ndarray:
-    """(stations, 3, 3) rotations nearest to the entries found; those known as they are.
+def _nearest_rotations(initial: SetUp, found: np.ndarray, data: Measurements, station: np.ndarray) -> np.ndarray:
+    """Return (stations, 3, 3) the rotations nearest to the estimated entries; known rotations unchanged.
 
     Raises:
-        InputError: a station that sees the machine as in a mirror.
+        InputError: a station whose readings are in a left-handed frame.
     """
-    rotation = np.array(told.rotation)
-    for i in np.flatnonzero(~told.station_known):
+    rotation = np.array(initial.rotation)
+    for i in np.flatnonzero(~initial.station_known):
         raw = found[12 * i : 12 * i + 9].reshape(3, 3)
         u, s, v = np.linalg.svd(raw)
         if np.linalg.det(raw) < 0.0 and s[2] > 0.5:
             raise data.error(
-                f"station {told.stations[i]} sees the machine as in a mirror",
-                expected="a right-handed x_mm, y_mm, z_mm: two of the columns may be swapped, or one has the wrong sign",
+                f"readings of station {initial.stations[i]} are in a left-handed frame",
+                expected="right-handed x_mm, y_mm, z_mm; two of the columns may be swapped, or one has the wrong sign",
                 row=int(np.flatnonzero(station == i)[0]),
             )
         rotation[i] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     return rotation
 
 
-def _turned(equations: _Equations, rotation: np.ndarray, weight: np.ndarray) -> FirstSetUp:
-    """The set-up with turns that are turns.
+def _with_fitted_rotations(equations: _Equations, rotation: np.ndarray, weight: np.ndarray) -> InitialSetUp:
+    """Return the set-up with rotations fitted as rotations, together with origins and places.
 
-    The nearest rotation was not quite what fitted, and nowhere near where a motion along one line left it open: it is fitted as a
-    rotation, origins and places with it.
+    The nearest rotation is not the best fit, and it is far from it where a motion along one line leaves entries undetermined.
     """
-    told, matrix, y, station = equations.told, equations.matrix, equations.y, equations.station
+    initial, matrix, y, station = equations.initial, equations.matrix, equations.y, equations.station
     index = np.arange(matrix.shape[2])
-    entry = (index < equations.of_stations) & (index % 12 < 9)
+    entry = (index < equations.station_unknowns) & (index % 12 < 9)
     keep = ~entry & ~equations.known
     fixed = np.where(entry | keep, 0.0, equations.values)
-    free = np.flatnonzero(~told.station_known)
-    stand = np.concatenate([np.ones(3 * len(free), dtype=bool), np.flatnonzero(keep) < equations.of_stations])
+    free = np.flatnonzero(~initial.station_known)
+    of_station = np.concatenate([np.ones(3 * len(free), dtype=bool), np.flatnonzero(keep) < equations.station_unknowns])
     for _ in range(SWEEPS):
         right = equations.b - np.einsum("nij,nj->ni", rotation[station], y) - matrix @ fixed
         by_turn = np.zeros((len(y), 3, 3 * len(free)))
@@ -224,36 +220,36 @@ def _turned(equations: _Equations, rotation: np.ndarray, weight: np.ndarray) -> 
         root = np.sqrt(weight)[:, None]
         flat = (np.concatenate([by_turn, matrix[:, :, keep]], axis=2) * root[:, :, None]).reshape(3 * len(y), -1)
         scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-        # What only their sum shows is the station's: a place that no turn of its carrier shows is no lever for one.
+        # If only the sum of a station's origin and a target's place is determined, it is attributed to the station.
         solved = np.zeros(flat.shape[1])
-        for part in (stand, np.ones_like(stand)):
-            left = (right * root).ravel() - flat @ solved
-            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], left, rcond=1e-9)[0] / scale[part]
+        for part in (of_station, np.ones_like(of_station)):
+            residual = (right * root).ravel() - flat @ solved
+            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], residual, rcond=1e-9)[0] / scale[part]
         turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
         turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
         for i, part in zip(free.tolist(), turned, strict=True):
             rotation[i] = rotation[i] @ rotation_exp(part)
         misfit = np.linalg.norm(right - matrix[:, :, keep] @ solved, axis=1)
         weight = np.where(equations.whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
-        if np.abs(turned).max(initial=0.0) < STILL:
+        if np.abs(turned).max(initial=0.0) < LEAST_ROTATION:
             break
     full = fixed
     full[keep] = solved
-    stood, place = np.split(full, [equations.of_stations])
-    origin = stood.reshape(-1, 12)[:, 9:] - _each(rotation, equations.centre)
-    origin = np.where(told.station_known[:, None], told.origin, origin)
-    setup = replace(told, rotation=locked(rotation), origin=locked(origin), place=locked(place.reshape(-1, 3)))
-    return FirstSetUp(setup, np.where(equations.whole, misfit, 0.0))
+    of_stations, place = np.split(full, [equations.station_unknowns])
+    origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, equations.centre)
+    origin = np.where(initial.station_known[:, None], initial.origin, origin)
+    setup = replace(initial, rotation=locked(rotation), origin=locked(origin), place=locked(place.reshape(-1, 3)))
+    return InitialSetUp(setup, np.where(equations.whole, misfit, 0.0))
 
 
-def _each(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _rotate_each(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.array([turn @ vector for turn, vector in zip(rotation, vectors, strict=True)])
 
 
-def _filled(told: SetUp, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
-    """(n, 3) points, mm, with zero for the coordinates a station never read: it read a plane or a line, and stands in it."""
+def _zero_for_unread(initial: SetUp, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
+    """Return (n, 3) points, mm, with zero for coordinates that a station never read (readings in a plane or on a line)."""
     point = np.array(point_mm)
-    for i in np.flatnonzero(~told.station_known):
+    for i in np.flatnonzero(~initial.station_known):
         of = np.flatnonzero(station == i)
         never = ~np.isfinite(point[of]).any(axis=0)
         point[np.ix_(of, np.flatnonzero(never))] = 0.0
@@ -272,11 +268,11 @@ class _Lengths:
     target: np.ndarray
 
     def points(self, setup: SetUp) -> np.ndarray:
-        """(n, 3) the targets."""
+        """Return (n, 3) the targets."""
         return np.asarray(self.base + np.einsum("nij,nj->ni", self.rotation, setup.place[self.target]))
 
     def step(self, setup: SetUp) -> tuple[SetUp, float, np.ndarray]:
-        """One damped, robust Gauss-Newton step of the whole set-up; its largest change, and (n,) how far the readings were off."""
+        """Return the set-up after a damped, robust Gauss-Newton step, its largest change, and (n,) the misfit of the readings."""
         beam = self.points(setup) - setup.origin[self.station]
         far = np.linalg.norm(beam, axis=1)
         unit = beam / far[:, None]
@@ -294,26 +290,26 @@ class _Lengths:
         return setup.moved(step), float(np.abs(step).max(initial=0.0)), np.abs(misfit)
 
 
-def _by_lengths(told: SetUp, lengths: _Lengths) -> FirstSetUp:
-    origin, dead, points = np.array(told.origin), np.array(told.dead), lengths.points(told)
-    for i in range(len(told.stations)):
+def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
+    origin, dead, points = np.array(initial.origin), np.array(initial.dead), lengths.points(initial)
+    for i in range(len(initial.stations)):
         of = np.flatnonzero(lengths.station == i)
-        if told.station_known[i]:
+        if initial.station_known[i]:
             dead[i] = np.median(np.linalg.norm(points[of] - origin[i], axis=1) - lengths.length[of])
             continue
-        # By one target, so that on the tool side its unknown place only shifts the station.
+        # From one target, so that on the tool side its unknown place only shifts the station.
         of = of[lengths.target[of] == np.bincount(lengths.target[of]).argmax()]
         origin[i], dead[i] = _multilateration(points[of], lengths.length[of])
-    setup = replace(told, origin=locked(origin), dead=locked(dead))
+    setup = replace(initial, origin=locked(origin), dead=locked(dead))
     for _ in range(SWEEPS):
         setup, change, misfit = lengths.step(setup)
         if change < 1e-9:
             break
-    return FirstSetUp(replace(setup, shift=None), misfit)
+    return InitialSetUp(replace(setup, shift=None), misfit)
 
 
 def _multilateration(p: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, float]:
-    """The station and its dead path from (n, 3) points and (n,) lengths, metres.
+    """Return the station and its dead path from (n, 3) points and (n,) lengths, metres.
 
     (l + d)² = |p − o|², so l² + 2·l·d = |p|² − 2 p·o + (|o|² − d²): linear in o, d and the last bracket.
     """

@@ -1,4 +1,4 @@
-"""How the table stands: the average lines of the rotary axes that carry it, as one orientation."""
+"""Orientation of the table, from the average lines of the rotary axes that carry it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from twin.numerics.spatial import fused_angles
 @final
 @dataclass(frozen=True)
 class TableTilt:
-    """The work frame against where it is drawn, by the average lines (``E_A0B`` … ``E_B0C``) alone.
+    """Orientation of the work frame relative to its nominal one, from the average lines (``E_A0B`` … ``E_B0C``) alone.
 
     Attributes:
-        at: rotary axes that carry the table, and where they stand (degrees): at zero, or as near as they come.
-        fused_urad: (3,) fused-like angles about x, y, z of the base frame: how the surface leans about x and about y, and how the
-            table is turned in it (`twin.numerics.spatial.fused_angles`); µrad.
-        u_urad: (3,) their standard uncertainties, µrad; NaN where an average line has none.
+        at: rotary axes that carry the table, and their positions (degrees): zero, or the nearest position in their range.
+        fused_urad: (3,) fused-like angles about x, y, z of the base frame: tilt of the surface about x and y, and rotation of the table
+            in its surface (`twin.numerics.spatial.fused_angles`); µrad.
+        u_urad: (3,) their standard uncertainties, µrad; NaN if an average line has none.
         covariance: (3, 3) µrad².
-        missing: average lines that have no value and count as drawn.
+        missing: average lines without a value, taken as nominal.
     """
 
     at: tuple[tuple[str, float], ...]
@@ -40,7 +40,7 @@ class TableTilt:
 
     @classmethod
     def of(cls, calibration: Calibration) -> TableTilt | None:
-        """Of a calibration; None where no rotary axis carries the table, or none of their average lines has a value."""
+        """Return the orientation from a calibration; None if no rotary axis carries the table, or no average line has a value."""
         machine = calibration.machine
         carrying = [axis for axis in machine.axes if not axis.linear and axis.side == "work"]
         names = [
@@ -55,10 +55,10 @@ class TableTilt:
         q = ca.SX([at.get(axis.name, 0.0) * axis.scale for axis in machine.axes])
         lines = calibration.where(lambda name: name in found)
         e = ca.SX.sym("e", 6 * len(machine.frames))
-        turned, drawn = (
+        turned, nominal = (
             frame_pose(machine, machine.work_frame, q, error).rotation for error in (e, ca.SX(e.shape[0], 1))
         )
-        angles = fused_angles(turned @ drawn.T)
+        angles = fused_angles(turned @ nominal.T)
         rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
         value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
         slots = [6 * _location(calibration, name) + split_name(name)[0] for name in found]
@@ -75,19 +75,21 @@ class TableTilt:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the JSON form."""
         form = json_form(self, rename={"at": "at_deg"}, leave_out=["covariance"])
         return dict(form) | {"at_deg": dict(self.at)}
 
     def to_text(self, coverage: float) -> str:
-        """One line, with ± ``coverage`` standard uncertainties where they are known."""
+        """Return one line, with ± ``coverage`` standard uncertainties where they are known."""
         x, y, z = (
             f"{value:.2f}" + (f" ± {coverage * u:.2f}" if np.isfinite(u) else "")
             for value, u in zip(self.fused_urad, self.u_urad, strict=True)
         )
         place = " ".join(f"{name} {value:g}" for name, value in self.at)
-        text = f"table at {place}: leans by {x} µrad about x and {y} about y, turned by {z} about z (fused-like angles)"
-        return f"{text}, but for {', '.join(self.missing)}" if self.missing else text
+        text = (
+            f"table at {place}: tilted by {x} µrad about x and {y} about y, rotated by {z} about z (fused-like angles)"
+        )
+        return f"{text}, without {', '.join(self.missing)}" if self.missing else text
 
 
 def _range(lower: float | None, upper: float | None) -> tuple[float, float]:

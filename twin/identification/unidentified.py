@@ -1,4 +1,4 @@
-"""What was asked for and these data do not determine, and why; what the set-up leaves open that shows in the errors."""
+"""Errors that the data do not determine, with the reason, and errors that depend on an undetermined part of the set-up."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.identification.determined import Determined, Wanted
+from twin.identification.determined import DeterminedModel, Wanted
 from twin.identification.setup import SetUp
 from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
@@ -17,42 +17,42 @@ from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.numerics.observability import UNSEEN
 
-SAYS_LESS: Final = "these data say less of it than is plausible beforehand"
+SAYS_LESS: Final = "these data determine it no better than its prior"
 
 
 @final
 @dataclass(frozen=True)
 class Unidentified:
-    """Something these data cannot tell.
+    """An error that these data do not determine.
 
     Attributes:
         name: ISO 230-1 name.
-        reason: why, and what would change it.
+        reason: why, and which measurement would change it.
     """
 
     name: str
     reason: str
 
 
-def held_by_prior(model: Determined, solution: FitSolution) -> list[str]:
-    """Names of the errors in the estimate that the readings, with their noise, determine no better than was known before."""
+def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
+    """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior."""
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > UNSEEN
-    return [name for name in unknowns.entities if name in model.together or unknowns.lowest_unseen(name, unseen)]
+    return [name for name in unknowns.entities if name in model.confounded or unknowns.lowest_unseen(name, unseen)]
 
 
 def unidentified(
-    machine: Machine, data: Measurements, model: Determined, wanted: Wanted, setup: SetUp, held: Sequence[str]
+    machine: Machine, data: Measurements, model: DeterminedModel, wanted: Wanted, setup: SetUp, held: Sequence[str]
 ) -> tuple[Unidentified, ...]:
-    """What was asked for and is not determined, and why.
+    """Return the errors to be estimated that are not determined, and why.
 
     Args:
         machine: the machine.
         data: the measurements.
-        model: what they determine of it.
-        wanted: whether an error of that name was sought.
+        model: the unknowns that they determine.
+        wanted: whether an error of that name is to be estimated.
         setup: stations and targets.
-        held: names of the errors that a prior holds (`held_by_prior`).
+        held: names of the errors held by a prior (`held_by_prior`).
     """
     found = []
     for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names):
@@ -60,40 +60,42 @@ def unidentified(
         if not wanted(name):
             continue
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
-            found.append(Unidentified(name, f"{axis} was not moved"))
-        elif name in model.together or name in model.left_out:
-            moving = model.seen.moving(model.seen.names[model.tried.of(name)[0]])
-            why = SAYS_LESS if moving is None else f"no reading shows {moving}"
-            found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.together)}"))
+            found.append(Unidentified(name, f"{axis} did not move"))
+        elif name in model.confounded or name in model.left_out:
+            moving = model.determinability.moving(model.determinability.names[model.considered.of(name)[0]])
+            why = SAYS_LESS if moving is None else f"{moving} changes no reading"
+            found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.confounded)}"))
         elif name in held:
             found.append(Unidentified(name, SAYS_LESS))
     return tuple(found)
 
 
-def _remedy(name: str, machine: Machine, setup: SetUp, together: bool) -> str:
+def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
     _, average, axis = split_name(name)
-    if together:
-        return "a third target apart from one line tells them"
+    if confounded:
+        return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
         return "give the targets' places, or a reference on the machine"
     if average:
-        return "the other axes' motions, which would be its reference, are not among these data"
-    return "it takes three targets apart from one line, or other poses of the other axes"
+        return "the motions of the other axes, its reference, are not in these data"
+    return "measure three targets that are not on a line, or other positions of the other axes"
 
 
 def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
-    """Return a notice of the errors that refer to a point of the targets' carrier that the set-up leaves open."""
+    """Return a notice of the errors that refer to a point of the targets' carrier which the set-up does not determine."""
     if solution.spectrum.silent.shape[1] == 0:
         return []
     carried = solution.spectrum.reach[: len(unknowns)]
     seen = solution.spectrum.covariance(silent=False)
     own = np.sqrt(np.diag(seen)[: len(unknowns)])
     names = dict.fromkeys(
-        column.entity for column, open_, u in zip(unknowns.columns, carried, own, strict=True) if open_ > u
+        column.entity
+        for column, undetermined_part, u in zip(unknowns.columns, carried, own, strict=True)
+        if undetermined_part > u
     )
     if not names:
         return []
     return [
         f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
-        "their uncertainty allows for 0.2 m. Give the targets' places (place_x_mm …) to narrow it"
+        "their uncertainty includes 0.2 m for it. Give the targets' places (place_x_mm …) to reduce it"
     ]

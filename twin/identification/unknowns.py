@@ -1,13 +1,13 @@
 """The unknowns of the machine: every error motion as a sum of functions, every squareness and location a number.
 
-Inside an estimate a curve is written in functions that are orthonormal over its domain (mean square one), made from those of its basis
-in their order; so a coefficient is the RMS of its part, orders do not fight each other, and the datum's choice is plain:
+In an estimate, a curve is a sum of functions that are orthonormal over its domain (mean square one), derived from those of its basis
+in their order. A coefficient is then the RMS of its component, orders are uncorrelated, and the choice of the datum is simple:
 
-- what a constant would do belongs to the axis's zero, to a location, or to the places of the targets: no curve has one;
-- the slope of a straightness belongs to a squareness or to the machine frame, whose x is X's mean line and whose xy-plane holds Y's
-  (contract §1): no straightness has one. Mean lines are least-squares over the axis's range (ISO 230-1, 3.4.12 allows it);
-- what a shift or tilt of all that a rotary axis carries would do (first harmonics of E_X and E_Y, and of E_A and E_B, that turn with
-  it) belongs to where those things lie: a pair of curves has no part in it (`Unknowns.datum`).
+- a constant belongs to the axis's zero, to a location, or to the places of the targets: curves have none;
+- the slope of a straightness belongs to a squareness or to the machine frame, whose x is X's mean line and whose xy-plane contains
+  Y's: straightness curves have none. Mean lines are least-squares lines over the axis's range (ISO 230-1, 3.4.12 allows it);
+- a shift or tilt of everything that a rotary axis carries (first harmonics of E_X and E_Y, and of E_A and E_B, that rotate with it)
+  belongs to the places of these things: pairs of curves have no such component (`Unknowns.datum`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from twin.numerics.observability import UNSEEN
 @final
 @dataclass(frozen=True)
 class UnknownNumber:
-    """One unknown number.
+    """One unknown parameter.
 
     Attributes:
         entity: ``E_XX``, ``E_C0Y``, ``E_X0C``.
@@ -53,14 +53,14 @@ class Unknowns:
 
     Args:
         machine: the machine.
-        curves: the spaces its error motions are sought in.
-        constants: names of squareness and locations sought.
-        told: axes next to a carrier whose targets' places are all known. There nothing else takes up a constant or a turning pattern:
-            their curves have one.
+        curves: function spaces of its error motions.
+        constants: names of squareness and locations.
+        fixed_axes: axes next to a carrier on which all targets' places are known. Nothing else can compensate a constant or a
+            rotating pattern there, so their curves have one.
         offsets: names of the curves that do; all of those axes' if None.
 
     Attributes:
-        plausible: (columns,) how large each can be before anything is measured, µm or µrad (`Machine.plausible`).
+        plausible: (columns,) prior standard deviations, µm or µrad (`Machine.plausible`).
     """
 
     def __init__(
@@ -68,18 +68,18 @@ class Unknowns:
         machine: Machine,
         curves: Sequence[CurveSpace],
         constants: Sequence[str],
-        told: Sequence[str] = (),
+        fixed_axes: Sequence[str] = (),
         offsets: Sequence[str] | None = None,
     ) -> None:
         self.machine = machine
         self.curves = tuple(curves)
         self.constants = tuple(constants)
-        self.told = tuple(told)
+        self.fixed_axes = tuple(fixed_axes)
         self.offsets = tuple(
             c.name
             for c in self.curves
             for axis in [split_name(c.name)[2]]
-            if axis in self.told
+            if axis in self.fixed_axes
             and (offsets is None or c.name in offsets)
             and not (not machine.by_name[axis].linear and f"{c.name[:3]}0{axis}" in self.constants)
         )
@@ -98,7 +98,7 @@ class Unknowns:
     def largest(
         cls, machine: Machine, data: Measurements, *, bases: dict[str, Basis], most: int, wanted: Callable[[str], bool]
     ) -> Unknowns:
-        """All unknowns that a table's positions can determine; arguments as of `spaces_for`."""
+        """Return all unknowns that a table's positions can determine; arguments as of `spaces_for`."""
         spaces, constants = spaces_for(machine, data.positions, bases=bases, most=most, wanted=wanted)
         return cls(machine, spaces, constants, axes_told(machine, data))
 
@@ -106,32 +106,32 @@ class Unknowns:
         return len(self.columns)
 
     def of(self, entity: str) -> list[int]:
-        """Columns of one curve, squareness or location, lowest order first."""
+        """Return the columns of one curve, squareness or location, lowest order first."""
         return [i for i, column in enumerate(self.columns) if column.entity == entity]
 
     @property
     def entities(self) -> tuple[str, ...]:
-        """Every curve, squareness and location sought."""
+        """Every curve, squareness and location."""
         return (*(curve.name for curve in self.curves), *self.constants)
 
     def lowest_unseen(self, name: str, unseen: np.ndarray) -> bool:
-        """Whether even the lowest order of a curve, or a constant itself, is among the (columns,) that are unseen."""
+        """Return whether the lowest order of a curve, or a constant itself, is among the (columns,) that are undetermined."""
         lowest = next((len(c.groups()[0]) for c in self.curves if c.name == name), 1)
         return bool(np.any(unseen[self.of(name)[:lowest]]))
 
     def without_unseen_offset(self, unseen: np.ndarray) -> Unknowns:
-        """These without the constant of a curve that the data determine least; the same object if they determine all of them."""
+        """Return these without the least determined constant of a curve; the same object if all are determined."""
         name = offset_unseen(self, unseen)
         if name is None:
             return self
         offsets = [one for one in self.offsets if one != name]
-        return Unknowns(self.machine, self.curves, self.constants, self.told, offsets)
+        return Unknowns(self.machine, self.curves, self.constants, self.fixed_axes, offsets)
 
-    def fewer(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
-        """These without some errors, and each curve below its first order that is unseen; the same object if nothing is left out.
+    def restricted(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
+        """Return these without some errors, and each curve below its first undetermined order; the same object if nothing is left out.
 
         Args:
-            unseen: (columns,) which are.
+            unseen: (columns,) whether a column is undetermined.
             dropped: names of the errors left out.
             whole: names of the curves that keep all orders.
         """
@@ -143,20 +143,20 @@ class Unknowns:
         constants = [name for name in self.constants if name not in dropped]
         if len(constants) == len(self.constants) and list(self.curves) == curves:
             return self
-        return Unknowns(self.machine, curves, constants, self.told, self.offsets)
+        return Unknowns(self.machine, curves, constants, self.fixed_axes, self.offsets)
 
     def shapes(self, positions: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
-        """What a unit (µm or µrad) of each column does to the error frames.
+        """Return the change of the error frames per unit (µm or µrad) of each column.
 
         Args:
             positions: (n, axes) mm and degrees.
 
         Returns:
-            A list a column: (component among 6·frames, (n,) metres or radians).
+            A list for each column: (component among 6·frames, (n,) metres or radians).
         """
         by_axis = {axis.name: positions[:, i] for i, axis in enumerate(self.machine.axes)}
         found: list[list[tuple[int, np.ndarray]]] = []
-        # The six curves of an axis have the same functions, as a rule: held once.
+        # The six curves of an axis usually have the same functions, which are evaluated once.
         known: dict[tuple[str, Basis, tuple[float, float], int], np.ndarray] = {}
         for curve in self.curves:
             component, _, axis_name = split_name(curve.name)
@@ -179,11 +179,11 @@ class Unknowns:
 
     @cached_property
     def datum(self) -> np.ndarray:
-        """(conditions, columns) each row a combination that is zero by the choice of the datum: see the module's text."""
+        """(conditions, columns): each row is a combination that is zero by the choice of the datum; see the module."""
         rows = []
         spaces = {curve.name: curve for curve in self.curves}
         for axis in self.machine.axes:
-            if axis.linear or axis.name in self.told:
+            if axis.linear or axis.name in self.fixed_axes:
                 continue
             for letters in ("XYZ", "ABC"):
                 for pattern in turning_patterns(axis):
@@ -202,16 +202,16 @@ class Unknowns:
     def calibration(
         self, theta: np.ndarray, kept: Sequence[int], source: str, covariance: np.ndarray | None
     ) -> tuple[Calibration, np.ndarray]:
-        """The calibration of an estimate.
+        """Return the calibration of an estimate.
 
         Args:
             theta: (columns,) µm and µrad.
             kept: columns that are reported; a curve without any is left out.
-            source: where the numbers come from.
+            source: origin of the values.
             covariance: (columns, columns), or None.
 
         Returns:
-            The calibration, and the (parameters, columns) matrix that makes its parameters from ours.
+            The calibration, and the (parameters, columns) matrix from these unknowns to its parameters.
         """
         reported = set(kept)
         rows: list[np.ndarray] = []
@@ -264,14 +264,14 @@ def spaces_for(
     most: int,
     wanted: Callable[[str], bool],
 ) -> tuple[list[CurveSpace], list[str]]:
-    """The largest space of every error motion that these positions can determine, and the constants of the axes that moved.
+    """Return the largest function spaces that these positions can determine, and the constants of the axes that moved.
 
     Args:
         machine: the machine.
         positions: (n, axes) commanded, mm and degrees.
         bases: family by axis name.
-        most: functions of a curve at most.
-        wanted: whether a name is sought at all.
+        most: largest number of functions of a curve.
+        wanted: whether an error of that name is to be estimated.
 
     Returns:
         The spaces, and names of squareness and locations.
@@ -284,7 +284,7 @@ def spaces_for(
         if len(distinct) < 2:
             continue
         basis = bases[axis.name]
-        # Two positions fewer than there are: one may be held out, and one more must be there to object.
+        # Two functions fewer than positions: one position may be held out, and one degree of freedom remains.
         count = basis.largest(max(2, min(most, len(distinct) - 2)))
         for letter in "XYZABC":
             name = f"E_{letter}{axis.name}"
@@ -301,18 +301,18 @@ def spaces_for(
 
 
 def offset_name(name: str) -> str:
-    """The unknown that is the constant of a curve."""
+    """Return the name of the unknown that is the constant of a curve."""
     return f"{name} constant"
 
 
 def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
-    """The curve whose constant the data determine least, if they do not: it belongs to stations, locations or another constant.
+    """Return the curve whose constant is determined least, or None if all are determined.
 
-    One at a time: of two that only show together, one may stay.
+    Stations, locations or another constant can compensate it. One at a time: of two confounded constants, one may stay.
 
     Args:
-        unknowns: the machine's.
-        unseen: (columns and more,) share of each unknown's plausible variance that is left (`Spectrum.unseen`).
+        unknowns: unknowns of the machine.
+        unseen: (columns and more,) share of each unknown's prior variance that remains (`Spectrum.unseen`).
     """
     of = {name: float(unseen[unknowns.index[UnknownNumber(offset_name(name), 0)]]) for name in unknowns.offsets}
     worst = max(of, key=lambda name: round(of[name], 6), default=None)
@@ -320,7 +320,7 @@ def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
 
 
 def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
-    """Axes next to a carrier of which every target's place and every station's pose is given."""
+    """Return the axes next to a carrier on which every target's place and every station's pose is given."""
     found = []
     for side in CARRIERS:
         of, stations = data.carrier == side, data.station_carrier == side
@@ -335,12 +335,12 @@ def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
 
 
 def distinct_positions(q: np.ndarray) -> np.ndarray:
-    """Positions that differ by more than a micrometre or a thousandth of a degree, sorted."""
+    """Return the positions that differ by more than a micrometre or a thousandth of a degree, sorted."""
     return np.unique(np.round(q, 3))
 
 
 def wrapped(q: np.ndarray, axis: Axis, domain: tuple[float, float]) -> np.ndarray:
-    """Positions of an unlimited axis in one turn; those of another as they are."""
+    """Return positions of an unlimited axis within one turn; those of other axes unchanged."""
     return q if axis.lower is not None else domain[0] + np.mod(q - domain[0], domain[1] - domain[0])
 
 

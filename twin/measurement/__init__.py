@@ -1,1 +1,1 @@
-"""What was measured: the table, the instruments, what they read of a machine, and the evaluations of ISO 230."""
+"""Measurements: the measurement table, models of instruments, simulated readings, and the evaluations of ISO 230."""

@@ -1,4 +1,4 @@
-"""The columns of a measurement table: which field each belongs to, how its cells are read and written."""
+"""Columns of a measurement table: the field each belongs to, and how its cells are read and written."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
 PLANNED: Final = "planned_"
-"""Before the name of such a column: where a target or station is meant to go. A plan's; no evaluation takes it for known."""
+"""Prefix of a place column that gives where a target or station is meant to be. Only plans have it; no evaluation uses it."""
 SIMULATED: Final = "simulated"
-"""What the comment of a simulated table begins with."""
-FLAT: Final = ("time_s", "feed_mm_min")
-"""Fields of numbers of one dimension."""
+"""First word of the comment in a table of simulated readings."""
+ONE_DIMENSIONAL: Final = ("time_s", "feed_mm_min")
+"""Numeric fields that are one-dimensional arrays."""
 
 
 class TableColumns(NamedTuple):
-    """Columns of the file that make one field of `Measurements`.
+    """Columns of the file that make up one field of `Measurements`.
 
     Attributes:
-        field: its name.
-        columns: of the file; one for a field of one dimension.
-        kind: what the cells are.
-        default: a word where a cell is empty.
+        field: name of the field.
+        columns: names of the columns; one for a one-dimensional field.
+        kind: kind of the cells.
+        default: word that stands for an empty cell.
         needed: whether the columns are always written.
     """
 
@@ -44,24 +44,24 @@ class TableColumns(NamedTuple):
     needed: bool = False
 
     def read(self, cells: Cells) -> np.ndarray:
-        """The field from the cells of a file."""
+        """Return the field from the cells of a file."""
         if self.kind == "words":
             return cells.words(self.columns[0], self.default)
         columns = [getattr(cells, self.kind)(name) for name in self.columns]
-        return columns[0] if self.field in FLAT else locked(np.stack(columns, axis=1))
+        return columns[0] if self.field in ONE_DIMENSIONAL else locked(np.stack(columns, axis=1))
 
     def written(self, values: np.ndarray) -> dict[str, Sequence[str]]:
-        """The columns of a file from the field; without those that have no value."""
+        """Return the columns of a file from the field, without those that have no value."""
         if self.kind == "words":
             return {self.columns[0]: list(values)} if self.needed or np.any(values != self.default) else {}
         by_name = dict(zip(self.columns, values.reshape(len(values), -1).T, strict=True))
         if self.kind == "signs":
             return {name: [str(int(value)) for value in column] for name, column in by_name.items() if np.any(column)}
-        return {name: printed(c) for name, c in by_name.items() if self.needed or np.isfinite(c).any()}
+        return {name: number_cells(c) for name, c in by_name.items() if self.needed or np.isfinite(c).any()}
 
 
-def parts_of(machine: Machine) -> tuple[TableColumns, ...]:
-    """All columns but temperatures and places, in the order in which they are written."""
+def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
+    """Return the columns of a table except temperatures, channels and places, in the order in which they are written."""
     axes = tuple(f"{axis.name}_{axis.unit}" for axis in machine.axes)
     return (
         TableColumns("positions", axes, needed=True),
@@ -81,7 +81,7 @@ def parts_of(machine: Machine) -> tuple[TableColumns, ...]:
 
 
 def csv_text(columns: Mapping[str, Sequence[str]], comments: str) -> str:
-    """Return a table as text: comment lines, the header, the rows."""
+    """Return a table as text: comment lines, header, rows."""
     text = io.StringIO()
     text.write(comments)
     writer = csv.writer(text, lineterminator="\n")
@@ -90,24 +90,24 @@ def csv_text(columns: Mapping[str, Sequence[str]], comments: str) -> str:
     return text.getvalue()
 
 
-def printed(values: np.ndarray) -> list[str]:
-    """Return the cells of numbers, shortest form that reads back the same; empty for NaN."""
+def number_cells(values: np.ndarray) -> list[str]:
+    """Return numbers as cells, in the shortest form that reads back the same; empty for NaN."""
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
 
 
-def says_simulated(comments: Sequence[str]) -> list[str]:
-    """Return those comments of a table that say its readings were simulated."""
+def simulated_comments(comments: Sequence[str]) -> list[str]:
+    """Return the comments of a table which state that its readings were simulated."""
     return [text for text in comments if text.lower().startswith(SIMULATED)]
 
 
-def comments_of(text: str, *, simulated: bool) -> str:
-    """Return the comment lines that stand before a table.
+def comment_lines(text: str, *, simulated: bool) -> str:
+    """Return the comment lines that precede a table.
 
     Args:
-        text: the lines.
-        simulated: whether the readings were simulated: then one of the lines says so.
+        text: the comments.
+        simulated: whether the readings were simulated; a comment that states it is then added if missing.
     """
     lines = text.splitlines()
-    if simulated and not says_simulated([line.lstrip("# ") for line in lines]):
+    if simulated and not simulated_comments([line.lstrip("# ") for line in lines]):
         lines.insert(0, f"{SIMULATED} readings")
     return "".join(f"# {line}\n" for line in lines)

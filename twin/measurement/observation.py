@@ -1,7 +1,7 @@
-"""Where a reflector really is: on the tool side or on the work side of the machine with errors, in the frame its station rides on.
+"""Positions of the reflectors on a machine with errors, in the frame on which their station rides.
 
-That is the base frame, or the tool's or the work's own frame for a station that moves with it. The one prediction that simulating,
-identifying and diagnosing share.
+The reflector is on the tool side or the work side. The frame is the base frame or, for a station that moves with the machine, the
+frame of the spindle nose or the work frame. Simulating, identifying and diagnosing share this prediction.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from twin.measurement.table import CARRIERS, Measurements, state_of
 @final
 @dataclass(frozen=True)
 class CarriedTargets:
-    """Reflectors in the frames their stations ride on, and how they move; metres and radians.
+    """Reflectors in the frames on which their stations ride, and their derivatives; metres and radians.
 
     Attributes:
         points: (n, 3).
-        by_error: (n, 3, 6·frames) derivative by every component of every error frame.
-        rotation: (n, 3, 3) of the carrier, which is the derivative by the place on it.
+        by_error: (n, 3, 6·frames) derivative with respect to every component of every error frame.
+        rotation: (n, 3, 3) of the carrier, which is the derivative with respect to the place on the carrier.
     """
 
     points: np.ndarray
@@ -42,7 +42,7 @@ class CarriedTargets:
 
 @final
 class Observation:
-    """Reflectors carried by one machine.
+    """Forward model of the reflectors on one machine.
 
     Args:
         machine: the machine.
@@ -55,29 +55,29 @@ class Observation:
         self._compiled: dict[tuple[str, str, bool], BatchFunction] = {}
 
     def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
-        """Reflectors in the frames their stations ride on.
+        """Return the reflectors in the frames on which their stations ride.
 
         Args:
             calibration: the machine's errors.
-            data: commands, carriers, and every channel an effect may need; its coordinates are not used.
+            data: commands, carriers, and every channel an effect needs; its coordinates are not used.
             places_mm: (n, 3) place of each reflector on its carrier.
 
         Returns:
             (n, 3) mm.
 
         Raises:
-            InputError: a position no curve covers, or a channel that an effect needs and the table does not have.
+            InputError: a position outside the domain of a curve, or a channel that an effect needs and the table lacks.
         """
         q, errors = np.asarray(data.positions) * self.machine.scale, self.errors(calibration, data)
         return self.points(q, errors, data.carrier, places_mm * MM, data.station_carrier) / MM
 
     def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
-        """(n, 6·frames) every error frame at the rows of a table, metres and radians.
+        """Return (n, 6·frames) all error frames at the rows of a table, metres and radians.
 
         Args:
             calibration: the machine's errors.
             data: commands and channels.
-            check: whether a position that no curve covers is refused; else its curve is continued (overtravel).
+            check: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
 
         Raises:
             InputError: as `points_mm`.
@@ -98,7 +98,7 @@ class Observation:
         places: np.ndarray,
         station_carrier: np.ndarray | None = None,
     ) -> np.ndarray:
-        """(n, 3) reflectors in the frames their stations ride on, unchecked; arguments as `carried`."""
+        """Return (n, 3) the reflectors in the frames on which their stations ride, unchecked; arguments as `carried`."""
         found = np.empty((len(q), 3))
         for function, rows in self._functions(carrier, station_carrier, derivatives=False):
             (found[rows],) = function(q[rows], errors[rows], places[rows])
@@ -112,14 +112,14 @@ class Observation:
         places: np.ndarray,
         station_carrier: np.ndarray | None = None,
     ) -> CarriedTargets:
-        """Reflectors and their derivatives, unchecked, in our own units.
+        """Return the reflectors and their derivatives, unchecked, in metres and radians.
 
         Args:
             q: (n, axes) metres and radians.
-            errors: (n, 6·frames) every error frame, metres and radians.
-            carrier: (n,) ``tool`` or ``work``: what each reflector sits on.
+            errors: (n, 6·frames) all error frames, metres and radians.
+            carrier: (n,) ``tool`` or ``work``: the side on which each reflector sits.
             places: (n, 3) metres.
-            station_carrier: (n,) ``base``, ``tool`` or ``work``: what the station rides on, in whose frame the result is; base if None.
+            station_carrier: (n,) ``base``, ``tool`` or ``work``: side of the station, in whose frame the result is; base if None.
         """
         n = len(q)
         points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
@@ -133,7 +133,7 @@ class Observation:
     def _functions(
         self, carrier: np.ndarray, station_carrier: np.ndarray | None, *, derivatives: bool
     ) -> Iterator[tuple[BatchFunction, np.ndarray]]:
-        """The function of each pair of sides that occurs, and its rows."""
+        """Yield the compiled function of each pair of sides that occurs, and its rows."""
         for side in CARRIERS:
             for station in SIDES:
                 on = station == SIDES[0] if station_carrier is None else station_carrier == station

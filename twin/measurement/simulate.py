@@ -1,4 +1,4 @@
-"""A plan in, measured data out: the machine with its errors, read by an instrument, with stated noise and seed."""
+"""Simulated measurements: a plan read by an instrument on a machine with known errors, with noise from a seed."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ from twin.numerics.spatial import rotation_exp
 
 SECONDS_PER_HOUR: Final = 3600.0
 STATION_DISTANCE_MM: Final = 1800.0
-"""How far from the base frame a station stands when nobody says where."""
+"""Distance of a station from the base frame where the plan gives no pose."""
 
 
 @final
 @dataclass(frozen=True)
 class Station:
-    """Where an instrument stands.
+    """Pose of an instrument's station.
 
     Attributes:
         origin_mm: its origin in the base frame.
-        turn_rad: rotation vector of its frame in the base frame.
+        rotation_rad: rotation vector of its frame in the base frame.
     """
 
     origin_mm: tuple[float, float, float]
-    turn_rad: tuple[float, float, float]
+    rotation_rad: tuple[float, float, float]
 
     @classmethod
     def at(cls, pose: np.ndarray) -> Station:
-        """From a row of `Measurements.station_pose`: (6,) mm and degrees."""
+        """Return the station of a row of `Measurements.station_pose`: (6,) mm and degrees."""
         return cls(_three(pose[:3]), _three(pose[3:] * DEG))
 
     @property
     def pose(self) -> np.ndarray:
-        """(6,) as a row of `Measurements.station_pose`: mm and degrees."""
-        return locked(np.array([*self.origin_mm, *(angle / DEG for angle in self.turn_rad)]))
+        """Pose as a row of `Measurements.station_pose`: (6,) mm and degrees."""
+        return locked(np.array([*self.origin_mm, *(angle / DEG for angle in self.rotation_rad)]))
 
     def to_station_mm(self, points_mm: np.ndarray) -> np.ndarray:
-        """(n, 3) points of the base frame in the station's frame."""
-        return (points_mm - np.array(self.origin_mm)) @ rotation_exp(self.turn_rad)
+        """Return (n, 3) points of the base frame in the station's frame."""
+        return (points_mm - np.array(self.origin_mm)) @ rotation_exp(self.rotation_rad)
 
 
 @final
 @dataclass(frozen=True)
 class Setting:
-    """What a simulation knows and an evaluation has to find: stations and reflector places.
+    """Stations and places of the reflectors: known in a simulation, to be identified in an evaluation.
 
     Attributes:
         stations: by name.
@@ -66,10 +66,10 @@ class Setting:
     places_mm: Mapping[str, tuple[float, float, float]]
 
     @classmethod
-    def drawn(cls, plan: Measurements, rng: np.random.Generator) -> Setting:
-        """What the plan gives, and a plausible draw of the rest.
+    def draw(cls, plan: Measurements, rng: np.random.Generator) -> Setting:
+        """Return the stations and places that the plan gives, with a plausible random draw of the others.
 
-        Stations stand in front of the machine, targets sit around the spindle nose and on the table.
+        Stations stand in front of the machine; targets sit around the spindle nose and on the table.
         """
         stations = {}
         for k, name in enumerate(dict.fromkeys(plan.station)):
@@ -98,9 +98,9 @@ class Setting:
         return cls(stations, places)
 
     def describe(self) -> str:
-        """The lines a simulated file carries, so that nothing about it is hidden."""
+        """Return the comment lines of a simulated file that state the stations and places."""
         lines = [
-            f"station {name}: origin {_numbers(station.origin_mm)} mm, rotation vector {_numbers(station.turn_rad)} rad"
+            f"station {name}: origin {_numbers(station.origin_mm)} mm, rotation vector {_numbers(station.rotation_rad)} rad"
             for name, station in self.stations.items()
         ]
         lines += [f"target {name}: {_numbers(place)} mm on its carrier" for name, place in self.places_mm.items()]
@@ -110,11 +110,12 @@ class Setting:
 @final
 @dataclass(frozen=True)
 class Surroundings:
-    """What the shop does to an instrument's readings; nothing by default.
+    """Ambient influences on the readings; none by default.
 
     Attributes:
-        air: the air along the beam, where the instrument corrects for standard air (`STANDARD_AIR`); None where it knows its air.
-        drift_um_per_h: by station, how its frame creeps along the axes of the base frame, from the plan's first ``time_s`` on.
+        air: the air along the beam, for an instrument that corrects for standard air (`STANDARD_AIR`); None where the instrument
+            measures its air.
+        drift_um_per_h: by station, drift of its frame along the axes of the base frame, from the plan's first ``time_s`` on.
     """
 
     air: Air | None = None
@@ -126,32 +127,30 @@ class Surroundings:
         return 1.0 if self.air is None else length_scale(self.air, STANDARD_AIR)
 
     def drift_mm(self, plan: Measurements, station: str) -> np.ndarray:
-        """(n, 3) how far each of a station's rows finds it from where it stood first, in the base frame.
+        """Return (n, 3) the drift of a station at each of its rows, in the base frame.
 
         Raises:
-            InputError: a row that does not say when.
+            InputError: a row without ``time_s``.
         """
         rows = plan.station == station
         time = plan.time_s[rows]
         if not np.isfinite(time).all():
             line = int(plan.lines[rows][~np.isfinite(time)][0])
-            raise InputError("a drift without a time", expected="time_s in every row", file=plan.source, line=line)
+            raise InputError(
+                "a station drifts, but a row has no time", expected="time_s in every row", file=plan.source, line=line
+            )
         hours = (time - np.nanmin(plan.time_s)) / SECONDS_PER_HOUR
         return np.asarray(np.outer(hours, self.drift_um_per_h[station]) * (UM / MM))
 
     def check(self, plan: Measurements) -> None:
-        """Refuse a drift of a station that is not in the plan.
-
-        Raises:
-            InputError: as said.
-        """
+        """Raise `InputError` if a drift is given for a station that is not in the plan."""
         stations = dict.fromkeys(plan.station)
         for name in self.drift_um_per_h:
             if name not in stations:
-                raise InputError("a drift of no station", expected=f"one of {', '.join(stations)}", value=name)
+                raise InputError("drift of an unknown station", expected=f"one of {', '.join(stations)}", value=name)
 
     def describe(self) -> str:
-        """The lines a simulated file carries; none where nothing is done to the readings."""
+        """Return the comment lines of a simulated file that state the ambient influences; empty if there are none."""
         lines = []
         if self.air is not None:
             lines.append(
@@ -176,28 +175,28 @@ def simulate(
     noise: bool = True,
     surroundings: Surroundings | None = None,
 ) -> tuple[Measurements, Setting]:
-    """Measure a plan.
+    """Simulate the measurement of a plan.
 
     Args:
         plan: positions, targets, carriers, stations and rounds; its coordinates are not used.
         machine: the machine.
         calibration: its true errors.
-        instrument: what reads.
-        rng: the seed's generator.
-        setting: stations and places; if None, what the plan gives, the rest drawn.
-        noise: whether the readings err.
-        surroundings: air and drift; None for none.
+        instrument: the instrument.
+        rng: random generator.
+        setting: stations and places; if None, those of the plan, with the others drawn.
+        noise: whether measurement noise is added.
+        surroundings: air and drift; none if None.
 
     Returns:
-        The measurements and the setting. The measurements carry neither standard uncertainties (the instrument's model gives them) nor
-        places and stations (an evaluation has to find them).
+        The measurements, and the stations and places. The measurements carry no standard uncertainties (the instrument's model gives
+        them), no places and no station poses (an evaluation has to identify them).
 
     Raises:
-        InputError: a position no curve covers; a drift of no station, or without ``time_s``.
+        InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``.
     """
     around = Surroundings() if surroundings is None else surroundings
     around.check(plan)
-    placed = Setting.drawn(plan, rng) if setting is None else setting
+    placed = Setting.draw(plan, rng) if setting is None else setting
     places = np.array([placed.places_mm[target] for target in plan.target])
     base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
@@ -207,8 +206,8 @@ def simulate(
         if name in around.drift_um_per_h:
             points = points - around.drift_mm(plan, name)
         seen = station.to_station_mm(points) * MM
-        # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was set to
-        # zero: in air that stays as it is the dead path is never counted, so that the factor is on what is read, not on the distance.
+        # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was zeroed. In
+        # constant air the dead path is never counted, so the factor applies to the reading, not to the distance.
         found = instrument.read(seen) * around.scale
         if noise:
             found = found + instrument.noise(seen, rng)

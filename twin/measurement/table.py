@@ -1,7 +1,7 @@
-"""The measurement table: one row a measured point, checked on the way in (contract §2).
+"""The measurement table: one row for each measured point, checked while it is read.
 
-Nothing is dropped in silence: a row that cannot be used stands in `Measurements.set_aside` with its line and reason; a column
-that is not understood, a round that lacks points and the like stand in `Measurements.notices`.
+No row is dropped silently: a row that cannot be used is listed in `Measurements.set_aside` with its line and reason. Unknown columns,
+rounds that lack points and the like are listed in `Measurements.notices`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from twin.measurement.checks import (
     check_ranges,
     copied_rows,
     grouped_notes,
-    lost_names,
     missing_rounds,
-    one_place,
-    outside,
+    outside_axis_range,
+    place_by_name,
+    unused_names,
 )
 from twin.measurement.checks import RowNote as RowNote
 from twin.measurement.columns import (
@@ -39,40 +39,40 @@ from twin.measurement.columns import (
     PLACE_COLUMNS,
     PLANNED,
     STATION_COLUMNS,
-    comments_of,
+    comment_lines,
     csv_text,
-    parts_of,
-    printed,
-    says_simulated,
+    number_cells,
+    simulated_comments,
+    table_columns,
 )
 from twin.measurement.columns import POINT_COLUMNS as POINT_COLUMNS
 from twin.measurement.instruments.base import SIDES
 
 FEWEST_POINTS: Final = 3
-"""Points a station needs before its pose means anything."""
+"""Least number of points of a station from which its pose can be determined."""
 SMALLEST_U_MM: Final = 1e-9
-"""Stated standard uncertainty below which a row is set aside: a femtometre, less than any instrument's; weights stay finite."""
+"""Stated standard uncertainty below which a row is set aside, so that weights stay finite; no instrument is that good."""
 NOT_GIVEN: Final = locked(np.zeros(0))
-"""Stands for a column that a table does not have."""
+"""Placeholder for a column that a table does not have."""
 
 
 def _absent() -> np.ndarray:
     return NOT_GIVEN
 
 
-BY_NAME: Final = ("temperature_degC", "channels")
-"""Fields that are columns by name."""
+BY_COLUMN_NAME: Final = ("temperature_degC", "channels")
+"""Fields that map a column's name to its values."""
 CHANNEL: Final = re.compile(r"[A-Za-z]\w*_(rpm|kg|N|Nm|A|V|W|bar|percent|Hz|l_min)")
-"""Names of other columns that are read as numbers: what was measured, and its unit."""
+"""Names of further columns that are read as numbers: a quantity and its unit."""
 
 
 @final
 @dataclass(frozen=True)
 class Measurements:
-    """Measured points and the state of the machine when each was taken; arrays are read-only and n rows long.
+    """Measured points and the state of the machine at each of them; arrays are read-only and have n rows.
 
     Attributes:
-        source: the file, or where else they come from.
+        source: the file, or another description of the source.
         lines: (n,) line of each row in the file.
         positions: (n, axes) commanded, mm and degrees, command order.
         readback: (n, axes) reported by the control; NaN where not given.
@@ -80,14 +80,14 @@ class Measurements:
         point_mm: (n, 3) measured coordinates in the station's own frame; NaN for a coordinate that was not measured.
         u_mm: (n, 3) standard uncertainties; NaN where not given.
         time_s: (n,) NaN where not given.
-        approach: (n, axes) +1, −1, 0 unknown.
+        approach: (n, axes) direction of approach +1 or −1; 0 if unknown.
         place_mm: (n, 3) the target's place on its carrier (tool: frame of the spindle nose; work: work frame); NaN where unknown.
-        station_carrier: (n,) what the station rides on: ``base``, ``tool`` or ``work``.
-        station_pose: (n, 6) the station's origin in the frame it rides on, mm, and rotation vector, degrees; NaN where unknown.
-        temperature_degC: by axis or sensor, (n,) NaN where not given.
-        channels: other columns that an effect may use, by their names in the table (``spindle_rpm``): (n,) NaN where not given.
-        set_aside: rows that are not among these, and why.
-        notices: what a reader of the result must know.
+        station_carrier: (n,) side on which the station rides: ``base``, ``tool`` or ``work``.
+        station_pose: (n, 6) the station's origin in the frame on which it rides, mm, and rotation vector, degrees; NaN where unknown.
+        temperature_degC: (n,) temperatures by axis or sensor; NaN where not given.
+        channels: (n,) other columns that an effect may use, by column name (``spindle_rpm``); NaN where not given.
+        set_aside: rows of the file that are not used, and why.
+        notices: facts to know before using a result.
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
     """
@@ -115,7 +115,7 @@ class Measurements:
     feed_mm_min: np.ndarray = field(default_factory=_absent)
 
     def __post_init__(self) -> None:
-        """Fill in what is not given."""
+        """Fill in the fields that were not given."""
         n, axes = np.shape(self.positions)
         blank: dict[str, tuple[tuple[int, ...], object]] = {
             "readback": ((n, axes), np.nan),
@@ -150,7 +150,7 @@ class Measurements:
         u = "not stated in the table"
         if stated.any():
             u = f"{1e3 * np.nanmin(self.u_mm):.2g} … {1e3 * np.nanmax(self.u_mm):.2g} µm (k = 1)"
-            u += "" if stated[read].all() else ", unknown of some"
+            u += "" if stated[read].all() else ", unknown for some"
         rows: list[tuple[str, Cell]] = [
             ("coordinates read", f"{int(read.sum()):,}, mm" if read.any() else "none: a plan"),
             ("stated uncertainty", u if read.any() else ""),
@@ -161,8 +161,8 @@ class Measurements:
             ("temperatures (°C)", ", ".join(self.temperature_degC)),
         ]
         aside = [note(f"set aside, {text}", loud=True) for text in grouped_notes(self.set_aside)]
-        said = [note(notice) for notice in self.notices]
-        return card(several(len(self), "reading"), pairs(rows), *aside, *said, small=self.source).text
+        notices = [note(notice) for notice in self.notices]
+        return card(several(len(self), "reading"), pairs(rows), *aside, *notices, small=self.source).text
 
     def error(
         self,
@@ -173,51 +173,54 @@ class Measurements:
         value: object = None,
         nearest: str | None = None,
     ) -> InputError:
-        """Return an error about this table, with its file and the line of a row; see `InputError`."""
+        """Return an `InputError` about this table, with its file and the line of a row."""
         line = None if row is None else int(self.lines[row])
         return InputError(what, expected=expected, file=self.source, line=line, value=value, nearest=nearest)
 
     def select(self, rows: np.ndarray) -> Measurements:
-        """Some rows (indices or a mask), everything else as it is."""
+        """Return the table with some of its rows (indices or a mask)."""
         picked: dict[str, Any] = {name: locked(values[rows]) for name, values in self.arrays().items()}
-        for name in BY_NAME:
+        for name in BY_COLUMN_NAME:
             some = {key: locked(values[rows]) for key, values in getattr(self, name).items()}
             picked[name] = MappingProxyType(some)
         return replace(self, **picked)
 
     def arrays(self) -> dict[str, Any]:
-        """Every field that is an array of rows, by name."""
+        """Return every field that is an array of rows, by name."""
         return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)}
 
     def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
-        """Write the table, whole or not at all; columns without any value are left out. ``planned`` as of `to_csv`."""
+        """Write the table atomically; columns without any value are left out. Arguments as `to_csv`."""
         write_whole(Path(path), self.to_csv(machine, comment=comment, planned=planned))
 
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
-        """The table as text; reading it gives the same measurements. Without any coordinate it is a plan.
+        """Return the table as text, which reads back as the same measurements. Without any coordinate it is a plan.
 
         Args:
             machine: the machine.
-            comment: lines that go before.
-            planned: names of targets and stations that are only meant to go where they are said to be (`PLANNED`).
+            comment: comment lines that precede the table.
+            planned: names of targets and stations whose places are planned, not known (`PLANNED`).
         """
         columns: dict[str, Sequence[str]] = {}
-        for part in parts_of(machine):
+        for part in table_columns(machine):
             if part.field == "temperature_degC":
-                columns |= {f"T_{name}_degC": printed(values) for name, values in self.temperature_degC.items()}
-                columns |= {name: printed(values) for name, values in self.channels.items()}
+                columns |= {f"T_{name}_degC": number_cells(values) for name, values in self.temperature_degC.items()}
+                columns |= {name: number_cells(values) for name, values in self.channels.items()}
             elif part.field != "point_mm" or np.isfinite(self.point_mm).any():
-                # A plan has none of the three; an interferometer's y and z are empty, and their columns there all the same.
+                # A plan has none of the three columns; a table of lengths has all three, with y and z empty.
                 columns |= part.written(getattr(self, part.field))
         for names, whose, values in (
             (PLACE_COLUMNS, self.target, self.place_mm),
             (STATION_COLUMNS, self.station, self.station_pose),
         ):
-            meant = np.array([name in planned for name in whose])[:, None]
-            for prefix, known in (("", np.where(meant, np.nan, values)), (PLANNED, np.where(meant, values, np.nan))):
+            is_planned = np.array([name in planned for name in whose])[:, None]
+            for prefix, known in (
+                ("", np.where(is_planned, np.nan, values)),
+                (PLANNED, np.where(is_planned, values, np.nan)),
+            ):
                 if np.isfinite(known).any():
-                    columns |= {f"{prefix}{n}": printed(column) for n, column in zip(names, known.T, strict=True)}
-        return csv_text(columns, comments_of(comment, simulated=self.simulated))
+                    columns |= {f"{prefix}{n}": number_cells(column) for n, column in zip(names, known.T, strict=True)}
+        return csv_text(columns, comment_lines(comment, simulated=self.simulated))
 
 
 def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
@@ -225,17 +228,17 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
 
     Args:
         path: the file.
-        machine: the machine it was measured on.
-        plan: whether it says what to measure only: the coordinates may be left out, and are not looked at.
+        machine: the machine that was measured.
+        plan: whether the table is a plan: its coordinates are not read and their columns may be missing.
 
     Raises:
-        InputError: with file, line and value, on a table that cannot be read as one: no header, a missing column, a cell that is no
-            number, a carrier that is neither side, a target that changes sides or has two places, a station with two poses, a place or
-            pose given in part, positions that a constant or a unit keeps from an axis's range.
+        InputError: with file, line and value, if the file is not a measurement table: no header, a missing column, a cell that is not a
+            number, an unknown carrier, a target that changes sides or has two places, a station with two poses, an incomplete place or
+            pose, positions with a constant offset or in another unit.
     """
     path = Path(path)
-    header, rows, said = read_table(path)
-    made, parts = says_simulated(said), parts_of(machine)
+    header, rows, comments = read_table(path)
+    simulated_notes, parts = simulated_comments(comments), table_columns(machine)
     columns = {name: i for i, name in enumerate(header)}
     needed = [*parts[0].columns, "target", "carrier", *(() if plan else POINT_COLUMNS)]
     for name in needed:
@@ -253,7 +256,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
     known |= {*places, *(f"{PLANNED}{name}" for name in places)}
     channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
-    strange = [name for name in header if name not in known and name not in channels]
+    unknown_columns = [name for name in header if name not in known and name not in channels]
     values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
     if plan:
         values["point_mm"] = locked(np.zeros((len(rows), 3)))
@@ -266,32 +269,34 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
         temperature_degC=MappingProxyType(temperatures),
         channels=MappingProxyType(channels),
         notices=(
-            *(f"the file says: {text}" for text in made),
-            *(not_understood(name, sorted(known)) for name in strange),
+            *(f"the file says: {text}" for text in simulated_notes),
+            *(not_understood(name, sorted(known)) for name in unknown_columns),
         ),
-        simulated=bool(made),
+        simulated=bool(simulated_notes),
     )
     if not rows:
-        raise InputError("no measured point", expected="one row a point below the header", file=path)
+        raise InputError("no measured point", expected="one row for each point below the header", file=path)
     _check_names(table)
-    unread = ["\0".join(row[columns[name]] for name in strange) for _, row in rows] if strange else ()
-    return usable(_known(table), machine, unread)
+    unknown_cells = (
+        ["\0".join(row[columns[name]] for name in unknown_columns) for _, row in rows] if unknown_columns else ()
+    )
+    return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
 
 
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
-    """(n, k) what is known of places; in a plan also what is meant."""
+    """Return (n, k) known places; for a plan also the planned ones."""
     found = np.stack([reader.numbers(name) for name in names], axis=1)
     if planned:
-        meant = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
-        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, meant)
+        planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
+        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
     return locked(found)
 
 
 def joined(tables: Sequence[Measurements]) -> Measurements:
-    """Several tables of one machine as one: the rounds of an export, say. Line numbers are those of each file.
+    """Join tables of one machine, for example the rounds of an export. Line numbers remain those of each file.
 
     Raises:
-        InputError: none given, or a target that has another place, or a station another pose, from one table to the next.
+        InputError: no table, or a target or station whose place differs between tables.
     """
     if not tables:
         raise InputError("no measurements", expected="at least one table")
@@ -299,7 +304,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
     merged: dict[str, Any] = {
         name: locked(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
     }
-    for field_name in BY_NAME:
+    for field_name in BY_COLUMN_NAME:
         every = [getattr(table, field_name) for table in tables]
         merged[field_name] = MappingProxyType(
             {
@@ -317,11 +322,11 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
         simulated=any(table.simulated for table in tables),
     )
-    return _known(table)
+    return _with_known_places(table)
 
 
 def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
-    """Positions and every channel that is given throughout: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
+    """Return the positions and every channel that has no gaps, by name: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
     found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
     for i, axis in enumerate(machine.axes):
         if np.any(data.approach[:, i]):
@@ -340,49 +345,49 @@ def _check_names(table: Measurements) -> None:
         for row, one in enumerate(side):
             if one not in sides:
                 raise table.error(
-                    f"no such {columns[0].replace('_', ' ')}",
+                    f"unknown {columns[0].replace('_', ' ')}",
                     expected=" or ".join(sides),
                     row=row,
                     value=one,
                     nearest=nearest(one, sides),
                 )
             if not name[row]:
-                raise table.error(f"a point without a {columns[1]}", expected="the reflector's name", row=row)
+                raise table.error(f"no {columns[1]} in this row", expected=f"the {columns[1]}'s name", row=row)
         first = {one: np.flatnonzero(name == one)[0] for one in dict.fromkeys(name)}
         for other in np.flatnonzero([side[first[one]] != own for one, own in zip(name, side, strict=True)]):
             raise table.error(
-                f"a {columns[1]} on both sides",
-                expected=f"one carrier a {columns[1]}",
+                f"{columns[1]} on both sides",
+                expected=f"one {columns[0]} for each {columns[1]}",
                 row=int(other),
                 value=name[other],
             )
 
 
-def _known(table: Measurements) -> Measurements:
-    """Every row with what any row says of its target's place and its station's pose.
+def _with_known_places(table: Measurements) -> Measurements:
+    """Return the table with the place of its target and the pose of its station in every row, taken from any row that gives it.
 
     Raises:
-        InputError: given in part, no finite number, or one thing at two places.
+        InputError: an incomplete place, a number that is not finite, or two places for one target or station.
     """
     return replace(
         table,
-        place_mm=one_place("target", table.target, PLACE_COLUMNS, table.place_mm, table.lines, table.source),
-        station_pose=one_place(
+        place_mm=place_by_name("target", table.target, PLACE_COLUMNS, table.place_mm, table.lines, table.source),
+        station_pose=place_by_name(
             "station", table.station, STATION_COLUMNS, table.station_pose, table.lines, table.source
         ),
     )
 
 
-def usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) -> Measurements:
-    """Set aside what cannot be used, with its reason.
+def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: Sequence[str] = ()) -> Measurements:
+    """Return the table without the rows that cannot be used, which are listed with their reasons in `Measurements.set_aside`.
 
     Args:
         table: all rows.
         machine: the machine.
-        unread: of each row, the cells of columns that are not understood; empty if there are none.
+        unknown_cells: cells of the unknown columns, one string per row; empty if there are no such columns.
 
     Raises:
-        InputError: no row can be used; commands outside the range by a constant.
+        InputError: no usable row; commands with a constant offset or in another unit.
     """
     check_ranges(machine.axes, table.positions, table.lines, table.source)
     reasons: dict[int, RowNote] = {}
@@ -392,19 +397,19 @@ def usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) ->
             reasons.setdefault(int(row), RowNote(int(table.lines[row]), reason))
 
     finite = np.isfinite(table.positions)
-    aside(~finite.all(axis=1), "a commanded position that is no finite number")
-    aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate that is no finite number")
-    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate beyond {LARGEST_MM:g} mm")
+    aside(~finite.all(axis=1), "a commanded position is missing or not finite")
+    aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate is not finite")
+    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate exceeds {LARGEST_MM:g} mm")
     aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
-    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty below {SMALLEST_U_MM:g} mm")
+    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty is below {SMALLEST_U_MM:g} mm")
     for axis, q in zip(machine.axes, table.positions.T, strict=True):
         if axis.lower is not None and axis.upper is not None:
             reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
-            aside(outside(axis, q), f"{axis.name} is commanded outside its range {reach}")
-    left = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
-    for row, before in _copies(table, left, unread).items():
-        text = f"the same as line {table.lines[before]} in every column"
-        reasons[row] = RowNote(int(table.lines[row]), text, kind="the same as an earlier line in every column")
+            aside(outside_axis_range(axis, q), f"the command of {axis.name} is outside its range {reach}")
+    usable_rows = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
+    for row, before in _copies(table, usable_rows, unknown_cells).items():
+        text = f"copy of line {table.lines[before]}: equal in every column"
+        reasons[row] = RowNote(int(table.lines[row]), text, kind="copy of an earlier line: equal in every column")
     keep = np.array([row not in reasons for row in range(len(table))])
     for station in dict.fromkeys(table.station):
         of = keep & (table.station == station)
@@ -417,22 +422,23 @@ def usable(table: Measurements, machine: Machine, unread: Sequence[str] = ()) ->
         what = f"no usable row of station {table.station[table.lines == first.line][0]}: {first.text}"
         raise InputError(what, expected="measured points", file=table.source, line=first.line)
     why = {row: note.kind or note.text for row, note in reasons.items()}
-    lost = [*lost_names("station", table.station, why), *lost_names("target", table.target, why)]
+    unused = [*unused_names("station", table.station, why), *unused_names("target", table.target, why)]
     used = replace(table.select(keep), set_aside=notes)
-    return replace(used, notices=(*used.notices, *lost, *missing_rounds(used.target, used.round, used.positions)))
+    return replace(used, notices=(*used.notices, *unused, *missing_rounds(used.target, used.round, used.positions)))
 
 
-def _copies(table: Measurements, rows: np.ndarray, unread: Sequence[str]) -> dict[int, int]:
-    """Copies among some rows, each with the row that it repeats."""
+def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str]) -> dict[int, int]:
+    """Return the copies among some rows, each with the row that it repeats."""
     part = table.select(rows)
     names = zip(part.station, part.target, strict=True)
     series = [f"{station}\0{target}\0".encode() for station, target in names]
     command = (part.positions + 0.0, part.approach + 0.0)
     point_of = [name + b"".join(column[i].tobytes() for column in command) for i, name in enumerate(series)]
-    by_name = [values for name in BY_NAME for values in getattr(part, name).values()]
+    by_name = [values for name in BY_COLUMN_NAME for values in getattr(part, name).values()]
     rest = np.column_stack([part.readback, part.u_mm, part.time_s, part.feed_mm_min, *by_name]) + 0.0
     words = [
-        f"{name}\0{unread[row] if len(unread) else ''}".encode() for name, row in zip(part.round, rows, strict=True)
+        f"{name}\0{unknown_cells[row] if len(unknown_cells) else ''}".encode()
+        for name, row in zip(part.round, rows, strict=True)
     ]
     state = [point_of[i] + words[i] + rest[i].tobytes() for i in range(len(part))]
     found = copied_rows(part.point_mm, state, series, point_of, part.time_s)

@@ -1,4 +1,4 @@
-"""The tracker export of the thesis: lines of a name and three coordinates, one block of lines a target."""
+"""The tracker export of the thesis: lines of a name and three coordinates, one block of lines for each target."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.machine.machine import Machine
-from twin.measurement.table import CARRIERS, Measurements, usable
+from twin.measurement.table import CARRIERS, Measurements, without_unusable_rows
 
 
 def load_export(
@@ -25,25 +25,25 @@ def load_export(
     carrier: str = "tool",
     round_name: str = "1",
 ) -> Measurements:
-    """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines a target, one line a position.
+    """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines for each target, one line for each position.
 
     Args:
         path: the file; mm, no header.
         machine: the machine.
         positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
         targets: names of the targets in the order of the blocks.
-        carrier: the side they sit on.
-        round_name: the round this file is.
+        carrier: the side on which they sit.
+        round_name: name of the round that this file contains.
 
     Raises:
-        InputError: another number of lines than blocks times positions, or a line that is not a name and three numbers.
+        InputError: a number of lines that is not blocks times positions, or a line that is not a name and three numbers.
     """
     path = Path(path)
     commands = np.atleast_2d(np.asarray(positions, dtype=float))
     if commands.shape[1] != len(machine.axes):
-        raise InputError("positions of the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
+        raise InputError("positions have the wrong shape", expected=f"(p, {len(machine.axes)})", value=commands.shape)
     if carrier not in CARRIERS:
-        raise InputError("no such carrier", expected=" or ".join(CARRIERS), value=carrier)
+        raise InputError("unknown carrier", expected=" or ".join(CARRIERS), value=carrier)
     lines, points = [], []
     for number, text in enumerate(read_lines(path), start=1):
         if not text.strip() or text.lstrip().startswith("#"):
@@ -73,4 +73,4 @@ def load_export(
         round=locked(words(round_name)),
         point_mm=locked(np.array(points)),
     )
-    return usable(table, machine)
+    return without_unusable_rows(table, machine)

@@ -176,7 +176,7 @@ class PlanModel:
         network = Network(self.machine, readings, self.instrument, self.unknowns)
         found = np.empty((len(readings), 3, self.free.shape[1]))
         for start in range(0, len(readings), PIECE):
-            piece = network.piece(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+            piece = network.chunk(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
             found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
@@ -277,10 +277,10 @@ def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
 
 def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
     """Where stations and targets are, and which of it the plan tells an evaluation."""
-    told = SetUp.told(plan, lengths_only=instrument.lengths_only)
+    told = SetUp.from_table(plan, lengths_only=instrument.lengths_only)
     return replace(
         told,
-        rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in told.stations])),
+        rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in told.stations])),
         origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
         place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
     )

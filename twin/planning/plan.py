@@ -93,7 +93,7 @@ def judge(
     """
     if not np.any(np.ptp(table.positions, axis=0) > 0.0):
         raise InputError("no axis moves", expected="two or more positions of an axis", file=table.source)
-    setting = Setting.drawn(table, np.random.default_rng(0))
+    setting = Setting.draw(table, np.random.default_rng(0))
     placed = replace(
         table,
         station_pose=locked(np.array([setting.stations[name].pose for name in table.station])),

@@ -126,8 +126,8 @@ def checked(data: Measurements, machine: Machine, calibration: Calibration, path
     none = Network(machine, network.data, network.instrument, Unknowns(machine, (), ()), None, network.covariance)
     drawn = solve(none, np.zeros(0), placed.setup, good.astype(float)).setup
     every = np.arange(len(network.data))
-    before = none.difference(np.zeros(0), drawn, every)
-    left = network.difference(np.zeros(0), placed.setup, every)
+    before = none.residuals_m(np.zeros(0), drawn, every)
+    left = network.residuals_m(np.zeros(0), placed.setup, every)
     read = network.read
     return Checked(
         source=str(path),

@@ -234,7 +234,7 @@ def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan:
     other = Network(network.machine, plan, network.instrument, network.unknowns, covariance=one)
     view = other.view(np.zeros(0), problem.setup, np.arange(len(plan)))
     by_setup = np.zeros((len(plan), 3, len(problem.setup)))
-    other.by_setup(view, problem.setup, by_setup)
+    other.fill_setup_columns(view, problem.setup, by_setup)
     frames = assemble(effects, network.machine.frames, state_of(plan, network.machine))
     errors = np.stack([np.broadcast_to(np.asarray(v, dtype=float), len(plan)) for row in frames for v in row], axis=1)
     return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))

@@ -94,7 +94,7 @@ def from_the_rest(
     """
     columns = [column for c in known for column in _plain(c)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
-    network.by_setup(view, setup, by_setup)
+    network.fill_setup_columns(view, setup, by_setup)
     read = network.read[view.rows]
     taken = signatures_of(view, columns)
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))

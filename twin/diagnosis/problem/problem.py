@@ -94,7 +94,7 @@ class Problem:
             random: columns, each with its standard deviation in units of the parameter.
             scatter: times the stated variances.
         """
-        network = self.network if scatter == 1.0 else self.network.scattered(scatter)
+        network = self.network if scatter == 1.0 else self.network.with_variance_factor(scatter)
         found = Problem(network, self.setup, self.calibration, random)
         found.judge(self.residual / np.sqrt(scatter))
         if len(self.held):
@@ -223,7 +223,7 @@ class Problem:
         for run in pieces(n):
             rows = slice(3 * run.start, 3 * run.stop)
             by_setup = np.zeros((run.stop - run.start, 3, len(self.setup)))
-            self.network.by_setup(self.view.part(run), self.setup, by_setup)
+            self.network.fill_setup_columns(self.view.part(run), self.setup, by_setup)
             whole[rows, : len(self.setup)] = by_setup.reshape(-1, len(self.setup)) * self.setup.plausible
             if doubt:
                 whole[rows, len(self.setup) :] = _flat(own.at(PointBlock(self.view, run))) @ root

@@ -95,7 +95,7 @@ class Readings:
         """
         left, network = self, self.network
         if np.any(bad):
-            difference = network.difference(np.zeros(0), self.setup, np.arange(len(network.data)))
+            difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
             notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
             left = self.some(np.flatnonzero(~bad), notes)
         known = catalogue(network.machine, left.network.data, self.calibration)

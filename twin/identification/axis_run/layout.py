@@ -1,4 +1,4 @@
-"""A layout file: a multi-axis interferometer set up on one linear axis of a machine, and how well everything about it is known."""
+"""A layout file: a multi-axis interferometer on one linear axis of a machine, with its uncertainties."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class _Uncertainty(_Strict):
     scale_ppm: Annotated[float, Field(ge=0)] = 0.0
 
     def of(self, installation: Sequence[str]) -> np.ndarray:
-        """(p,) standard uncertainties of the numbers of an installation, by their names; metres, radians, one."""
+        """Return (p,) the standard uncertainties of an installation's parameters, by their names; metres, radians, one."""
         angles = {"beam": self.angle_urad, "mirror": self.mirror_urad}
         return locked(
             np.array(
@@ -80,11 +80,11 @@ class _LayoutFile(_Strict):
 class AxisLayout:
     """A multi-axis interferometer on one linear axis; lengths in metres, angles in radians.
 
-    Its coordinates are along the axes of the error frame of that axis; its origin is a point of the carriage, where this stands when
-    the axis is at the reference position. The interferometer stands still, the mirrors travel.
+    Its coordinates are along the axes of that axis's error frame; its origin is a point of the carriage at the reference position. The
+    interferometer is at rest, the mirrors move.
 
     Attributes:
-        name: what the file calls it.
+        name: its name in the file.
         axis: the axis.
         beams: the nominal layout.
         reference_mm: commanded position at which the counters were set to zero.
@@ -117,7 +117,7 @@ class AxisLayout:
         check = _Entries(path, lines)
         linear = [axis.name for axis in machine.axes if axis.linear]
         if entries.axis not in linear:
-            raise check.fail(("axis",), "no linear axis of this machine", " or ".join(linear), entries.axis)
+            raise check.fail(("axis",), "not a linear axis of this machine", " or ".join(linear), entries.axis)
         axis = machine.by_name[entries.axis]
         lower, upper = axis.lower, axis.upper
         if lower is not None and upper is not None and not lower <= entries.reference_mm <= upper:
@@ -127,7 +127,7 @@ class AxisLayout:
         mirrors = tuple(entries.mirrors)
         for name, beam in entries.beams.items():
             if beam.mirror not in mirrors:
-                raise check.fail(("beams", name, "mirror"), "no such mirror", " or ".join(mirrors), beam.mirror)
+                raise check.fail(("beams", name, "mirror"), "unknown mirror", " or ".join(mirrors), beam.mirror)
         normals = [check.unit(("mirrors", name, "normal"), one.normal) for name, one in entries.mirrors.items()]
         directions = [check.unit(("beams", name, "direction"), one.direction) for name, one in entries.beams.items()]
         try:
@@ -164,7 +164,7 @@ class AxisLayout:
         return self.beams.specification.columns
 
     def travel(self, positions_mm: np.ndarray) -> np.ndarray:
-        """(n, 3) nominal travel from the reference position, metres."""
+        """Return (n, 3) the nominal travel from the reference position, metres."""
         return (positions_mm - self.reference_mm)[:, None] * MM * np.array(self.axis.direction)
 
 
@@ -186,5 +186,5 @@ class _Entries:
     def unit(self, place: Place, vector: _Vector) -> np.ndarray:
         length = float(np.linalg.norm(vector))
         if length == 0.0:
-            raise self.fail(place, "no direction", "a vector that is not zero", list(vector))
+            raise self.fail(place, "the vector is zero", "a vector that is not zero", list(vector))
         return np.array(vector) / length

@@ -1,7 +1,7 @@
-"""Six error motions of a linear axis at every position, and its curves: from a multi-axis interferometer's readings.
+"""Six error motions of a linear axis at every position, and its curves, from the readings of a multi-axis interferometer.
 
-Relative to the reference position, as the counters are: what is constant, and the slope of a straightness, belong to where the layout
-stands. So they do in a calibration (`twin.identification.unknowns`): a curve has no constant, a straightness no slope.
+They are relative to the reference position, as the counters are: constants and slopes of straightness depend on the layout's pose.
+The same holds in a calibration (`twin.identification.unknowns`), whose curves have no constant and whose straightness has no slope.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ from twin.identification.axis_run.readings import BeamReadings
 from twin.identification.unknowns import Unknowns, spaces_for
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments.multi_axis import turn
+from twin.measurement.instruments.multi_axis import rotation_and_jacobian
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
 from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
 Spread = Literal["stated", "repeats"]
 MOST: Final = 13
-"""Functions of a curve at most, as `identify`."""
+"""Largest number of functions of a curve, as in `identify`."""
 FEWEST: Final = 4
-"""Positions of which one may be held out and a straightness still has one order to show."""
-PAYS: Final = 1e-6
-"""Of held-out error: of models that foretell alike the smallest is taken."""
+"""Least number of positions: one may be held out, and a straightness still has one order."""
+IMPROVEMENT: Final = 1e-6
+"""Relative reduction of the held-out error for which a larger model is taken."""
 NAMES: Final = "XYZABC"
 MOST_STATES: Final = 1500
-"""Positions, each side counted: their joint covariance has 6 times as many rows and columns (0.6 GB)."""
+"""Largest number of positions, each side counted: their joint covariance has 6 times as many rows and columns (0.6 GB)."""
 MOST_ROWS: Final = 30_000
-"""Readings of them."""
+"""Largest number of rows."""
 SCALE: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
 
 
 @final
 @dataclass(frozen=True)
 class Motions:
-    """Error motions at g states (a position and the side it was come to from), µm and µrad, error frame of the axis.
+    """Error motions at g states (a position and its side of approach), µm and µrad, in the axis's error frame.
 
     Attributes:
         axis: name.
         position_mm: (g,) commanded.
         approach: (g,) +1, −1, 0 unknown.
-        count: (g,) how many rows each is the mean of.
-        values: (g, 6) E_X… to E_C…, less those at the reference position.
+        count: (g,) number of rows of which each is the mean.
+        values: (g, 6) E_X… to E_C…, minus those at the reference position.
         covariance: (6g, 6g) joint, state after state.
-        u_installation: (g, 6) the part of the standard uncertainty that no repeat takes away.
-        repeatability: (6,) standard deviation of one row about the mean of its state; NaN where nothing was repeated.
+        u_installation: (g, 6) the part of the standard uncertainty due to the installation, which repeats do not reduce.
+        repeatability: (6,) standard deviation of one row about the mean of its state; NaN without repeats.
         chi2: of readings and installation together.
         dof: its degrees of freedom.
-        spread: whose scatter the covariance carries.
-        displacement: the carriage's motions row by row, and the installation as estimated.
+        spread: noise on which the covariance is based.
+        displacement: the carriage's motions row by row, and the estimated installation.
         simulated: whether the readings were simulated.
     """
 
@@ -81,54 +81,54 @@ class Motions:
 
     @property
     def u(self) -> np.ndarray:
-        """(g, 6) standard uncertainties, µm and µrad."""
+        """Standard uncertainties, (g, 6), µm and µrad."""
         return np.sqrt(np.diag(self.covariance)).reshape(-1, 6)
 
     @property
     def p_value(self) -> float:
-        """Chance of a misfit as large if layout, noise and installation are as stated."""
+        """Probability of a misfit at least as large if layout, noise and installation are as stated."""
         return float(chi2_sf(self.chi2, self.dof))
 
 
 def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread = "stated") -> Motions:
-    """Six error motions at every position that was measured.
+    """Estimate six error motions at every measured position.
 
     Args:
-        layout: of the interferometer.
-        readings: of the run.
-        spread: the readings' stated noise, or the scatter of repeats of the same state. The installation's part is in both.
+        layout: layout of the interferometer.
+        readings: readings of the run.
+        spread: the readings' stated noise, or the standard deviation of repeats of the same state. Both include the installation.
 
     Raises:
-        InputError: beams that do not fix six motions; too few repeats for ``spread="repeats"``; no estimate; too many readings.
+        InputError: beams that do not determine six motions; too few or too many readings; no convergence.
     """
     keys = np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1)
     state, group = np.unique(keys, axis=0, return_inverse=True)
     if len(state) > MOST_STATES or len(readings) > MOST_ROWS:
         raise InputError(
-            "too many readings for a joint covariance of all of them",
-            expected=f"at most {MOST_STATES} positions, each side counted, and {MOST_ROWS} rows",
+            "too many readings for a joint covariance",
+            expected=f"at most {MOST_STATES} positions, each side of approach counted, and {MOST_ROWS} rows",
             file=readings.source,
             value=f"{len(state)} positions, {len(readings)} rows",
         )
     repeats = len(readings) - len(state)
     if spread == "repeats" and repeats <= 6:
         raise InputError(
-            "too few repeats to tell how six motions scatter",
-            expected="seven rows more than states (positions and sides they were come to from)",
+            "too few repeats to estimate the noise of six motions",
+            expected="at least seven more rows than states (positions, each side of approach counted)",
             file=readings.source,
-            value=f"{len(readings)} rows of {len(state)}",
+            value=f"{len(readings)} rows of {len(state)} states",
         )
     found = _displacement(layout, readings)
     values, by_pose = _error_frames(layout, readings, found)
     group = group.reshape(-1)
     count = np.bincount(group)
-    share = (np.arange(len(state))[:, None] == group) / count[:, None]
-    mean = share @ values
-    scatter = values - mean[group]
-    pooled = scatter.T @ scatter / repeats if repeats else np.full((6, 6), np.nan)
-    own = by_pose @ found.own @ by_pose.transpose(0, 2, 1)
-    each = pooled / count[:, None, None] if spread == "repeats" else np.einsum("gn,nij->gij", share**2, own)
-    flat = np.einsum("gn,nip->gip", share, by_pose @ found.lever).reshape(6 * len(state), -1)
+    mean_weights = (np.arange(len(state))[:, None] == group) / count[:, None]
+    mean = mean_weights @ values
+    deviations = values - mean[group]
+    pooled = deviations.T @ deviations / repeats if repeats else np.full((6, 6), np.nan)
+    own = by_pose @ found.noise_covariance @ by_pose.transpose(0, 2, 1)
+    each = pooled / count[:, None, None] if spread == "repeats" else np.einsum("gn,nij->gij", mean_weights**2, own)
+    flat = np.einsum("gn,nip->gip", mean_weights, by_pose @ found.by_installation).reshape(6 * len(state), -1)
     joint = flat @ found.installation_covariance @ flat.T
     common = np.sqrt(np.diag(joint)).reshape(-1, 6)
     for g in range(len(state)):
@@ -151,10 +151,10 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
 
 
 def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
-    """The carriage's poses row by row, from the nominal travel.
+    """Estimate the carriage's poses row by row, starting at the nominal travel.
 
     Raises:
-        InputError: beams that do not fix six motions; no estimate.
+        InputError: beams that do not determine six motions; no convergence.
     """
     start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
     found = measure(
@@ -162,29 +162,29 @@ def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
     )
     if not found.converged:
         raise InputError(
-            "the readings lead to no pose of the carriage",
+            "no pose of the carriage agrees with the readings",
             expected="changes of path of this layout, in mm",
             file=readings.source,
-            value=f"off by {np.nanmax(np.abs(found.residual)) * 1e3:.3g} mm",
+            value=f"residuals up to {np.nanmax(np.abs(found.residual)) * 1e3:.3g} mm",
         )
     return found
 
 
 def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacement) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 6) error motions row by row, µm and µrad, and (n, 6, 6) their derivatives by the poses."""
-    # With M₀ the pose at the reference and P the way out to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
+    """Return (n, 6) the error motions row by row, µm and µrad, and (n, 6, 6) their derivatives with respect to the poses."""
+    # With M₀ the pose at the reference and P the translation to the carriage's point: E = T⁻¹ · M₀ P D P⁻¹, E = 1 at the reference.
     place = np.asarray(rotation_exp(found.poses[:, 3:])) @ layout.place
-    _, left = turn(found.poses[:, 3:])
+    _, left_jacobian = rotation_and_jacobian(found.poses[:, 3:])
     values = np.array(found.poses)
     values[:, :3] -= layout.travel(readings.position_mm)
     values[:, :3] += layout.place - place
     by_pose = np.tile(np.eye(6), (len(readings), 1, 1))
-    by_pose[:, :3, 3:] = cross_matrix(place) @ left
+    by_pose[:, :3, 3:] = cross_matrix(place) @ left_jacobian
     return values / SCALE, by_pose / SCALE[:, None]
 
 
 def _chi2(layout: AxisLayout, found: Displacement) -> float:
-    """Whitened sum of squares of readings and installation together."""
+    """Return the whitened sum of squares of readings and installation."""
     known = layout.installation_u > 0.0
     misfit = float(np.nansum((found.residual / layout.noise) ** 2))
     return misfit + float(np.sum((found.installation[known] / layout.installation_u[known]) ** 2))
@@ -197,10 +197,10 @@ class AxisCurves:
 
     Attributes:
         calibration: the curves, with their joint covariance.
-        orders: name → how many functions of its basis; a curve that none pays for is not there.
-        held_out: name → RMS error at positions held out, µm or µrad.
-        reversal: name → value less than half the way apart: mean of positive less negative approach, and its standard uncertainty, µm
-            or µrad; empty where not both sides were measured.
+        orders: name → number of functions of its basis; without curves that do not improve the prediction.
+        held_out: name → RMS prediction error at positions held out, µm or µrad.
+        reversal: name → reversal value (mean of positive minus negative approach) and standard uncertainty, µm or µrad; empty if only
+            one side was measured.
         chi2: of the motions about the curves.
         dof: its degrees of freedom.
     """
@@ -214,27 +214,27 @@ class AxisCurves:
 
     @property
     def p_value(self) -> float:
-        """Chance of a misfit as large if these curves are all there is."""
+        """Probability of a misfit at least as large if these curves describe the motions completely."""
         return float(chi2_sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
 
 
 def axis_curves(
     motions: Motions, machine: Machine, *, source: str, wanted: Callable[[str], bool] = lambda name: True
 ) -> AxisCurves:
-    """The six curves of the axis, each with as many orders as foretell the positions left out best.
+    """Fit the six curves of the axis, each with the order that predicts held-out positions best.
 
-    Generalised least squares with the joint covariance of all motions at all positions, so that what the installation does to all of
-    them is in the curves' covariance too. Constants, slopes of straightness and a reversal of every motion are estimated along and
-    left to whom they belong.
+    Generalised least squares with the joint covariance of all motions at all positions, so that the curves' covariance includes the
+    common influence of the installation. Constants, slopes of straightness and reversal values are estimated as well but
+    are not part of the curves.
 
     Args:
         motions: as measured.
         machine: the machine.
-        source: where they come from, in words.
-        wanted: whether a curve of that name is sought.
+        source: origin of the values, in words.
+        wanted: whether a curve of that name is to be fitted.
 
     Raises:
-        InputError: fewer than `FEWEST` positions; no curve wanted.
+        InputError: fewer than `FEWEST` positions; no curve to fit.
     """
     index = machine.names.index(motions.axis)
     positions = np.zeros((len(motions), len(machine.axes)))
@@ -247,7 +247,7 @@ def axis_curves(
     bases = dict.fromkeys(machine.names, POWER)
     spaces, _ = spaces_for(machine, positions, bases=bases, most=MOST, wanted=wanted)
     if not spaces:
-        raise InputError("no curve wanted", expected=f"names of {motions.axis}'s error motions", value=motions.axis)
+        raise InputError("no curve selected", expected=f"names of {motions.axis}'s error motions", value=motions.axis)
     both = np.any(motions.approach > 0.0) and np.any(motions.approach < 0.0)
     side = [motions.approach[:, None] / 2.0] if both else []
     chosen: dict[str, CurveSpace] = {}
@@ -264,7 +264,7 @@ def axis_curves(
 
 
 def _order(space: CurveSpace, motions: Motions, side: list[np.ndarray], component: int) -> tuple[int, float]:
-    """How many functions of a space foretell best what is held out: position after position, all of its states at once."""
+    """Return the number of functions that predicts best, and its error, by holding out one position (all its states) at a time."""
     y = motions.values[:, component]
     w = np.sqrt(motions.count)
     best, least = space.first, np.inf
@@ -278,7 +278,7 @@ def _order(space: CurveSpace, motions: Motions, side: list[np.ndarray], componen
             held = np.eye(int(rows.sum())) - q[rows] @ q[rows].T
             total += float(np.sum((np.linalg.pinv(held, rcond=1e-10) @ residual[rows]) ** 2))
         error = float(np.sqrt(total / np.sum(w**2)))
-        if error < least * (1.0 - PAYS):
+        if error < least * (1.0 - IMPROVEMENT):
             best, least = count, error
     return best, least
 
@@ -308,8 +308,8 @@ def _fitted(
         factor = np.linalg.cholesky(motions.covariance[np.ix_(rows, rows)])
     except np.linalg.LinAlgError:
         raise InputError(
-            f"the uncertainty of {motions.axis}'s motions is too uneven to weigh them",
-            expected="readings of one layout, and stated uncertainties of like sizes",
+            f"covariance of {motions.axis}'s motions is numerically singular",
+            expected="readings of one layout, and stated uncertainties of similar size",
         ) from None
     whitened = np.linalg.solve(factor, design[rows])
     right = np.linalg.solve(factor, motions.values.reshape(-1)[rows])
@@ -317,7 +317,7 @@ def _fitted(
     theta = np.linalg.solve(r, q.T @ right)
     inverse = np.linalg.inv(r)
     covariance = inverse @ inverse.T
-    left = right - whitened @ theta
+    residual = right - whitened @ theta
     unknowns = Unknowns(machine, [space for space in chosen.values() if space.count > space.first], [])
     at = [places[column.entity] + column.index for column in unknowns.columns]
     calibration, _ = unknowns.calibration(theta[at], list(range(len(at))), source, locked(covariance[np.ix_(at, at)]))
@@ -331,6 +331,6 @@ def _fitted(
         orders={name: space.count for name, space in chosen.items() if space.count > space.first},
         held_out=held_out,
         reversal=reversal,
-        chi2=float(left @ left),
+        chi2=float(residual @ residual),
         dof=len(right) - len(theta),
     )

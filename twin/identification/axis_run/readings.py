@@ -1,7 +1,8 @@
-"""A table of a multi-axis interferometer's readings: one row a position of the axis, one column a beam.
+"""A table of a multi-axis interferometer's readings: one row for each position of the axis, one column for each beam.
 
 Columns ``<axis>_mm`` (commanded) and ``beam_<name>_mm`` for every beam of the layout, optionally ``round``, ``approach`` and
-``time_s``; an empty cell is a beam that was not read. Rows that cannot be used stand in `BeamReadings.set_aside` with line and reason.
+``time_s``; an empty cell is a beam that was not read. Rows that cannot be used are listed in `BeamReadings.set_aside` with line and
+reason.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from twin._common.errors import InputError
 from twin._common.files import write_whole
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
-from twin.measurement.checks import LARGEST_MM, RowNote, outside
-from twin.measurement.columns import comments_of, csv_text, printed, says_simulated
+from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
+from twin.measurement.columns import comment_lines, csv_text, number_cells, simulated_comments
 
 FEWEST_BEAMS: Final = 6
-"""Beams without which six motions are not fixed."""
+"""Least number of beams that determine six motions."""
 
 
 @final
@@ -32,15 +33,15 @@ class BeamReadings:
     """Readings of n rows; arrays are read-only.
 
     Attributes:
-        source: the file, or where else they come from.
+        source: the file, or another description of the source.
         lines: (n,) line of each row in the file.
         position_mm: (n,) commanded.
-        change_mm: (n, m) as the instrument shows it; NaN for a beam that was not read.
+        change_mm: (n, m) as displayed by the instrument; NaN for a beam that was not read.
         round: (n,) names.
         approach: (n,) +1, −1, 0 unknown.
         time_s: (n,) NaN where not given.
-        set_aside: rows that are not among these, and why.
-        notices: what a reader of the result must know.
+        set_aside: rows of the file that are not used, and why.
+        notices: facts to know before using a result.
         simulated: whether they were simulated, not measured on a machine.
     """
 
@@ -59,22 +60,22 @@ class BeamReadings:
         return len(self.lines)
 
     def paths(self, layout: AxisLayout) -> np.ndarray:
-        """(n, m) change of path, there and back, metres."""
+        """Return (n, m) the change of path, there and back, metres."""
         return np.asarray(self.change_mm * MM * (2.0 if layout.halved else 1.0))
 
     def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
-        """The table as text; reading it gives the same readings."""
-        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": printed(self.position_mm)}
-        columns |= {name: printed(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        """Return the table as text, which reads back as the same readings."""
+        columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": number_cells(self.position_mm)}
+        columns |= {name: number_cells(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
         columns["round"] = list(self.round)
         if np.any(self.approach):
             columns["approach"] = [str(int(value)) for value in self.approach]
         if np.isfinite(self.time_s).any():
-            columns["time_s"] = printed(self.time_s)
-        return csv_text(columns, comments_of(comment, simulated=self.simulated))
+            columns["time_s"] = number_cells(self.time_s)
+        return csv_text(columns, comment_lines(comment, simulated=self.simulated))
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
-        """Write the table, whole or not at all."""
+        """Write the table atomically."""
         write_whole(Path(path), self.to_csv(layout, comment=comment))
 
 
@@ -83,10 +84,10 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
 
     Args:
         path: the file.
-        layout: the interferometer that read them.
+        layout: layout of the interferometer.
 
     Raises:
-        InputError: with file, line and value: no header, a missing column, a cell that is no number, no usable row.
+        InputError: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
     """
     path = Path(path)
     header, rows, comments = read_table(path)
@@ -101,7 +102,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
                 line=rows[0][0] - 1 if rows else 1,
             )
     if not rows:
-        raise InputError("no reading", expected="one row a position below the header", file=path)
+        raise InputError("no reading", expected="one row for each position below the header", file=path)
     known = {*needed, "round", "approach", "time_s"}
     cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
     table = BeamReadings(
@@ -113,10 +114,10 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
         approach=cells.signs("approach"),
         time_s=cells.numbers("time_s"),
         notices=(
-            *(f"the file says: {text}" for text in says_simulated(comments)),
+            *(f"the file says: {text}" for text in simulated_comments(comments)),
             *(not_understood(name, sorted(known)) for name in header if name not in known),
         ),
-        simulated=bool(says_simulated(comments)),
+        simulated=bool(simulated_comments(comments)),
     )
     return _usable(table, layout)
 
@@ -128,14 +129,14 @@ def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
         for row in np.flatnonzero(rows):
             reasons.setdefault(int(row), reason)
 
-    aside(~np.isfinite(table.position_mm), "a commanded position that is no finite number")
-    aside(np.isinf(table.change_mm).any(axis=1), "a reading that is no finite number")
-    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading beyond {LARGEST_MM:g} mm")
+    aside(~np.isfinite(table.position_mm), "a commanded position is missing or not finite")
+    aside(np.isinf(table.change_mm).any(axis=1), "a reading is not finite")
+    aside((np.abs(table.change_mm) > LARGEST_MM).any(axis=1), f"a reading exceeds {LARGEST_MM:g} mm")
     aside(np.isfinite(table.change_mm).sum(axis=1) < FEWEST_BEAMS, f"fewer than {FEWEST_BEAMS} beams were read")
     lower, upper = layout.axis.lower, layout.axis.upper
     if lower is not None and upper is not None:
-        beyond = outside(layout.axis, table.position_mm)
-        aside(beyond, f"{layout.axis.name} is commanded outside its range {lower:g} … {upper:g} mm")
+        beyond = outside_axis_range(layout.axis, table.position_mm)
+        aside(beyond, f"the command of {layout.axis.name} is outside its range {lower:g} … {upper:g} mm")
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(RowNote(int(table.lines[row]), reason) for row, reason in sorted(reasons.items()))
     if not np.any(keep):

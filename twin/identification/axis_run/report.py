@@ -1,4 +1,4 @@
-"""What a run says: as text, and as JSON (``schema: twin.axis_run/1``)."""
+"""Report of a run: as text, and as JSON (``schema: twin.axis_run/1``)."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from twin.identification.axis_run.readings import BeamReadings
 from twin.measurement.checks import grouped_notes
 
 SCHEMA: Final = "twin.axis_run/1"
-UNLIKELY: Final = 1e-3
-"""A chance below it is worth a word."""
-STRAY: Final = 3.0
-"""How many times the noise of its own rows a motion must scatter for the repeats to be named."""
+SIGNIFICANCE: Final = 1e-3
+"""Significance level below which a misfit is reported."""
+REPEAT_RATIO: Final = 3.0
+"""Ratio of the standard deviation of repeats to the noise of the beams above which it is reported."""
 
 
 def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
-    """What a reader of the result must know before using it."""
+    """Return the facts to know before using the result."""
     found = []
-    if motions.p_value < UNLIKELY:
+    if motions.p_value < SIGNIFICANCE:
         found.append(
-            f"beams and stated uncertainties do not go together (chi² {motions.chi2:.0f} for {motions.dof}): "
-            "a beam, the layout or its uncertainties are not as stated"
+            f"readings of the beams disagree by more than stated (chi² {motions.chi2:.0f} for {motions.dof} degrees of "
+            "freedom): a beam, the layout or its uncertainties are not as stated"
         )
-    own = np.sqrt(np.einsum("nii->ni", motions.displacement.own)).mean(axis=0) * 1e6
-    stray = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > STRAY * own[i]]
-    if stray:
-        names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in stray)
-        found.append(f"{names}: repeats scatter more than the beams' noise explains; --uncertainty repeats takes it in")
-    if curves.p_value < UNLIKELY:
+    own = np.sqrt(np.einsum("nii->ni", motions.displacement.noise_covariance)).mean(axis=0) * 1e6
+    varying = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > REPEAT_RATIO * own[i]]
+    if varying:
+        names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in varying)
+        found.append(f"{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats")
+    if curves.p_value < SIGNIFICANCE:
         found.append(
-            f"the curves leave something (chi² {curves.chi2:.0f} for {curves.dof}): a finer shape, or scatter beyond what is stated"
+            f"the motions deviate from the curves by more than their uncertainty (chi² {curves.chi2:.0f} for {curves.dof} degrees of "
+            "freedom): short-wave errors, or more noise than stated"
         )
     return tuple(found)
 
 
 def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
-    """The report as JSON."""
+    """Return the report as JSON."""
     installation, names = motions.displacement, [f"E_{letter}{motions.axis}" for letter in NAMES]
-    left, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
+    installation_u, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
     found = {
         "schema": SCHEMA,
         "layout": layout.name,
@@ -69,7 +70,7 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
         "installation": [
             {"name": name, "estimate": estimate, "u_stated": stated, "u": after}
             for name, estimate, stated, after in zip(
-                layout.beams.installation, installation.installation, layout.installation_u, left, strict=True
+                layout.beams.installation, installation.installation, layout.installation_u, installation_u, strict=True
             )
         ],
         "warnings": to_json(curves.calibration.warnings),
@@ -80,12 +81,12 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
 
 
 def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> str:
-    """The report for a person."""
+    """Return the report as text."""
     lines = [
         f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "
         f"counters zeroed at {layout.reference_mm:g} mm",
         *texts(curves.calibration.warnings),
-        f"misfit: chi² {motions.chi2:.0f} for {motions.dof} (chance {motions.p_value:.2g})",
+        f"misfit: chi² {motions.chi2:.0f} for {motions.dof} degrees of freedom (p = {motions.p_value:.2g})",
         "",
         "error motion      range   functions   held out   u, largest   of it installation   reversal",
     ]

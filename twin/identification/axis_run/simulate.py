@@ -1,4 +1,4 @@
-"""A run of one linear axis, read by a multi-axis interferometer: the carriage's real pose, the layout as it really stands, noise."""
+"""Simulated readings of a multi-axis interferometer on one linear axis: true poses of the carriage, true installation, noise."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def carriage_poses(
     positions_mm: np.ndarray,
     approach: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Where the carriage really is; the other axes stand in the middle of their ranges.
+    """Return the true poses of the carriage; the other axes are in the middle of their ranges.
 
     Args:
-        layout: whose coordinates they are in.
+        layout: layout in whose coordinates they are.
         machine: the machine.
         calibration: its errors.
         positions_mm: (n,) commanded.
         approach: (n,) +1, −1, 0 of that axis; unknown if None. The reference position has none.
 
     Returns:
-        (n, 6) from its pose at the reference position: translation of its origin, metres, and rotation vector, radians.
+        (n, 6) relative to the pose at the reference position: translation of its origin, metres, and rotation vector, radians.
 
     Raises:
-        InputError: a position no curve covers, or a channel that an effect needs.
+        InputError: a position outside the domain of a curve, or a missing channel that an effect needs.
     """
     q = np.concatenate([[layout.reference_mm], np.asarray(positions_mm, dtype=float)])
     full: dict[str, np.ndarray] = {}
@@ -49,7 +49,7 @@ def carriage_poses(
     row = assemble(calibration.effects, machine.frames, full)[frame]
     errors = np.stack([np.broadcast_to(np.asarray(v, dtype=float), len(q)) for v in row], axis=1)
     turned = np.asarray(rotation_exp(errors[:, 3:]))
-    # Motion, then error (contract §1), then out to the carriage's point.
+    # Motion, then error, then the translation to the carriage's point.
     point = layout.travel(q) + errors[:, :3] + turned @ layout.place
     back = turned[0].T
     return np.concatenate([(point[1:] - point[0]) @ back.T, rotation_log(back @ turned[1:])], axis=1)
@@ -67,18 +67,18 @@ def simulate_run(
     installation: np.ndarray | None = None,
     noise: bool = True,
 ) -> tuple[BeamReadings, np.ndarray]:
-    """Readings of a run.
+    """Simulate the readings of a run.
 
     Args:
         layout: nominal, with its standard uncertainties.
         machine: the machine.
         calibration: its errors.
         positions_mm: (n,) commanded.
-        rng: of the noise, and of the installation.
+        rng: random generator for the noise and the installation.
         rounds: (n,) names; one round if None.
         approach: (n,) +1, −1, 0 of that axis; unknown if None.
-        installation: (p,) how the layout really stands; drawn with its standard uncertainties if None.
-        noise: whether the readings err.
+        installation: (p,) true deviations from the layout; drawn with its standard uncertainties if None.
+        noise: whether measurement noise is added.
 
     Returns:
         The readings, and the installation.
@@ -89,12 +89,12 @@ def simulate_run(
     positions = np.atleast_1d(np.asarray(positions_mm, dtype=float))
     n = len(positions)
     poses = carriage_poses(layout, machine, calibration, positions, approach)
-    stands = layout.installation_u * rng.standard_normal(len(layout.installation_u))
+    true_installation = layout.installation_u * rng.standard_normal(len(layout.installation_u))
     if installation is not None:
-        stands = np.array(installation, dtype=float)
-    change = layout.beams.readings(poses, stands)
-    drawn = layout.noise * rng.standard_normal(change.shape)
-    change = change + drawn if noise else change
+        true_installation = np.array(installation, dtype=float)
+    change = layout.beams.readings(poses, true_installation)
+    noise_draw = layout.noise * rng.standard_normal(change.shape)
+    change = change + noise_draw if noise else change
     readings = BeamReadings(
         source="simulated",
         lines=locked(np.arange(1, n + 1)),
@@ -105,4 +105,4 @@ def simulate_run(
         time_s=locked(np.full(n, np.nan)),
         simulated=True,
     )
-    return readings, locked(stands)
+    return readings, locked(true_installation)

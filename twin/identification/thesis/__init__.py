@@ -1,1 +1,1 @@
-"""The thesis's method, kept as the baseline `twin identify` is compared with."""
+"""The thesis's identification method, kept as the baseline for comparison with `twin identify`."""

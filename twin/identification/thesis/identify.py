@@ -1,25 +1,26 @@
-"""The thesis's identification of error motions from tracker data: the baseline that `identify` is compared with.
+"""The thesis's identification of error motions from tracker data: the baseline with which `identify` is compared.
 
 Ellingsdalen (2021), 3.1-3.4 and appendix B 3, for a machine with X, Y, Z on the tool side and rotary axes under the table, from a
-table like ``thesis_plan.csv``. A table's targets on a side, in order of appearance, are its K, P and Q; ``approach_<axis>`` says
-which axis a row belongs to. The steps, and what is taken where the text is silent:
+table like ``thesis_plan.csv``. A table's targets on a side, in order of appearance, are its K, P and Q; ``approach_<axis>`` states
+to which axis a row belongs. The steps, with our choice where the thesis gives none:
 
-1. Alignment (3.1, 3.2). x is the least-squares line through X's motion of the first target, z the one through Z's, made square to
-   x; all rounds together. (Which target, and which line gives way, is not said; X is the datum axis.) The thesis takes the origin from
-   a circle of the turning spindle, which tables lack: here it is where the rotary axes' circles put it, each fitted to the first target
-   on the table (plane by least squares, circle after Kåsa), with the machine's nominal distances from there. Places of the tool
-   side's targets, where the table has them, replace it. A rotary axis's z is its circle's normal, its x the X line in that plane.
+1. Alignment (3.1, 3.2). x is the least-squares line through X's motion of the first target, z the one through Z's, made orthogonal to
+   x; all rounds together. (The thesis does not state which target, and which line is adjusted; X is the datum axis.) The thesis takes
+   the origin from a circle of the rotating spindle, which tables lack. Here it is derived from the circles of the rotary axes, each
+   fitted to the first target on the table (plane by least squares, circle after Kåsa), with the machine's nominal distances.
+   Places of the tool side's targets, if the table has them, replace it. A rotary axis's z is its circle's normal, its x the X line in
+   that plane.
 2. Deviations (eq. 29, 3.3), for each round by itself: a target's nominal place is where it was first measured, moved nominally since.
 3. `three_point` with six equations at every position (eq. 32, 36, 37, 3.6); mean and standard deviation over the rounds.
-4. Curves (listing 3.1): the least-squares line's slope is taken off a straightness, its height is not; then a polynomial, by default
-   of degree 8, which above degree 1 loses the constant, that is its value at 0, as the listing ran. C's polynomial is fitted up to
-   its last position and not periodic.
-5. Squareness from the slopes (listing 3.2). The listing adds the two axes' angles, both right-handed turns; their difference is the
-   squareness, and taken here. Locations of the rotary axes are not identified.
+4. Curves (listing 3.1): the slope of the least-squares line is subtracted from a straightness, its height is not; then a polynomial, by
+   default of degree 8, which above degree 1 loses the constant, that is its value at 0, as in the listing. C's polynomial is fitted up
+   to its last position and is not periodic.
+5. Squareness from the slopes (listing 3.2). The listing adds the angles of the two axes, both right-handed rotations; the squareness is
+   their difference, which is used here. Locations of the rotary axes are not identified.
 
-So a linear axis comes back up to a constant, and a straightness up to a line, which is squareness; with it comes how the axes at rest
-stand: E_C0Y + E_CX(0), E_A0Z + E_AY(0), E_B0Z + E_BX(0) + E_BY(0). A rotary axis comes back up to what a small fixed motion g of its
-circle's frame does, g − Ad(R(q))·h with h such that all is zero at the first position.
+So a linear axis is determined up to a constant, and a straightness up to a line, which is squareness. Both include the orientation of
+the axes at rest: E_C0Y + E_CX(0), E_A0Z + E_AY(0), E_B0Z + E_BX(0) + E_BY(0). A rotary axis is determined up to the effect of a small
+fixed motion g of its circle's frame, g − Ad(R(q))·h with h such that all is zero at the first position.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
 
 DEGREE: Final = 8
-"""Of a curve nobody gives a degree for (figure 3.7)."""
+"""Default degree of a curve (figure 3.7)."""
 LINEAR: Final[tuple[Literal["X", "Y", "Z"], ...]] = ("X", "Y", "Z")
 SOURCE: Final = "thesis's method (Ellingsdalen 2021: three points, six equations, polynomial)"
 
@@ -52,12 +53,12 @@ SOURCE: Final = "thesis's method (Ellingsdalen 2021: three points, six equations
 @final
 @dataclass(frozen=True)
 class PointwiseMotion:
-    """One error motion at the measured positions, before any line or curve.
+    """One error motion at the measured positions, before any line or curve is fitted.
 
     Attributes:
         name: ISO 230-1 name.
         unit: ``um`` or ``urad``.
-        position: (m,) mm or degrees, in the order measured; the first is where everything is zero.
+        position: (m,) mm or degrees, in the order measured; all is zero at the first.
         mean: (m,) over the rounds.
         deviation: (m,) standard deviation over the rounds; NaN for a single one.
     """
@@ -72,11 +73,11 @@ class PointwiseMotion:
 @final
 @dataclass(frozen=True)
 class ThesisIdentification:
-    """What the thesis's method finds.
+    """Result of the thesis's method.
 
     Attributes:
         calibration: its curves and squareness, without uncertainty.
-        motions: the points the curves were fitted to, by ISO 230-1 name.
+        motions: the points to which the curves were fitted, by ISO 230-1 name.
     """
 
     calibration: Calibration
@@ -86,7 +87,7 @@ class ThesisIdentification:
 @final
 @dataclass(frozen=True)
 class _AxisPoints:
-    """Every point of one axis: (rounds, positions, K P Q, 3) in the station's frame, metres; positions in mm or degrees."""
+    """All points of one axis: (rounds, positions, K P Q, 3) in the station's frame, metres; positions in mm or degrees."""
 
     axis: str
     position: np.ndarray
@@ -98,13 +99,13 @@ class _AxisPoints:
 @final
 @dataclass(frozen=True)
 class _Frame:
-    """A frame in the station's: columns of ``turn`` are its axes, ``origin`` in metres."""
+    """A frame relative to the station's: columns of ``turn`` are its axes, ``origin`` in metres."""
 
     turn: np.ndarray
     origin: np.ndarray
 
     def of(self, points: np.ndarray) -> np.ndarray:
-        """Points of the station's frame in this one."""
+        """Return points of the station's frame in this one."""
         return np.asarray((points - self.origin) @ self.turn)
 
 
@@ -115,25 +116,25 @@ def identify_as_thesis(
     degrees: Mapping[str, int] | None = None,
     constant: bool = False,
 ) -> ThesisIdentification:
-    """Identify as the thesis does; see the module.
+    """Identify error motions by the thesis's method; see the module.
 
     Args:
         measurements: runs of X, Y, Z with three targets on the tool side and, unless these have places, of every rotary axis with
-            three on the work side; one station, x, y and z read, every target at every position once a round, ``approach_<axis>``.
+            three on the work side; one station, x, y and z read, every target at every position once per round, ``approach_<axis>``.
         machine: the machine.
         degrees: of the polynomial, by error motion; 8 for the others.
         constant: whether polynomials above degree 1 keep their constant, which listing 3.1 drops.
 
     Raises:
-        InputError: a machine of another build, a table that is not such a one, a degree the positions do not carry, a name that is no
-            error motion of this machine, places that make the six equations singular.
+        InputError: a machine of another design, a table without these runs, a degree too high for the number of positions, an unknown
+            error motion, places that make the six equations singular.
     """
     _check_machine(machine)
     chosen = dict(degrees or {})
     for name in chosen:
         if name not in machine.motion_names:
             raise InputError(
-                "a degree for no error motion", expected=f"one of {', '.join(machine.motion_names)}", value=name
+                "degree for an unknown error motion", expected=f"one of {', '.join(machine.motion_names)}", value=name
             )
     if len(stations := dict.fromkeys(measurements.station)) != 1:
         raise InputError(
@@ -150,13 +151,13 @@ def identify_as_thesis(
     circles = {name: _circle(run, machine, x) for name, run in found.items() if name not in LINEAR}
     if len(circles) == 1:
         raise InputError(
-            f"a run of {next(iter(circles))} alone", expected="of both rotary axes", file=measurements.source
+            f"only a run of {next(iter(circles))}", expected="runs of both rotary axes", file=measurements.source
         )
     frames: dict[str, _Frame] = {}
     origin = None
     if circles:
-        frames, met, meant = _met(circles, machine)
-        origin = met - turn @ meant
+        frames, met, nominal_place = _closest_approach(circles, machine)
+        origin = met - turn @ nominal_place
     motions: dict[str, PointwiseMotion] = {}
     for name, run in found.items():
         if name in frames:
@@ -183,14 +184,14 @@ def _check_machine(machine: Machine) -> None:
             fits &= abs(axis.direction[2]) == 1.0
     if not fits:
         raise InputError(
-            "the thesis's method is for another build",
+            "the thesis's method does not apply to this machine",
             expected="X, Y, Z on the tool side, rotary axes across X on the work side",
             value=machine.name,
         )
 
 
 def _nominal(machine: Machine, position: np.ndarray) -> dict[str, pin.SE3]:
-    """The error frame of every axis in the base frame, and of the spindle nose (``tool``), without errors; mm and degrees in."""
+    """Return the nominal error frames of all axes, and the spindle nose (``tool``), in the base frame; positions in mm and degrees."""
     data = machine.model.createData()
     pin.framesForwardKinematics(machine.model, data, machine.configuration(position * machine.scale))
     found = {frame.axis: data.oMi[frame.joint] for frame in machine.frames if frame.role == "motion"}
@@ -213,13 +214,13 @@ def _run(table: Measurements, machine: Machine, axis: str) -> _AxisPoints | None
     others = np.delete(of.positions, column, axis=1)
     moved = np.flatnonzero(np.any(others != others[0], axis=1))
     if len(moved):
-        raise fail("another axis moved", "the other axes at rest", int(moved[0]))
+        raise fail("another axis moved too", "the other axes at rest", int(moved[0]))
     position = np.array(list(dict.fromkeys(of.positions[:, column].tolist())))
     points = np.full((len(rounds), len(position), len(targets), 3), np.nan)
     for row, (target, number, value) in enumerate(zip(of.target, of.round, of.positions[:, column], strict=True)):
         place = (rounds.index(number), int(np.flatnonzero(position == value)[0]), targets.index(target))
         if not np.isnan(points[place]).any():
-            raise fail(f"target {target} twice at {value:g} in round {number}", "once a round", row)
+            raise fail(f"target {target} twice at {value:g} in round {number}", "once per round", row)
         if not np.isfinite(of.point_mm[row]).all():
             raise fail("a coordinate that was not measured", "x, y and z", row)
         points[place] = of.point_mm[row] * MM
@@ -231,7 +232,7 @@ def _run(table: Measurements, machine: Machine, axis: str) -> _AxisPoints | None
 
 
 def _direction(run: _AxisPoints) -> np.ndarray:
-    """Unit vector along which the first target moves, by least squares, in the sense of the command."""
+    """Return the unit vector along which the first target moves, by least squares, in the direction of increasing commands."""
     points = run.points[:, :, 0].reshape(-1, 3)
     command = np.tile(run.position - run.position.mean(), len(run.points))
     along = np.linalg.svd(points - points.mean(axis=0))[2][0]
@@ -239,7 +240,7 @@ def _direction(run: _AxisPoints) -> np.ndarray:
 
 
 def _circle(run: _AxisPoints, machine: Machine, x: np.ndarray) -> _Frame:
-    """A rotary axis's frame, from the circle its first target describes; its origin in the circle's plane."""
+    """Return a rotary axis's frame from the circle of its first target; its origin is in the circle's plane."""
     points = run.points[:, :, 0].reshape(-1, 3)
     centroid = points.mean(axis=0)
     z = np.linalg.svd(points - centroid)[2][2]
@@ -253,41 +254,43 @@ def _circle(run: _AxisPoints, machine: Machine, x: np.ndarray) -> _Frame:
     return _Frame(np.column_stack([x, np.cross(z, x), z]), centre)
 
 
-def _met(circles: Mapping[str, _Frame], machine: Machine) -> tuple[dict[str, _Frame], np.ndarray, np.ndarray]:
-    """Where two rotary axes pass closest: their frames with origins in the nominal places, and that point in both frames.
+def _closest_approach(
+    circles: Mapping[str, _Frame], machine: Machine
+) -> tuple[dict[str, _Frame], np.ndarray, np.ndarray]:
+    """Return frames of two rotary axes with origins in the nominal places, and their point of closest approach in both frames.
 
     Returns:
-        Frames by axis; the point where they meet in the station's frame; where the drawing has it in the base frame; metres.
+        Frames by axis; the point of closest approach in the station's frame; its nominal place in the base frame; metres.
     """
     nominal = _nominal(machine, np.zeros(len(machine.axes)))
     a, b = circles
     lines = [(circles[name].origin, circles[name].turn[:, 2]) for name in (a, b)]
-    drawn = [(nominal[name].translation, nominal[name].rotation[:, 2]) for name in (a, b)]
-    met, meant = _closest(*lines), _closest(*drawn)
+    nominal_lines = [(nominal[name].translation, nominal[name].rotation[:, 2]) for name in (a, b)]
+    met, nominal_place = _closest(*lines), _closest(*nominal_lines)
     frames = {
         name: _Frame(circles[name].turn, origin + (along - along_meant) * z)
-        for name, (origin, z), along, along_meant in zip((a, b), lines, met, meant, strict=True)
+        for name, (origin, z), along, along_meant in zip((a, b), lines, met, nominal_place, strict=True)
     }
     points = [
         np.mean([origin + along * z for (origin, z), along in zip(pair, by, strict=True)], axis=0)
-        for pair, by in ((lines, met), (drawn, meant))
+        for pair, by in ((lines, met), (nominal_lines, nominal_place))
     ]
     return frames, points[0], points[1]
 
 
 def _closest(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(2,) distances along two lines (origin, unit vector) to where they pass closest."""
+    """Return (2,) the distances along two lines (origin, unit vector) to their points of closest approach."""
     return np.asarray(np.linalg.lstsq(np.column_stack([first[1], -second[1]]), second[0] - first[0], rcond=None)[0])
 
 
 def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.ndarray | None, source: str) -> np.ndarray:
-    """(rounds, m, 6) error motions of a linear axis.
+    """Return (rounds, m, 6) the error motions of a linear axis.
 
     Args:
         run: its points.
         machine: the machine.
         turn: the base frame's axes in the station's frame.
-        origin: the base frame's origin there, or None where only the table's places say where the targets sit.
+        origin: the base frame's origin there, or None if only the table gives the places of the targets.
         source: for messages.
     """
     nominal = _nominal(machine, run.start)
@@ -301,7 +304,7 @@ def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.nda
         arms = ((run.points[:, 0] - origin) @ turn - frame.translation) @ frame.rotation
     else:
         raise InputError(
-            "nothing says where the tool side's targets sit",
+            "places of the tool side's targets are unknown",
             expected="runs of the rotary axes, or place_x_mm, place_y_mm, place_z_mm",
             file=source,
         )
@@ -310,7 +313,7 @@ def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.nda
 
 
 def _rotary(run: _AxisPoints, machine: Machine, frame: _Frame) -> np.ndarray:
-    """(rounds, m, 6) error motions of a rotary axis, along its error frame, which does not turn."""
+    """Return (rounds, m, 6) the error motions of a rotary axis, along its error frame, which does not rotate."""
     points = frame.of(run.points)
     angle = (run.position - run.position[0]) * DEG * machine.by_name[run.axis].direction[2]
     turns = rotation_exp(angle[:, None] * [0.0, 0.0, 1.0])
@@ -328,7 +331,7 @@ def _averaged(name: str, component: int, run: _AxisPoints, values: np.ndarray) -
 def _fitted(
     motions: Mapping[str, PointwiseMotion], machine: Machine, degrees: Mapping[str, int], constant: bool
 ) -> Calibration:
-    """Listing 3.1 on every motion, 3.2 on the slopes."""
+    """Return the calibration by listing 3.1 on every motion, and 3.2 on the slopes."""
     curves, slopes = {}, {}
     for name, motion in motions.items():
         axis = machine.by_name[name[3:]]
@@ -340,13 +343,13 @@ def _fitted(
         degree = degrees.get(name, DEGREE)
         if not 0 <= degree < len(q):
             raise InputError(f"degree of {name}", expected=f"0 to {len(q) - 1}, for {len(q)} positions", value=degree)
-        # The listing fits in mm; in u the same polynomial is found with digits to spare.
+        # The listing fits in mm; the same polynomial in u is better conditioned.
         u = Polynomial([-(domain[0] + domain[1]), 2.0]) / (domain[1] - domain[0])
         coefficients = polynomial.polyfit(u(q), values, degree)
         if degree > 1 and not constant:
             coefficients[0] -= polynomial.polyval(u(0.0), coefficients)
         curves[name] = Curve(name, motion.unit, domain, "power", tuple(float(c) for c in coefficients), source=SOURCE)
-    # The turn of one axis's line less that of the other's, both right-handed: a falling E_XY is a turn of Y about +z.
+    # The rotation of one axis's line minus that of the other's, both right-handed: a falling E_XY is a rotation of Y about +z.
     squareness = {
         "E_C0Y": -1e3 * (slopes["E_XY"] + slopes["E_YX"]),
         "E_A0Z": -1e3 * (slopes["E_YZ"] + slopes["E_ZY"]),

@@ -1,8 +1,8 @@
-"""The thesis's identification: six error motions from three reflectors, position by position (Zhang and Hu 2011).
+"""The thesis's six error motions from three reflectors, position by position (Zhang and Hu 2011).
 
-A reflector at p on a carrier that errs by (e, ω) moves by Δ = e + ω × p (thesis eq. 30). Three reflectors give nine equations for
-six unknowns (eq. 31, 35; 3.5 for a rotary axis, p turned with it); the thesis picks six of them (eq. 32, 36, 37, 3.6). Both are here:
-the six as the baseline to compare with, and all nine by least squares. Neither knows noise, stations or repeats: `identify` will.
+A reflector at p on a carrier with errors (e, ω) moves by Δ = e + ω × p (thesis eq. 30). Three reflectors give nine equations for
+six unknowns (eq. 31, 35; 3.5 for a rotary axis, p rotated with it); the thesis selects six of them (eq. 32, 36, 37, 3.6). Both are
+implemented: the six as a baseline, and all nine by least squares. Neither considers noise, stations or repeats, as `identify` does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SIX: Final = {
     "Z": ("Pz", "Qx", "Qz", "Ky", "Px", "Py"),
     "rotary": ("Px", "Py", "Qx", "Qz", "Ky", "Kz"),
 }
-"""The equations taken: reflector and direction. X eq. 32, Y eq. 36, Z eq. 37, rotary eq. 3.6."""
+"""The six equations: reflector and direction. X eq. 32, Y eq. 36, Z eq. 37, rotary eq. 3.6."""
 REFLECTORS: Final = "KPQ"
 
 
@@ -30,20 +30,19 @@ def three_point(
     *,
     equations: Literal["six", "nine"] = "six",
 ) -> np.ndarray:
-    """Six error motions at every position.
+    """Return six error motions at every position.
 
     Args:
-        deviations: (m, 3, 3) measured less nominal of reflectors K, P, Q, metres, along the axis's error frame.
-        places: (m, 3, 3) or (3, 3) the reflectors' nominal places from the origin of the error frame, metres; turned with the axis
-            where it is a rotary one.
-        axis: which six equations.
+        deviations: (m, 3, 3) measured minus nominal of reflectors K, P, Q, metres, along the axis's error frame.
+        places: (m, 3, 3) or (3, 3) the reflectors' nominal places in the error frame, metres; rotated with a rotary axis.
+        axis: selects the six equations.
         equations: ``six`` as the thesis, ``nine`` by least squares.
 
     Returns:
         (m, 6) translations and rotations, metres and radians.
 
     Raises:
-        InputError: reflectors in one line, or a place that makes the six equations singular (the thesis's N = 0).
+        InputError: reflectors on a line, or a place that makes the six equations singular (the thesis's N = 0).
     """
     deviations = np.asarray(deviations, dtype=float)
     where = np.broadcast_to(np.asarray(places, dtype=float), deviations.shape)
@@ -65,7 +64,7 @@ def three_point(
     if np.any(singular < 1e-6):
         raise InputError(
             f"the {equations} equations of {axis} do not determine six errors",
-            expected="three reflectors apart from one line, and not at one height along the axes the equations use",
+            expected="three reflectors not on a line, and at different heights along the axes that the equations use",
             value=f"smallest singular value {singular.min():.1e}",
         )
     solved = np.linalg.pinv(matrix * scale) @ right[:, :, None]
@@ -73,5 +72,5 @@ def three_point(
 
 
 def _size(places: np.ndarray) -> float:
-    """A typical distance of the reflectors, so that rotations weigh like translations in the rank."""
+    """Return a typical distance of the reflectors, so that rotations are scaled like translations in the rank."""
     return float(max(np.linalg.norm(places - places.mean(axis=1, keepdims=True), axis=2).max(), 1e-9))

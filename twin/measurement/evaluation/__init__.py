@@ -1,7 +1,7 @@
-"""The evaluations a customer asks for by their standard's name: ISO 230-1, 230-2 and 230-7.
+"""Evaluations according to ISO 230-1, ISO 230-2 and ISO 230-7.
 
-Pure functions from arrays to named results. Nothing here knows a machine or a file; the plots (`twin.measurement.evaluation.plots`)
-need the extra ``plots`` and are imported by name.
+Pure functions from arrays to named results, independent of machines and files. The plots (`twin.measurement.evaluation.plots`) need the
+extra ``plots`` and are imported separately.
 """
 
 from twin.measurement.evaluation.circular import MotionHarmonic, RotaryMotion, error_motion

@@ -1,10 +1,10 @@
-"""Error motions of a rotary axis over its turn, as ISO 230-7:2015 names them (terms in its clause 3).
+"""Error motions of a rotary axis over a turn, with the terms of ISO 230-7:2015, clause 3.
 
-A motion is measured at the same angles in one turn or several: radially or along the axis in µm, as a tilt in µrad. The mean over the
-turns is the *synchronous* error motion, what differs from turn to turn the *asynchronous* one. The once-per-turn part of a
-radial or tilt motion is how the artefact sits (its eccentricity, its inclination): it is no error of the axis and is removed, with the
-constant, as the least-squares circle centre of the polar plot. Of an axial motion it is real: the *fundamental* error motion.
-Polar deviations are small beside the radius they are drawn at, so that the circle is linear in them (limaçon).
+A motion is measured at the same angles in one or several turns: radially or axially in µm, as a tilt in µrad. The mean over the
+turns is the *synchronous* error motion, the deviation from turn to turn the *asynchronous* one. The once-per-turn component of a
+radial or tilt motion is due to the mounting of the artefact (its eccentricity or inclination), not to the axis. It is removed, with the
+constant, as the least-squares circle centre of the polar plot. For an axial motion it is real: the *fundamental* error motion.
+Polar deviations are small compared with the radius at which they are drawn, so the circle is linear in them (limaçon).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.units import DEG
-from twin.measurement.evaluation.inputs import numbers
+from twin.measurement.evaluation.inputs import finite_array
 
 Kind = Literal["radial", "axial", "tilt"]
 UNITS: Final[dict[Kind, Literal["um", "urad"]]] = {"radial": "um", "axial": "um", "tilt": "urad"}
 WIDEST_GAP_DEG: Final = 60.0
-"""Between neighbouring angles: more is no turn."""
+"""Largest gap between neighbouring angles of a full turn."""
 HARMONICS: Final = 12
 
 
@@ -33,8 +33,8 @@ class MotionHarmonic:
     """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ).
 
     Attributes:
-        order: k, periods a turn.
-        cos, sin: its coefficients, in the motion's unit.
+        order: k, periods per turn.
+        cos, sin: coefficients in the motion's unit.
     """
 
     order: int
@@ -43,21 +43,21 @@ class MotionHarmonic:
 
     @property
     def amplitude(self) -> float:
-        """Half of its range, in the motion's unit."""
+        """Amplitude (half of the range) in the motion's unit."""
         return float(np.hypot(self.cos, self.sin))
 
     @property
     def phase_deg(self) -> float:
-        """Angle of the axis at its first crest, 0° up to 360°/order."""
+        """Angle of the axis at the first maximum, 0° up to 360°/order."""
         return float(np.arctan2(self.sin, self.cos) / DEG / self.order % (360.0 / self.order))
 
 
 @final
 @dataclass(frozen=True)
 class RotaryMotion:
-    """An error motion over a turn, and its values. Arrays are read-only, angles ascend.
+    """An error motion over a turn and its values. Arrays are read-only, angles ascend.
 
-    Values are in `unit`, each the difference of the radii of the two circles about the polar plot's centre that just contain the curve.
+    Values are in `unit`; each is the radial width of the ring about the polar plot's centre that just contains the curve.
 
     Attributes:
         name: ISO 230-1 name, such as ``E_XC``; empty if none was given.
@@ -67,13 +67,13 @@ class RotaryMotion:
         readings: (turns, k) as measured.
         constant: mean of the synchronous motion (the radius of the least-squares circle).
         once_per_turn: its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle.
-        harmonics: orders 1 up to what was asked for, fitted together.
+        harmonics: orders 1 up to the highest requested, fitted together.
         total: (turns, k) total error motion: the readings about their centre.
-        synchronous: (k,) synchronous (average) error motion: its mean over the turns.
-        residual: (k,) residual synchronous error motion: without the first harmonic, for an axial motion too.
+        synchronous: (k,) synchronous (average) error motion: mean over the turns.
+        residual: (k,) residual synchronous error motion: without the first harmonic, also for an axial motion.
         total_value: range of `total`.
         synchronous_value: range of `synchronous`.
-        fundamental_value: range of the first harmonic; of an axial motion an error, else how the artefact sits.
+        fundamental_value: range of the first harmonic; an error for an axial motion, otherwise due to the mounting of the artefact.
         residual_value: range of `residual`.
         asynchronous_value: the largest range over the turns at any one angle; None for a single turn.
     """
@@ -96,10 +96,10 @@ class RotaryMotion:
     asynchronous_value: float | None
 
     def to_text(self, decimals: int = 2) -> str:
-        """The values and harmonics as a table.
+        """Return the values and harmonics as a table.
 
         Args:
-            decimals: digits after the point.
+            decimals: number of decimals.
         """
         sign = "µm" if self.unit == "um" else "µrad"
         turns, count = self.readings.shape
@@ -113,8 +113,8 @@ class RotaryMotion:
             ("Residual synchronous", self.residual_value),
             ("Asynchronous", self.asynchronous_value),
         ):
-            lines.append(f"{label:<36}" + ("one turn tells nothing" if value is None else f"{value:>10.{decimals}f}"))
-        lines += ["", f"{'Order':>5}{'Amplitude':>12}{'Crest at [°]':>14}"]
+            lines.append(f"{label:<36}" + ("needs two turns" if value is None else f"{value:>10.{decimals}f}"))
+        lines += ["", f"{'Order':>5}{'Amplitude':>12}{'Max. at [°]':>14}"]
         lines += [f"{h.order:>5}{h.amplitude:>12.{decimals}f}{h.phase_deg:>14.1f}" for h in self.harmonics]
         return "\n".join(lines) + "\n"
 
@@ -122,39 +122,41 @@ class RotaryMotion:
 def error_motion(
     angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "", harmonics: int = HARMONICS
 ) -> RotaryMotion:
-    """Error motion of a rotary axis in a fixed sensitive direction, from readings over whole turns.
+    """Evaluate an error motion of a rotary axis in a fixed sensitive direction from readings over whole turns.
 
     Args:
-        angle_deg: (k,) angles of one turn, in any order, spread over all of it; 0° and 360° are one angle.
+        angle_deg: (k,) angles of one turn, in any order, spread over all of it; 0° and 360° are the same angle.
         readings: (k,) or (turns, k): radial and axial in µm, tilt in µrad.
         kind: ``radial``, ``axial`` or ``tilt``.
         name: ISO 230-1 name, for tables and plots.
-        harmonics: highest order wanted; no more come back than k angles can tell apart, (k − 1)/2.
+        harmonics: highest order; at most (k − 1)/2, which k angles can resolve.
 
     Raises:
-        InputError: arrays that do not fit, a missing value, an angle twice, less than a turn, an unknown kind.
+        InputError: arrays that do not match, a missing value, an angle given twice, less than a turn, an unknown kind.
     """
     if kind not in UNITS:
-        raise InputError("no such error motion", expected=", ".join(UNITS), value=kind)
+        raise InputError("unknown kind of error motion", expected=", ".join(UNITS), value=kind)
     if harmonics < 1:
-        raise InputError("no harmonics asked for", expected="at least 1", value=harmonics)
-    angle = numbers("angles", angle_deg, 1) % 360.0
-    measured = numbers("readings", readings, 1, 2)
+        raise InputError("harmonics must be positive", expected="at least 1", value=harmonics)
+    angle = finite_array("angles", angle_deg, 1) % 360.0
+    measured = finite_array("readings", readings, 1, 2)
     measured = measured.reshape(-1, measured.shape[-1])
     if measured.shape[1] != len(angle):
-        raise InputError("readings do not fit the angles", expected=f"{len(angle)} a turn", value=measured.shape[1])
+        raise InputError("readings do not match the angles", expected=f"{len(angle)} per turn", value=measured.shape[1])
     order = np.argsort(angle)
     angle, measured = angle[order], measured[:, order]
     gaps = np.diff(angle, append=angle[0] + 360.0)
     if len(angle) > 1 and gaps.min() < 1e-9:
         raise InputError(
-            "an angle twice in a turn",
-            expected="each once: leave 360° out, it is 0° again; further turns are further rows",
+            "an angle occurs twice in a turn",
+            expected="each angle once: leave out 360°, which is 0°; enter further turns as further rows",
             value=float(angle[int(np.argmin(gaps))]),
         )
     if gaps.max() > WIDEST_GAP_DEG:
         raise InputError(
-            "less than a turn", expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°", value=float(gaps.max())
+            "angles do not cover a turn",
+            expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°",
+            value=float(gaps.max()),
         )
     mean = measured.mean(axis=0)
     constant, (once,) = _fourier(angle, mean, 1)
@@ -182,7 +184,7 @@ def error_motion(
 
 
 def _fourier(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
-    """Least squares over uneven angles too; even ones make it the discrete Fourier transform."""
+    """Fit harmonics by least squares, also to uneven angles; for even ones it is the discrete Fourier transform."""
     phases = np.outer(angle * DEG, np.arange(1, highest + 1))
     columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
     constant, *rest = np.linalg.lstsq(columns, values, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Checks that every evaluation makes of the arrays it is given."""
+"""Checks of the arrays given to an evaluation."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 
 
-def numbers(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
-    """A read-only copy, as floats.
+def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
+    """Return a read-only copy as floats.
 
     Args:
-        name: what they are, for the message.
-        values: what was given.
-        dimensions: how many axes the array may have.
+        name: name of the values, for the message.
+        values: the values.
+        dimensions: numbers of dimensions that are allowed.
 
     Raises:
-        InputError: no numbers, another shape, or one that is missing (NaN) or infinite: standards know no gaps.
+        InputError: values that are not numbers, another shape, or a missing (NaN) or infinite value; the standards allow no gaps.
     """
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name} are no numbers", expected="an array of numbers", value=values) from None
+        raise InputError(f"{name} are not numbers", expected="an array of numbers", value=values) from None
     if array.ndim not in dimensions or array.size == 0:
         raise InputError(
             f"{name} have the wrong shape",
@@ -41,12 +41,8 @@ def numbers(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
     return locked(array)
 
 
-def same_length(name: str, values: np.ndarray, other_name: str, other: np.ndarray) -> None:
-    """Refuses arrays that do not belong together.
-
-    Raises:
-        InputError: their first dimensions differ.
-    """
+def check_same_length(name: str, values: np.ndarray, other_name: str, other: np.ndarray) -> None:
+    """Raise `InputError` if the first dimensions of two arrays differ."""
     if len(values) != len(other):
         raise InputError(
             f"{name} do not fit {other_name}",

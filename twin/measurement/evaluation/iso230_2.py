@@ -1,8 +1,8 @@
-"""Positioning of one axis, linear or rotary, evaluated by ISO 230-2:2014.
+"""Positioning of a linear or rotary axis, evaluated according to ISO 230-2:2014.
 
-Of each target, the deviations of n approaches in the positive direction (the standard's ↑, here ``forward``) and n in the
-negative one (↓, ``backward``). A result with fewer targets or cycles than clause 4.3 asks for is computed and says so.
-Its measurement uncertainty (annex A) is not part of it: that needs the instrument.
+Input are the deviations at each target from n approaches in the positive direction (the standard's ↑, here ``forward``) and n in the
+negative one (↓, ``backward``). A test with fewer targets or cycles than clause 4.3 requires is evaluated and marked. The measurement
+uncertainty (annex A) is not included, because it depends on the instrument.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
-from twin.measurement.evaluation.inputs import numbers, same_length
+from twin.measurement.evaluation.inputs import check_same_length, finite_array
 
 ARCSEC: Final = DEG / 3600.0
 CYCLES: Final = 5
@@ -24,7 +24,7 @@ TARGETS: Final = 5
 TARGETS_PER_METRE: Final = 5
 LONGEST_MM: Final = 2000.0
 ROTARY_TARGETS: Final = ((90.0, 3), (180.0, 5), (360.0, 8))
-"""Travel up to so many degrees → so many targets."""
+"""Travel up to this many degrees → least number of targets."""
 
 Unit = Literal["um", "urad", "arcsec"]
 _SIGNS: Final = {"um": "µm", "urad": "µrad", "arcsec": "″", "mm": "mm", "deg": "°"}
@@ -33,9 +33,9 @@ _SIGNS: Final = {"um": "µm", "urad": "µrad", "arcsec": "″", "mm": "mm", "deg
 @final
 @dataclass(frozen=True)
 class Positioning:
-    """What ISO 230-2:2014 says of one axis. Letters are the standard's; clause numbers are of its clause 3.
+    """Result of ISO 230-2:2014 for one axis. Symbols are the standard's; clause numbers are of its clause 3.
 
-    Deviations and everything made of them are in `unit`; actual minus target (3.5). Arrays are read-only, a row a target in
+    Deviations and values derived from them are in `unit`; actual minus target (3.5). Arrays are read-only, one row for each target in
     the order given.
 
     Attributes:
@@ -59,7 +59,7 @@ class Positioning:
         M: mean bidirectional deviation, range of x̄_i (3.22).
         A_forward, A_backward: unidirectional accuracy, range of x̄_i ± 2 s_i of one direction (3.23).
         A: bidirectional accuracy, range of both together (3.24).
-        shortfalls: what clause 4.3 asks for and this test has not; empty if it has all.
+        shortfalls: requirements of clause 4.3 that this test does not meet; empty if it meets all.
     """
 
     axis: str
@@ -93,31 +93,31 @@ class Positioning:
 
     @property
     def by_standard(self) -> bool:
-        """Whether the test has the targets and cycles that clause 4.3 asks for."""
+        """Whether the test has the targets and cycles that clause 4.3 requires."""
         return not self.shortfalls
 
     @property
     def cycles(self) -> int:
-        """Approaches of each target from each side."""
+        """Number of approaches of each target from each side."""
         return self.forward.shape[1]
 
     def in_arcsec(self) -> Positioning:
-        """The same in seconds of arc.
+        """Return the result in seconds of arc.
 
         Raises:
             InputError: a linear axis.
         """
         if self.unit == "um":
-            raise InputError("a linear axis has no seconds of arc", expected="a rotary axis", value=self.axis)
+            raise InputError("deviations of a linear axis are not angles", expected="a rotary axis", value=self.axis)
         factor = URAD / ARCSEC if self.unit == "urad" else 1.0
         deviations = (locked(self.forward * factor), locked(self.backward * factor))
         return replace(_evaluate(self.axis, self.target_unit, self.target, *deviations), unit="arcsec")
 
     def to_text(self, decimals: int = 1) -> str:
-        """The tables of a report: by target, and of the axis.
+        """Return the tables of a report: by target, and for the axis.
 
         Args:
-            decimals: digits after the point of every deviation.
+            decimals: number of decimals of every deviation.
         """
         unit, target_unit = _SIGNS[self.unit], _SIGNS[self.target_unit]
         name = f"Axis {self.axis}" if self.axis else "Axis"
@@ -156,32 +156,32 @@ class Positioning:
 
 
 def linear_deviations_um(target_mm: ArrayLike, position_mm: ArrayLike) -> np.ndarray:
-    """Deviations of a linear axis, actual minus target (3.5).
+    """Return the deviations of a linear axis, actual minus target (3.5).
 
     Args:
         target_mm: (m,) target positions.
-        position_mm: (m, n) where it really stood.
+        position_mm: (m, n) actual positions.
     """
-    target, position = numbers("targets", target_mm, 1), numbers("positions", position_mm, 2)
-    same_length("positions", position, "the targets", target)
+    target, position = finite_array("targets", target_mm, 1), finite_array("positions", position_mm, 2)
+    check_same_length("positions", position, "the targets", target)
     return locked((position - target[:, None]) * (MM / UM))
 
 
 def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np.ndarray:
-    """Deviations of a rotary axis, actual minus target (3.5), the short way round: 359.999° is −1 millidegree from 0°.
+    """Return the deviations of a rotary axis, actual minus target (3.5), the short way round: 359.999° is −1 millidegree from 0°.
 
     Args:
         target_deg: (m,) target positions.
-        position_deg: (m, n) where it really stood.
+        position_deg: (m, n) actual positions.
     """
-    target, position = numbers("targets", target_deg, 1), numbers("positions", position_deg, 2)
-    same_length("positions", position, "the targets", target)
+    target, position = finite_array("targets", target_deg, 1), finite_array("positions", position_deg, 2)
+    check_same_length("positions", position, "the targets", target)
     difference = position - target[:, None]
     return locked((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
 
 
 def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "") -> Positioning:
-    """ISO 230-2:2014 of a linear axis.
+    """Evaluate a linear axis according to ISO 230-2:2014.
 
     Args:
         target_mm: (m,) target positions, each once.
@@ -190,7 +190,7 @@ def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayL
         axis: its name.
 
     Raises:
-        InputError: shapes that do not belong together, a missing value, a target twice, fewer than two targets or cycles.
+        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets or cycles.
     """
     return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um))
 
@@ -198,7 +198,7 @@ def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayL
 def rotary_axis(
     target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = ""
 ) -> Positioning:
-    """ISO 230-2:2014 of a rotary axis, in µrad; `Positioning.in_arcsec` gives it in seconds of arc.
+    """Evaluate a rotary axis according to ISO 230-2:2014, in µrad; `Positioning.in_arcsec` converts to seconds of arc.
 
     Args:
         target_deg: (m,) target positions, each once.
@@ -213,21 +213,21 @@ def rotary_axis(
 
 
 def _checked(target: ArrayLike, forward: ArrayLike, backward: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    targets = numbers("targets", target, 1)
-    up, down = numbers("forward deviations", forward, 2), numbers("backward deviations", backward, 2)
-    same_length("forward deviations", up, "the targets", targets)
+    targets = finite_array("targets", target, 1)
+    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
+    check_same_length("forward deviations", up, "the targets", targets)
     if up.shape != down.shape:
         raise InputError(
-            "backward deviations do not fit the forward ones", expected=f"the same shape {up.shape}", value=down.shape
+            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
         )
     if len(targets) < 2 or up.shape[1] < 2:
-        raise InputError(
-            "too little for a range and a spread", expected="at least 2 targets and 2 cycles", value=up.shape
-        )
+        raise InputError("too few targets or cycles", expected="at least 2 targets and 2 cycles", value=up.shape)
     found, times = np.unique(targets, return_counts=True)
     if len(found) < len(targets):
         raise InputError(
-            "a target twice", expected="each target once, its approaches in one row", value=float(found[times > 1][0])
+            "a target occurs twice",
+            expected="each target once, its approaches in one row",
+            value=float(found[times > 1][0]),
         )
     return targets, up, down
 
@@ -275,30 +275,30 @@ def _evaluate(
 
 
 def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str, ...]:
-    """What 4.3.2 (linear up to 2 m), 4.3.3 (longer) and 4.3.4 (rotary up to 360°) ask for and is not there."""
+    """Return the requirements of 4.3.2 (linear up to 2 m), 4.3.3 (longer) and 4.3.4 (rotary up to 360°) that are not met."""
     travel, found = float(np.ptp(target)), []
     if target_unit == "mm":
         if travel > LONGEST_MM:
-            found.append(f"travel of {travel:g} mm; beyond {LONGEST_MM:g} mm the standard has another test (4.3.3)")
-        asked = max(TARGETS, int(np.ceil(TARGETS_PER_METRE * travel * MM - 1e-9)))  # 1000 mm asks for 5, not 6
+            found.append(f"travel of {travel:g} mm; above {LONGEST_MM:g} mm the standard has another test (4.3.3)")
+        required = max(TARGETS, int(np.ceil(TARGETS_PER_METRE * travel * MM - 1e-9)))  # 5 for 1000 mm, not 6
     else:
-        asked = next((count for limit, count in ROTARY_TARGETS if travel <= limit), ROTARY_TARGETS[-1][1])
+        required = next((count for limit, count in ROTARY_TARGETS if travel <= limit), ROTARY_TARGETS[-1][1])
         if travel > ROTARY_TARGETS[-1][0]:
             found.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
-    if len(target) < asked:
-        found.append(f"{len(target)} targets, at least {asked} asked for over {travel:g} {_SIGNS[target_unit]}")
+    if len(target) < required:
+        found.append(f"{len(target)} targets, at least {required} required over {travel:g} {_SIGNS[target_unit]}")
     if cycles < CYCLES:
-        found.append(f"{cycles} cycles, {CYCLES} asked for")
+        found.append(f"{cycles} cycles, {CYCLES} required")
     return tuple(found)
 
 
 def _fixed(value: float, decimals: int) -> str:
-    """With so many decimals, and no minus before a zero."""
+    """Return a number with fixed decimals, without a minus sign before zero."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def _width(text: str) -> int:
-    """Characters that take room: the macron of x̄ and B̄ does not."""
+    """Return the number of printed characters: the macron of x̄ and B̄ has no width."""
     return sum(character != "\u0304" for character in text)
 
 

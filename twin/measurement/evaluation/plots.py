@@ -1,6 +1,6 @@
-"""The plots that belong to the evaluations. Needs the extra ``plots`` (matplotlib).
+"""Plots of the evaluations. They need the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own; `twin.display.figures.save` writes it.
+Every function returns a new `Figure`; `twin.display.figures.save` writes it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from twin.measurement.evaluation.iso230_2 import Positioning
 from twin.measurement.evaluation.straightness import Straightness
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
-"""A legend to the right of its plot."""
+"""Options of a legend to the right of its plot."""
 
 
 def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
-    """ISO 230-2: the deviations of every run, the means, the bands of ±2s, and what the standard makes of them.
+    """Plot an ISO 230-2 evaluation: deviations of all runs, means, bands of ±2s, and the values of the standard.
 
     Args:
         result: the evaluation.
@@ -55,13 +55,13 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
     plot.legend(bbox_to_anchor=(1.14, 1.0), **BESIDE)
     _write_values(plot, result, unit)
     if result.shortfalls:
-        said = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
-        figure.text(0.01, 0.01, said, color=BACKWARD, fontsize=8)
+        text = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
+        figure.text(0.01, 0.01, text, color=BACKWARD, fontsize=8)
     return figure
 
 
 def _write_values(plot: Axes, result: Positioning, unit: str) -> None:
-    """The standard's values as a table beside the plot."""
+    """Write the standard's values as a table next to the plot."""
     rows: tuple[tuple[str, float | None, float | None, float], ...] = (
         ("B", None, None, result.B),
         ("B̄", None, None, result.B_mean),
@@ -85,7 +85,7 @@ def _write_values(plot: Axes, result: Positioning, unit: str) -> None:
 
 
 def _mark_values(plot: Axes, result: Positioning) -> None:
-    """Brackets beside the curves: A, E and M where they are taken, and B at its target."""
+    """Draw brackets next to the curves for A, E and M, and B at its target."""
     low = min(
         (result.mean_forward - 2 * result.s_i_forward).min(), (result.mean_backward - 2 * result.s_i_backward).min()
     )
@@ -109,7 +109,7 @@ def _mark_values(plot: Axes, result: Positioning) -> None:
 
 
 def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
-    """Straightness: what was measured with its three reference lines, and below it the deviations from each.
+    """Plot a straightness: the measured deviations with their three reference lines, and below the deviations from each line.
 
     Args:
         result: the evaluation.
@@ -135,7 +135,7 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
     zone = result.minimum_zone
     half, middle, contacts = zone.value_um / 2.0, zone.at_um(position), list(zone.contacts)
     above.fill_between(position, middle - half, middle + half, color=THIRD, alpha=0.12, linewidth=0)
-    carrying: dict[str, Any] = {"markerfacecolor": "none", "label": "points that carry the minimum zone"}
+    carrying: dict[str, Any] = {"markerfacecolor": "none", "label": "points that define the minimum zone"}
     dots(above, position[contacts], result.deviation_um[contacts], THIRD, size=11, **carrying)
     below.axhspan(-half, half, color=THIRD, alpha=0.12, linewidth=0)
     below.axhline(0.0, color=BOTH, linewidth=0.8)
@@ -149,7 +149,7 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
 
 
 def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
-    """Polar plot of a rotary axis's error motion: every turn, their mean, and the two circles that contain the mean.
+    """Plot a rotary axis's error motion in polar coordinates: every turn, their mean, and the two circles that contain the mean.
 
     Args:
         result: the evaluation.
@@ -182,7 +182,7 @@ def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
 
 
 def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
-    """The curves with their circles, on a scale with room in the middle: the circle's size is arbitrary, deviations are not."""
+    """Draw the curves with their circles, with an arbitrary radius in the middle to which the deviations are added."""
     angle = np.append(result.angle_deg, result.angle_deg[0] + 360.0) * DEG
     extent = max(float(np.abs(result.total).max()), 1e-12)
     turns = len(result.total)
@@ -209,7 +209,7 @@ def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
 
 
 def _bars(plot: Axes, result: ErrorMotion, unit: str) -> None:
-    """Amplitudes of the harmonics; those that were removed with the centre are left out."""
+    """Draw the amplitudes of the harmonics, without those that were removed with the centre."""
     shown = [h for h in result.harmonics if h.order > 1 or result.kind == "axial"]
     dress(plot)
     plot.bar([h.order for h in shown], [h.amplitude for h in shown], color=FORWARD, width=0.7)
@@ -220,7 +220,7 @@ def _bars(plot: Axes, result: ErrorMotion, unit: str) -> None:
 
 
 def _ticks(extent: float) -> list[float]:
-    """Round radii on both sides of zero."""
+    """Return round radii on both sides of zero."""
     rough = extent / 2.0
     power = 10.0 ** np.floor(np.log10(rough))
     step = float(power * max(m for m in (1.0, 2.0, 5.0) if m * power <= rough * (1.0 + 1e-9)))

@@ -1,9 +1,9 @@
 """Straightness of a motion about the three reference lines of ISO 230-1:2012.
 
-Deviations (of clause 3.4, test 8.2) are along the direction in which they were measured, not across the line: with slopes
-below a milliradian the difference is less than a millionth of them. One plane; a motion has two, each evaluated by itself.
+Deviations (clause 3.4, test 8.2) are taken along the direction in which they were measured, not perpendicular to the line: for slopes
+below a milliradian they differ by less than a millionth. One plane; a motion has two, each evaluated by itself.
 
-All three lines are linear in the deviations (the minimum zone's as long as the same three points carry it), so the covariance of the
+All three lines are linear in the deviations (the minimum zone as long as the same three points define it), so the covariance of the
 deviations gives that of the line.
 """
 
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 
 from twin._common.arrays import locked
 from twin._common.errors import InputError
-from twin.measurement.evaluation.inputs import numbers, same_length
+from twin.measurement.evaluation.inputs import check_same_length, finite_array
 
 SLOPE: Final = 1e-3
-"""µrad × mm → µm."""
+"""Factor from µrad × mm to µm."""
 
 
 @final
@@ -33,11 +33,11 @@ class ReferenceLine:
     Attributes:
         kind: ``least squares``, ``end point`` or ``minimum zone``.
         offset_um: its height at position 0.
-        slope_urad: its slope; positive where the deviation grows with the position.
+        slope_urad: its slope; positive if the deviation increases with the position.
         residual_um: (n,) deviations from it.
-        value_um: the straightness error: the largest positive plus the absolute largest negative of them.
-        contacts: indices of the points that carry it: none, the two ends, or the points on the zone's two borders.
-        covariance: (2, 2) of (offset_um, slope_urad), or None where the deviations came without uncertainties.
+        value_um: the straightness error: the largest positive plus the absolute largest negative deviation.
+        contacts: indices of the points that define it: none, the two end points, or the points on the zone's two borders.
+        covariance: (2, 2) of (offset_um, slope_urad), or None if the deviations have no uncertainties.
     """
 
     kind: str
@@ -54,7 +54,7 @@ class ReferenceLine:
         return None if self.covariance is None else float(np.sqrt(self.covariance[1, 1]))
 
     def at_um(self, position_mm: ArrayLike) -> np.ndarray:
-        """Its height at these positions."""
+        """Return its height at given positions."""
         return np.asarray(self.offset_um + self.slope_urad * SLOPE * np.asarray(position_mm, dtype=float))
 
 
@@ -65,8 +65,8 @@ class Straightness:
 
     Attributes:
         name: ISO 230-1 name of the error motion, such as ``E_YX``: deviation along Y of the motion of X.
-        position_mm: (n,) where the axis stood, ascending.
-        deviation_um: (n,) measured; positive in the positive direction of the axis it is along (ISO 841).
+        position_mm: (n,) positions of the axis, ascending.
+        deviation_um: (n,) measured deviations; positive in the positive direction of the axis along which they are (ISO 841).
         least_squares, end_point, minimum_zone: the three lines.
     """
 
@@ -79,7 +79,7 @@ class Straightness:
 
     @property
     def lines(self) -> tuple[ReferenceLine, ReferenceLine, ReferenceLine]:
-        """All three."""
+        """All three lines."""
         return self.least_squares, self.end_point, self.minimum_zone
 
 
@@ -91,30 +91,30 @@ def straightness(
     u_um: float | None = None,
     covariance_um2: ArrayLike | None = None,
 ) -> Straightness:
-    """Straightness of a motion from deviations measured along it (ISO 230-1:2012, 3.4 and 8.2).
+    """Evaluate the straightness of a motion from deviations measured along it (ISO 230-1:2012, 3.4 and 8.2).
 
     Args:
-        position_mm: (n,) positions of the axis, each once, in any order; means where a position was visited repeatedly.
+        position_mm: (n,) positions of the axis, each once, in any order; use means for positions visited repeatedly.
         deviation_um: (n,) deviations.
         name: ISO 230-1 name of the error motion; `squareness` needs it.
         u_um: standard uncertainty of each deviation, independent of each other; None if unknown.
         covariance_um2: (n, n) their covariance instead, in the order given.
 
     Raises:
-        InputError: arrays that do not fit, a missing value, a position twice, fewer than three points, both kinds of
-            uncertainty, or one that is none.
+        InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, both kinds of
+            uncertainty, or an invalid uncertainty.
     """
-    position, deviation = numbers("positions", position_mm, 1), numbers("deviations", deviation_um, 1)
-    same_length("deviations", deviation, "the positions", position)
+    position, deviation = finite_array("positions", position_mm, 1), finite_array("deviations", deviation_um, 1)
+    check_same_length("deviations", deviation, "the positions", position)
     if len(position) < 3:
-        raise InputError("two points are always straight", expected="at least 3 points", value=len(position))
+        raise InputError("too few points for a straightness", expected="at least 3 points", value=len(position))
     order = np.argsort(position)
     spread = _covariance(len(position), u_um, covariance_um2)
     position, deviation = locked(position[order]), locked(deviation[order])
     same = np.flatnonzero(np.diff(position) == 0.0)
     if len(same):
         raise InputError(
-            "a position twice",
+            "a position occurs twice",
             expected="each position once, with the mean of its deviations",
             value=float(position[same[0]]),
         )
@@ -133,18 +133,18 @@ def straightness(
 def _covariance(count: int, u_um: float | None, covariance_um2: ArrayLike | None) -> np.ndarray | None:
     if covariance_um2 is not None:
         if u_um is not None:
-            raise InputError("uncertainty twice", expected="u_um or covariance_um2, not both", value=u_um)
-        matrix = numbers("covariances", covariance_um2, 2)
+            raise InputError("two uncertainties given", expected="u_um or covariance_um2, not both", value=u_um)
+        matrix = finite_array("covariances", covariance_um2, 2)
         if matrix.shape != (count, count):
-            raise InputError("covariance of another size", expected=f"({count}, {count})", value=matrix.shape)
+            raise InputError("covariance has the wrong size", expected=f"({count}, {count})", value=matrix.shape)
         lowest, *_, highest = np.linalg.eigvalsh((matrix + matrix.T) / 2.0)
         if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * highest) or lowest < -1e-9 * max(highest, 0.0):
-            raise InputError("no covariance", expected="a symmetric matrix, no negative eigenvalue", value=lowest)
+            raise InputError("not a covariance", expected="a symmetric matrix, no negative eigenvalue", value=lowest)
         return matrix
     if u_um is None:
         return None
     if not (np.isfinite(u_um) and u_um >= 0.0):
-        raise InputError("no standard uncertainty", expected="a finite number of µm, not negative", value=u_um)
+        raise InputError("not a standard uncertainty", expected="a finite number of µm, not negative", value=u_um)
     return np.eye(count) * u_um**2
 
 
@@ -156,7 +156,7 @@ def _line(
     contacts: tuple[int, ...],
     spread: np.ndarray | None,
 ) -> ReferenceLine:
-    """From (2, n) weights: height at the middle of the positions, and slope in µm/mm."""
+    """Return the line of (2, n) weights: height at the middle of the positions, and slope in µm/mm."""
     middle = position.mean()
     to_user = np.array([[1.0, -middle], [0.0, 1.0 / SLOPE]]) @ weights
     height, slope = weights @ deviation
@@ -187,13 +187,14 @@ def _end_point(position: np.ndarray) -> np.ndarray:
 
 
 def _minimum_zone(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Exactly: the zone's width is convex and piecewise linear in the slope, and breaks where an edge of the hull lies on a border.
+    """Return the weights of the exact minimum-zone line, and the points that define it.
 
-    So its least value is at an edge of the convex hull, the point farthest from it on the other border and between the edge's ends.
+    The width of the zone is convex and piecewise linear in the slope, with breaks where an edge of the convex hull lies on a border. So
+    the least width is at an edge of the hull, with the opposite point between the edge's end points.
     """
     equal = 1e-12 * float(
         np.ptp(deviation)
-    )  # a reading of whole µm has parallel edges: widths that differ by rounding only
+    )  # readings in whole µm give parallel edges, whose widths differ by rounding only
     best: tuple[float, float, int, int, int] | None = None
     for side in (1.0, -1.0):  # the lower chain, then the upper one as the lower of the mirror image
         chain = _lower_hull(position, side * deviation)
@@ -221,7 +222,7 @@ def _minimum_zone(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarr
 
 
 def _lower_hull(position: np.ndarray, height: np.ndarray) -> Sequence[int]:
-    """Indices of the lower convex hull, left to right (Andrew's monotone chain; positions ascend)."""
+    """Return the indices of the lower convex hull, left to right (Andrew's monotone chain; positions ascend)."""
     chain: list[int] = []
     for i in range(len(position)):
         while len(chain) >= 2:

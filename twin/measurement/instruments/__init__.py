@@ -1,7 +1,7 @@
-"""Instruments: what each reads of a point, and how well. A further one is one file and one entry in `INSTRUMENTS`.
+"""Instruments: what each reads of a point, and with which uncertainty. A new instrument is one file and one entry in `INSTRUMENTS`.
 
 The multi-axis interferometer (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own
-command; it states the same `InstrumentSpecification`.
+command; it has the same `InstrumentSpecification`.
 """
 
 from typing import Final
@@ -14,11 +14,11 @@ from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_sc
 from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
 
 INSTRUMENTS: Final[tuple[Instrument, ...]] = (AT960, AT960_ABSOLUTE, TrackingInterferometer())
-"""Those that a table of points can come from, the usual ones first (`usual`)."""
+"""Instruments whose readings a measurement table can contain, default ones first (`usual`)."""
 
 
 def usual(*, lengths_only: bool) -> Instrument:
-    """Return the instrument that is assumed where none is named: the first that reads lengths only, or coordinates."""
+    """Return the default instrument: the first that reads lengths only, or the first that reads coordinates."""
     return next(one for one in INSTRUMENTS if one.lengths_only == lengths_only)
 
 

@@ -1,4 +1,4 @@
-"""A tracking interferometer: lengths only, from an unknown zero (multilateration, thesis eq. 26)."""
+"""A tracking interferometer, which reads lengths from an unknown zero (multilateration, thesis eq. 26)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin._common.units import UM
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
 
 DATA_SHEET_FACTOR: Final = 2.0
-"""The stated expanded uncertainty is at k = 2."""
+"""Coverage factor of the expanded uncertainty in the data sheet."""
 TRACKING: Final = InstrumentSpecification(
     name="interferometer",
     title="tracking interferometer (LaserTRACER-NG)",
@@ -25,10 +25,10 @@ TRACKING: Final = InstrumentSpecification(
 @final
 @dataclass(frozen=True)
 class TrackingInterferometer(Instrument):
-    """LaserTRACER-NG by default: U = 0.2 µm + 0.3 µm/m (thesis 2.8).
+    """A tracking interferometer; LaserTRACER-NG by default, U = 0.2 µm + 0.3 µm/m (thesis 2.8).
 
-    Its reading is the distance less the dead path, in the table's ``x_mm``; y and z stay empty. The dead path is unknown to whoever
-    evaluates the data; here, where data are made, it is a number.
+    Its reading is the distance minus the dead path, in the table's ``x_mm``; y and z stay empty. An evaluation has to identify the dead
+    path; a simulation sets it.
 
     Attributes:
         length_um, length_um_per_m: expanded uncertainty of a length.
@@ -60,8 +60,8 @@ class TrackingInterferometer(Instrument):
         matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / DATA_SHEET_FACTOR) ** 2
         return matrix
 
-    def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
-        """See `Instrument.pooled`: one variance of all lengths."""
+    def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
+        """See `Instrument.pooled`: one variance for all lengths."""
         found = np.zeros((len(readings), 3, 3))
-        found[:, 0, 0] = np.sum(scatter[:, 0] ** 2) / dof
+        found[:, 0, 0] = np.sum(deviations[:, 0] ** 2) / dof
         return found

@@ -1,13 +1,13 @@
-"""A multi-axis interferometer: beams on the plane mirrors of a carriage, read against its reference pose.
+"""A multi-axis interferometer: beams on the plane mirrors of a carriage, read relative to its reference pose.
 
-A beam leaves its source s along d, meets the mirror, and comes back to the plane through the source across the beam. With n the
+A beam leaves its source s along d, is reflected by the mirror, and returns to the plane through the source across the beam. With n the
 mirror's outward normal, h its distance from the carriage's origin r, and c = −d·n the cosine of incidence, the path there and back is
 
     L = 2c / (2c² − 1) · ((s − r)·n − h),        n = R·n₀,
 
-and the reading is what it changed since the reference pose r = 0, R = 1. In the plane this is eq. 1 to 4 of Wen et al. (2023) with the
-sign of beams 4 to 6 mended: their eq. 3 and 4 print + (x − x_d) sin θ where the mirror's normal (−sin θ, cos θ) makes it −; as printed
-they miss the path by millimetres at ±50 mm and ±10 mrad.
+and the reading is its change since the reference pose r = 0, R = 1. In the plane this is eq. 1 to 4 of Wen et al. (2023) with the
+sign of beams 4 to 6 corrected: their eq. 3 and 4 print + (x − x_d) sin θ where the mirror's normal (−sin θ, cos θ) gives −. As printed,
+the path is wrong by millimetres at ±50 mm and ±10 mrad.
 
 T. Wen, J. Hu, Y. Zhu, G. Hua: Multi-axis laser interferometer not affected by installation errors based on nonlinear computation,
 Appl. Sci. 13 (2023) 10887.
@@ -26,10 +26,10 @@ from twin._common.errors import InputError
 from twin.measurement.instruments.base import InstrumentSpecification
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
-STEEPEST: Final = np.cos(np.radians(30.0))
-"""Cosine of incidence a layout must keep: beyond 45° the beam never comes back to its source's plane."""
+LEAST_COSINE: Final = np.cos(np.radians(30.0))
+"""Least cosine of incidence of a layout: beyond 45° the beam never returns to its source's plane."""
 PLANE_MOTIONS: Final = (0, 1, 5)
-"""x, y and the turn about z: what a stage does that stays in its plane."""
+"""x, y and the rotation about z: the motions of a planar stage."""
 
 
 @final
@@ -39,16 +39,16 @@ class MultiAxis:
 
     Attributes:
         beams: (m) names.
-        source: (m, 3) nominal points the beams leave from.
+        source: (m, 3) nominal points from which the beams leave.
         direction: (m, 3) nominal unit vectors.
-        mirror: (m,) index of the mirror each beam meets.
+        mirror: (m,) index of the mirror of each beam.
         mirrors: (k) names.
         normal: (k, 3) nominal outward unit normals, towards the sources.
-        distance: (k,) of the mirrors from the carriage's origin along their normals.
+        distance: (k,) distances of the mirrors from the carriage's origin along their normals.
         planar: whether carriage and beams stay in the xy-plane (three motions, not six).
 
     Raises:
-        InputError: shapes that do not match, a vector that is no unit vector, a beam that meets its mirror beyond 30° or from
+        InputError: shapes that do not match, a vector that is not a unit vector, a beam that meets its mirror at more than 30° or from
             behind, a planar layout with a beam or mirror that leaves the plane.
     """
 
@@ -65,34 +65,34 @@ class MultiAxis:
         m, k = len(self.beams), len(self.mirrors)
         shapes = (self.source.shape, self.direction.shape, self.mirror.shape, self.normal.shape, self.distance.shape)
         if shapes != ((m, 3), (m, 3), (m,), (k, 3), (k,)) or m == 0:
-            raise InputError("a layout of the wrong shape", expected=f"{m} beams, {k} mirrors", value=shapes)
+            raise InputError("arrays of a layout do not match", expected=f"{m} beams, {k} mirrors", value=shapes)
         if len(set(self.beams)) < m or len(set(self.mirrors)) < k:
-            raise InputError("two beams or mirrors of one name", expected="each name once", value=self.beams)
+            raise InputError("two beams or mirrors with the same name", expected="each name once", value=self.beams)
         for name, vectors in (("direction", self.direction), ("normal", self.normal)):
             if np.any(np.abs(np.linalg.norm(vectors, axis=1) - 1.0) > 1e-12):
-                raise InputError(f"a {name} that is no unit vector", expected="length one", value=vectors.tolist())
+                raise InputError(f"a {name} is not a unit vector", expected="length one", value=vectors.tolist())
             if self.planar and np.any(vectors[:, 2] != 0.0):
                 raise InputError(
-                    f"a {name} that leaves the plane", expected="z zero in a planar layout", value=vectors.tolist()
+                    f"a {name} leaves the plane", expected="z zero in a planar layout", value=vectors.tolist()
                 )
         n = self.normal[self.mirror]
         for i, name in enumerate(self.beams):
-            if not -float(self.direction[i] @ n[i]) > STEEPEST:
+            if not -float(self.direction[i] @ n[i]) > LEAST_COSINE:
                 raise InputError(
-                    f"beam {name} does not meet mirror {self.mirrors[self.mirror[i]]} squarely",
+                    f"beam {name} meets mirror {self.mirrors[self.mirror[i]]} at too large an angle",
                     expected="a direction against the mirror's outward normal, within 30°",
                     value=self.direction[i].tolist(),
                 )
             if not float(self.source[i] @ n[i] - self.distance[self.mirror[i]]) > 0.0:
                 raise InputError(
-                    f"beam {name} leaves from behind mirror {self.mirrors[self.mirror[i]]}",
+                    f"beam {name} starts behind mirror {self.mirrors[self.mirror[i]]}",
                     expected="a source on the outward side",
                     value=self.source[i].tolist(),
                 )
 
     @property
     def specification(self) -> InstrumentSpecification:
-        """What describes it as an instrument: one column for each beam, counted from the reference pose."""
+        """Description as an instrument: one column for each beam, counted from the reference pose."""
         return InstrumentSpecification(
             name="multi-axis",
             title="multi-axis interferometer",
@@ -104,27 +104,27 @@ class MultiAxis:
 
     @property
     def motions(self) -> tuple[int, ...]:
-        """Which of the six components of a pose are free."""
+        """Indices of the free components of a pose."""
         return PLANE_MOTIONS if self.planar else tuple(range(6))
 
     @cached_property
     def installation(self) -> tuple[str, ...]:
-        """Names of the installation's unknowns: of each beam, then of each mirror, then the scale of every reading."""
+        """Names of the installation's parameters: of each beam, then of each mirror, then the scale of all readings."""
         names: list[str] = []
         for beam, vector in zip(self.beams, self.direction, strict=True):
             names += [f"beam {beam} {axis}" for axis in ("xy" if self.planar else "xyz")]
-            names += [f"beam {beam} turn {axis}" for axis in across(vector, planar=self.planar)]
+            names += [f"beam {beam} turn {axis}" for axis in tilt_letters(vector, planar=self.planar)]
         for mirror, vector in zip(self.mirrors, self.normal, strict=True):
-            names += [f"mirror {mirror} turn {axis}" for axis in across(vector, planar=self.planar)]
+            names += [f"mirror {mirror} turn {axis}" for axis in tilt_letters(vector, planar=self.planar)]
         return (*names, "scale")
 
     def readings(self, poses: np.ndarray, installation: np.ndarray | None = None) -> np.ndarray:
-        """What the beams read, noise-free.
+        """Return the noise-free readings of the beams.
 
         Args:
             poses: (n, 6) of the carriage from its reference pose: translation, metres, and rotation vector, radians.
             installation: (p,) deviations from the nominal layout in the order of `installation`; metres, radians, and one for the
-                scale; none if None.
+                scale; zero if None.
 
         Returns:
             (n, m) change of path, there and back, metres.
@@ -134,10 +134,10 @@ class MultiAxis:
     def derivatives(
         self, poses: np.ndarray, installation: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Readings and their derivatives; arguments as of `readings`.
+        """Return the readings and their derivatives; arguments as of `readings`.
 
         Returns:
-            (n, m) readings, (n, m, f) by the free motions of the same pose, (n, m, p) by the installation.
+            (n, m) readings, (n, m, f) with respect to the free motions of the same pose, (n, m, p) with respect to the installation.
         """
         return self._evaluate(np.atleast_2d(np.asarray(poses, dtype=float)), installation, derivatives=True)
 
@@ -154,23 +154,23 @@ class MultiAxis:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         m, k = len(self.beams), len(self.mirrors)
         count = len(self.installation)
-        told = np.zeros(count) if installation is None else np.asarray(installation, dtype=float)
-        if poses.ndim != 2 or poses.shape[1] != 6 or told.shape != (count,):
+        deviations = np.zeros(count) if installation is None else np.asarray(installation, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] != 6 or deviations.shape != (count,):
             raise InputError(
-                "poses or installation of the wrong shape",
+                "poses or installation have the wrong shape",
                 expected=f"(n, 6) and ({count},)",
-                value=f"{poses.shape} and {told.shape}",
+                value=f"{poses.shape} and {deviations.shape}",
             )
         turns, places = (1, 2) if self.planar else (2, 3)
         per = places + turns
-        by_beam = told[: m * per].reshape(m, per)
+        by_beam = deviations[: m * per].reshape(m, per)
         s = np.array(self.source)
         s[:, :places] += by_beam[:, :places]
         d, d_by = tilted(self.direction, self._beam_tilts, by_beam[:, places:])
-        n0, n0_by = tilted(self.normal, self._mirror_tilts, told[m * per : -1].reshape(k, turns))
+        n0, n0_by = tilted(self.normal, self._mirror_tilts, deviations[m * per : -1].reshape(k, turns))
         n0, n0_by, h = n0[self.mirror], n0_by[self.mirror], self.distance[self.mirror]
-        scale = 1.0 + told[-1]
-        rotation, left = turn(poses[:, 3:])
+        scale = 1.0 + deviations[-1]
+        rotation, left = rotation_and_jacobian(poses[:, 3:])
         normal = np.einsum("nij,mj->nmi", rotation, n0)
         away = s[None] - poses[:, None, :3]
         c = -np.einsum("nmi,mi->nm", normal, d)
@@ -181,7 +181,7 @@ class MultiAxis:
         if not derivatives:
             return scale * change, np.empty(0), np.empty(0)
         f, f0, slope, slope0 = _factor(c), _factor(c0), _slope(c) * gap, _slope(c0) * gap0
-        # A turn w of the carriage moves the normal by (J w) × n.
+        # A rotation w of the carriage changes the normal by (J w) × n.
         by_turn = np.cross(left.transpose(0, 2, 1)[:, None], normal[:, :, None])
         by_normal = f[..., None] * away - slope[..., None] * d
         by_pose = np.concatenate([-f[..., None] * normal, np.einsum("nmi,nmki->nmk", by_normal, by_turn)], axis=2)
@@ -201,8 +201,8 @@ class MultiAxis:
         return scale * change, scale * by_pose[:, :, list(self.motions)], by_installation
 
 
-def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations of rotation vectors and their left Jacobians: Exp(w + δ) = Exp(J δ)·Exp(w) to first order.
+def rotation_and_jacobian(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotations of rotation vectors and their left Jacobians: Exp(w + δ) = Exp(J δ)·Exp(w) to first order.
 
     Args:
         vectors: (n, 3) radians.
@@ -211,7 +211,7 @@ def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (n, 3, 3) and (n, 3, 3).
     """
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
-    # (1 − cos t) / t² and (t − sin t) / t³, which lose their digits towards zero: by their series there.
+    # (1 − cos t) / t² and (t − sin t) / t³ cancel near zero; there by their series.
     small = angle < 1e-2
     t = np.where(small, 1.0, angle)
     q = np.where(small, angle, 0.0) ** 2
@@ -221,18 +221,18 @@ def turn(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(rotation_exp(vectors)), np.eye(3) + b * skew + c * (skew @ skew)
 
 
-def across(vector: np.ndarray, *, planar: bool) -> str:
-    """Letters of the axes a vector is tilted about: z, y and x in this order but for the one nearest to it; in the plane only z."""
+def tilt_letters(vector: np.ndarray, *, planar: bool) -> str:
+    """Return the letters of the axes about which a vector is tilted: z, y, x without the one nearest to it; in the plane only z."""
     nearest = "xyz"[int(np.argmax(np.abs(vector)))]
     return "z" if planar else "zyx".replace(nearest, "")
 
 
 def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
-    """(m, 3, 1 or 2) unit vectors each vector is tilted about: the axes of `across`, made square to it and to each other."""
+    """Return (m, 3, 1 or 2) the unit vectors about which each vector is tilted: the axes of `tilt_letters`, orthogonalised."""
     found = np.zeros((len(vectors), 3, 1 if planar else 2))
     for i, vector in enumerate(vectors):
         basis: list[np.ndarray] = []
-        for letter in across(vector, planar=planar):
+        for letter in tilt_letters(vector, planar=planar):
             axis = np.eye(3)["xyz".index(letter)]
             square = axis - sum((axis @ v * v for v in [vector, *basis]), np.zeros(3))
             basis.append(square / np.linalg.norm(square))
@@ -241,7 +241,7 @@ def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
 
 
 def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors turned by small rotation vectors across themselves.
+    """Return vectors rotated by small angles about axes across them, and the derivatives.
 
     Args:
         vectors: (m, 3).
@@ -249,9 +249,9 @@ def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[n
         angles: (m, k) radians.
 
     Returns:
-        (m, 3), and (m, 3, k) derivatives by the angles.
+        (m, 3), and (m, 3, k) derivatives with respect to the angles.
     """
-    rotation, left = turn(np.einsum("mik,mk->mi", axes, angles))
+    rotation, left = rotation_and_jacobian(np.einsum("mik,mk->mi", axes, angles))
     found = np.einsum("mij,mj->mi", rotation, vectors)
     by = np.cross(np.einsum("mij,mjk->mki", left, axes), found[:, None]).transpose(0, 2, 1)
     return found, by
@@ -262,5 +262,5 @@ def _factor(c: np.ndarray) -> np.ndarray:
 
 
 def _slope(c: np.ndarray) -> np.ndarray:
-    """Derivative of `_factor`."""
+    """Return the derivative of `_factor`."""
     return -(4.0 * c**2 + 2.0) / (2.0 * c**2 - 1.0) ** 2

@@ -1,7 +1,7 @@
-"""The refractive index of air, and what a wrong one does to a length.
+"""Refractive index of air, and its influence on a measured length.
 
 Birch and Downs (1994), "Correction to the updated Edlén equation for the refractive index of air", Metrologia 31, 315-316, with the
-water vapour's saturation pressure by the Magnus formula (WMO-No. 8, annex 4.B).
+saturation pressure of water vapour by the Magnus formula (WMO-No. 8, annex 4.B).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ HELIUM_NEON_UM: Final = 0.6329908
 @final
 @dataclass(frozen=True)
 class Air:
-    """The air along the beam.
+    """State of the air along the beam.
 
     Attributes:
-        temperature_degC, pressure_hPa: of the air.
+        temperature_degC, pressure_hPa: temperature and pressure.
         humidity: relative, 0 to 1.
 
     Raises:
-        InputError: values no workshop has.
+        InputError: a value that does not occur in a workshop.
     """
 
     temperature_degC: float = 20.0
@@ -41,15 +41,15 @@ class Air:
             ("relative humidity", self.humidity, 0.0, 1.0, ""),
         ):
             if not low <= value <= high:
-                raise InputError(f"{what} out of place", expected=f"{low:g} to {high:g}{unit}", value=value)
+                raise InputError(f"{what} out of range", expected=f"{low:g} to {high:g}{unit}", value=value)
 
 
 STANDARD_AIR: Final = Air()
-"""20 °C, 1013.25 hPa, 50 %: what an instrument assumes that is told nothing."""
+"""20 °C, 1013.25 hPa, 50 %: the air assumed by an instrument without its own sensors."""
 
 
 def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
-    """Phase refractive index of air.
+    """Return the phase refractive index of air.
 
     Args:
         air: temperature, pressure, humidity.
@@ -65,5 +65,5 @@ def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
 
 
 def length_scale(actual: Air, assumed: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
-    """Factor on every length read when the instrument corrects for ``assumed`` air and the beam runs through ``actual``."""
+    """Return the factor on every length read if the instrument corrects for ``assumed`` air and the beam passes ``actual`` air."""
     return refractive_index(actual, wavelength_um) / refractive_index(assumed, wavelength_um)

@@ -11,7 +11,7 @@ from twin._common.units import UM
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, along_and_across
 
 DATA_SHEET_FACTOR: Final = 2.0
-"""A maximum permissible error is taken as two standard deviations (typical is about half of it)."""
+"""Maximum permissible errors are taken as two standard deviations (typical errors are about half of them)."""
 INTERFEROMETER: Final = InstrumentSpecification(
     name="tracker",
     title="laser tracker, lengths by its interferometer (AT960)",
@@ -28,11 +28,11 @@ ABSOLUTE: Final = replace(
 @final
 @dataclass(frozen=True)
 class LaserTracker(Instrument):
-    """Leica AT960 by default: maximum permissible errors of its data sheet (thesis 2.8), a + b·L.
+    """A laser tracker; Leica AT960 by default, with the maximum permissible errors a + b·L of its data sheet (thesis 2.8).
 
     Attributes:
         length_um, length_um_per_m: along the beam.
-        across_um, across_um_per_m: across it, from the two angles.
+        across_um, across_um_per_m: across the beam, from the two angles.
         specification: see `Instrument`.
     """
 
@@ -57,11 +57,11 @@ class LaserTracker(Instrument):
         across = self.across_um + self.across_um_per_m * length
         return along_and_across(points, along * UM / DATA_SHEET_FACTOR, across * UM / DATA_SHEET_FACTOR)
 
-    def pooled(self, readings: np.ndarray, scatter: np.ndarray, dof: int) -> np.ndarray:
+    def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
         """See `Instrument.pooled`: one variance along the beam, one across it."""
         beam = readings / np.linalg.norm(readings, axis=1, keepdims=True)
-        along = np.sum(np.sum(scatter * beam, axis=1) ** 2)
-        across = np.sum(scatter**2) - along
+        along = np.sum(np.sum(deviations * beam, axis=1) ** 2)
+        across = np.sum(deviations**2) - along
         n = len(readings)
         return along_and_across(readings, np.full(n, np.sqrt(along / dof)), np.full(n, np.sqrt(across / (2.0 * dof))))
 
