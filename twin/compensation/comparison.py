@@ -1,4 +1,4 @@
-"""Where the tool is beside where it was meant to be, at very many points of straight lines of commands."""
+"""Comparison of real and nominal tool poses at many points on straight lines of commands."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from twin.compute.native import Taken
 from twin.kinematics.forward import Kinematics
 
 SLACK: Final = 1e-9
-"""mm and degrees beyond a curve's domain that are rounding, as of `twin.machine.calibration.Calibration.outside`."""
+"""Distance (mm, degrees) beyond a curve's domain that is rounding, as in `twin.machine.calibration.Calibration.outside`."""
 
 
 @final
 @dataclass(frozen=True)
 class Commands:
-    """(n, axes) commands, mm and degrees; points on straight lines as ``begin + share · way``, not written out.
+    """(n, axes) commands, mm and degrees, either as an array or as points ``begin + share · way`` on straight lines.
 
     Attributes:
-        begin: (lines, axes) where each line begins; the points themselves where there is no more than that.
-        way: (lines, axes) how far each goes.
-        line: (n,) which of them each point is on.
-        share: (n,) how far along.
+        begin: (lines, axes) start of each line; the points themselves if the other attributes are None.
+        way: (lines, axes) displacement along each line.
+        line: (n,) line of each point.
+        share: (n,) fraction of that line.
     """
 
     begin: np.ndarray
@@ -37,7 +37,7 @@ class Commands:
     share: np.ndarray | None = None
 
     def written(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """(n, axes) written out; ``which``: some of them."""
+        """Return the commands as an (n, axes) array; ``which``: a selection of them."""
         if self.way is None or self.line is None or self.share is None:
             return np.asarray(self.begin[which])
         line = self.line[which]
@@ -45,7 +45,7 @@ class Commands:
 
     @property
     def inputs(self) -> tuple[np.ndarray | Taken, ...]:
-        """Begin, way and share of every point."""
+        """Begin, displacement and fraction of every point."""
         if self.way is None or self.line is None or self.share is None:
             return self.begin, np.zeros(self.begin.shape[1]), np.zeros(1)
         return Taken(self.begin, self.line), Taken(self.way, self.line), self.share[:, None]
@@ -54,13 +54,13 @@ class Commands:
 @final
 @dataclass(frozen=True)
 class ComparedPoses:
-    """Poses of the tool beside those meant.
+    """Deviations of tool poses from nominal ones.
 
     Attributes:
-        distance_mm: (n,) between the functional points.
-        angle_rad: (n,) between the tool axes.
-        leaning: (n, 3) tool axis in the tool frame as meant: what `twin.numerics.spatial.tilt` takes.
-        known: (n,) whether commands are finite, and within the domains of all curves of the machine.
+        distance_mm: (n,) distance between the functional points.
+        angle_rad: (n,) angle between the tool axes.
+        leaning: (n, 3) tool axis in the nominal tool frame, the argument of `twin.numerics.spatial.tilt`.
+        known: (n,) whether the commands are finite and within the domains of all curves of the machine.
     """
 
     distance_mm: np.ndarray
@@ -69,35 +69,35 @@ class ComparedPoses:
     known: np.ndarray
 
     def where(self, keep: np.ndarray) -> ComparedPoses:
-        """Some of them."""
+        """Return a selection of the poses."""
         return ComparedPoses(self.distance_mm[keep], self.angle_rad[keep], self.leaning[keep], self.known[keep])
 
 
 @final
 class PoseComparison:
-    """Compares what a machine with errors reaches with what the machine as drawn was meant to, never raising.
+    """Compares poses of a machine with errors with nominal poses; never raises.
 
     Args:
         real: the machine with errors.
-        nominal: the same without.
+        nominal: the machine without errors.
     """
 
     def __init__(self, real: Kinematics, nominal: Kinematics) -> None:
         self._real, self._nominal = real, nominal
 
     def distance_mm(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> np.ndarray:
-        """(n,) distances between the functional points.
+        """Return (n,) distances between the functional points.
 
         Args:
-            meant: n commands of the machine as drawn.
-            given: n commands of the real one.
-            approach: (n, axes) sides that it comes from, as of `Kinematics.directed`.
+            meant: n nominal commands, for the machine without errors.
+            given: n commands given to the machine with errors.
+            approach: (n, axes) approach directions, as in `Kinematics.directed`.
         """
         (distance,) = self._distance(*self._inputs(meant, given, approach))
         return distance[:, 0]
 
     def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
-        """All there is to compare; arguments as of `distance_mm`."""
+        """Return the deviations in point and orientation; arguments as for `distance_mm`."""
         distance, apart, leaning, beyond = self._poses(*self._inputs(meant, given, approach))
         known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
         angle = 2.0 * np.arcsin(np.minimum(apart[:, 0] / 2.0, 1.0))
@@ -122,7 +122,7 @@ class PoseComparison:
 
     @cached_property
     def _expressions(self) -> tuple[list[Any], Any, tuple[Any, Any], Any]:
-        """Inputs; mm between the points; the tool frame as meant, and the real tool axis; by how much a domain is left."""
+        """Expressions: inputs; distance in mm; nominal tool frame and real tool axis; amount by which a domain is exceeded."""
         machine = self._real.machine
         inputs, commands = [], []
         for name in ("meant", "given"):

@@ -1,6 +1,6 @@
-"""A program in, the program out whose execution on the machine with errors lands where the first one meant.
+"""Compensation of a whole program in memory, or from file to file.
 
-What comes out is read back and compared with what was meant, then re-simulated, before anybody sees it.
+The output is read back, compared with the intended positions and simulated before it is returned or its file appears.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ class Compensation:
 
     Attributes:
         text: the program, to be written as latin-1.
-        report: what was done and what is left.
+        report: what was corrected and what was not.
         reading: the program as read.
         rewrites: the new positions, in words.
         path: the program as motions.
         nominal: (rows, axes) nominal commands of every block's pieces, mm and degrees.
         exact: (rows, axes) compensated commands before the linear words were rounded.
         commands: (rows, axes) compensated commands as printed.
-        moves: (rows,) index of each one's move among those of the reading.
-        lines: (rows,) program line of each.
-        taken: (rows,) whether it only takes up a reversal, on the way to where the block begins.
+        moves: (rows,) index of each row's move among those of the reading.
+        lines: (rows,) program line of each row.
+        taken: (rows,) whether the row only takes up backlash before the block begins.
     """
 
     text: str
@@ -74,10 +74,10 @@ class Compensator:
     Args:
         machine: the machine.
         calibration: its errors.
-        options: what to do.
+        options: the options; defaults if None.
 
     Raises:
-        InputError: the machine cannot run programs, or the method does not fit it.
+        InputError: the machine cannot run programs, or the method does not apply to it.
     """
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options | None = None) -> None:
@@ -100,11 +100,11 @@ class Compensator:
             progress: called with a stage and the fraction done.
             into: the language to write; another than the program's own only for cutter locations (APT), which are then
                 posted as axis words.
-            reading: what the program says, where somebody knows it more exactly than its text.
+            reading: the program's moves, if they are known more exactly than from its text.
 
         Raises:
-            InputError: the program cannot be read, or something in it must not pass uncompensated.
-            OutputError: the text produced does not say what was meant; nothing was written.
+            InputError: the program cannot be read, or contains something that must not pass uncompensated.
+            OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
@@ -142,7 +142,7 @@ class Compensator:
     def _check(
         self, program: Program, reading: Reading, found: Corrected, text: str, written: Dialect, *, posted: bool
     ) -> None:
-        """Read back what was written, and compare it with what was meant."""
+        """Read the output back and compare it with the intended positions."""
         axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
         try:
             again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
@@ -155,21 +155,21 @@ class Compensator:
     def compensate_file(
         self, program: Path, output: Path, progress: Progress | None = None, *, into: Dialect | None = None
     ) -> Report:
-        """Compensate a program from file to file.
+        """Compensate a program from file to file; the output is written atomically.
 
-        An ISO program on a machine without reversals is worked through in stretches, in memory that does not grow with its length; any
-        other one, and one with drilling cycles, is held in memory whole. The output appears whole or not at all.
+        An ISO program on a machine without backlash is processed in stretches, so memory does not grow with its length. Any other
+        program, and one with drilling cycles, is held in memory as a whole.
 
         Args:
             program: its path.
             output: where to write it.
             progress: called with a stage and the fraction done.
-            into: as of `compensate`.
+            into: as for `compensate`.
 
         Raises:
-            InputError: as `compensate`; a file that cannot be read or written; the output is the program, or a file of the machine
-                or the calibration.
-            OutputError: as `compensate`.
+            InputError: as for `compensate`; a file cannot be read or written; the output is the program, or a file of the machine or
+                the calibration.
+            OutputError: as for `compensate`.
         """
         say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
@@ -191,7 +191,7 @@ class Compensator:
         return report
 
     def _inputs(self, program: Path) -> Iterator[Path]:
-        """The files that this compensation is made from."""
+        """Yield the input files of this compensation."""
         calibration, machine = self.bench.calibration, self.bench.machine
         tables = () if calibration.control is None else calibration.control.tables
         files = (program, machine.path, machine.urdf, calibration.path, *(one.file for one in tables))
@@ -207,19 +207,19 @@ def compensate(
     temperature: Mapping[str, float] | None = None,
     time_s: float | None = None,
 ) -> Compensation:
-    """Compensate the program of a file, or one that comes with twin.
+    """Compensate the program of a file, or a sample program of twin, and return it with its report.
 
     Args:
         program: its path.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: what to do.
-        temperature: °C by axis (of its scale) or sensor over the whole program, instead of those of the options.
-        time_s: the time of a warm-up, on the clock of the measured table's ``time_s``, instead of that of the options.
+        options: the options; defaults if None.
+        temperature: °C by axis (of its scale) or sensor over the whole program; replaces those of the options.
+        time_s: time within a warm-up, in the measured table's ``time_s``; replaces that of the options.
 
     Raises:
-        InputError: as `Compensator` and its `compensate`; the program cannot be read.
-        OutputError: as `Compensator.compensate`.
+        InputError: as for `Compensator` and its `compensate`; the program cannot be read.
+        OutputError: as for `Compensator.compensate`.
     """
     chosen = Options() if options is None else options
     given = chosen.conditions
@@ -240,19 +240,19 @@ def compensate_file(
     options: Options | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Compensate the program of a file, or one that comes with twin, into another file: any length in bounded memory.
+    """Compensate the program of a file, or a sample program of twin, into another file; memory stays bounded for ISO programs.
 
     Args:
         program: its path.
-        output: where to write it; it appears whole or not at all.
+        output: where to write it, atomically.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: what to do.
+        options: the options; defaults if None.
         progress: called with a stage and the fraction done.
 
     Raises:
-        InputError: as `Compensator.compensate_file`.
-        OutputError: as that.
+        InputError: as for `Compensator.compensate_file`.
+        OutputError: as for `Compensator.compensate_file`.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     found, target = find_program(program), Path(output)
@@ -261,7 +261,7 @@ def compensate_file(
 
 
 def _rewrites(found: Corrected) -> Iterator[Rewrite]:
-    """One a motion that is given new words, in order."""
+    """Yield a rewrite for every motion with new words, in order."""
     new, by_vector = found.new, found.pieces.by_vector
     for i in np.flatnonzero(new.count).tolist():
         part = slice(new.first[i], new.first[i] + new.count[i])
@@ -270,7 +270,7 @@ def _rewrites(found: Corrected) -> Iterator[Rewrite]:
 
 
 def _shares(found: Corrected, part: slice) -> np.ndarray | None:
-    """Of a motion's time that each of its rows takes, where they are not all alike; one degree counts as one millimetre."""
+    """Return the share of a motion's time for each of its rows; None if all are equal. One degree counts as one millimetre."""
     rows = found.rows
     taken = rows.taken[part]
     if not np.any(taken):

@@ -1,11 +1,12 @@
-"""One step of the inverse as expressions: Newton's for all axes, that of the linear axes alone, and the repair near a singularity.
+"""One step of the inverse kinematics as expressions: Newton for all axes, for the linear axes alone, and the limited rotary correction.
 
-Branch-free, for any chain: the same expressions are evaluated by CasADi, by NumPy and as C++ (`twin.compute.native`).
+The expressions have no branches and hold for any chain; the same ones are evaluated by CasADi, by NumPy and as C++
+(`twin.compute.native`).
 
 The derivatives are the chain's twists (Lynch, Park: Modern Robotics, 5.1), errors following the axes: less than half of the work of
-differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only: it
-errs by an angular error times a slope, a millionth where they are a milliradian and a milliradian a radian, far less than Newton's own.
-The repair, which nothing follows, takes two. The residual leaves out nothing.
+differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only. This causes an
+error of an angular error times a slope: a millionth for a milliradian and a milliradian per radian, far below the error of Newton's
+method itself. The limited rotary correction (``repair``), which is not iterated, takes two terms. The residual is exact.
 """
 
 from __future__ import annotations
@@ -22,29 +23,31 @@ from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
 
 LARGEST_STEP: Final = 0.1
-"""Radians a rotary axis may move in one step: a longer one has left the branch."""
+"""Largest move (radians) of a rotary axis in one step; a longer one would leave the branch."""
 ALIKE: Final = 1e-15
-"""Smaller over larger singular value below which a system of two is taken to have one direction only (that of NumPy's pinv)."""
+"""Ratio of singular values below which a system of two counts as having rank one (as in NumPy's pinv)."""
 
 
 @dataclass(frozen=True)
 class _Residual:
     point: Any
     axis: Any
-    """(2,) tool axis along two directions across the target."""
+    """(2,) components of the tool axis along two directions perpendicular to the target."""
     point_by: Any
-    """(3, axes)."""
+    """(3, axes) derivative of the point."""
     axis_by: Any
-    """(2, axes)."""
+    """(2, axes) derivative of the axis components."""
 
 
 @final
 class Steps:
-    """The functions of one machine with one calibration, metres and radians: see `twin.compute.native.StepFunctions`.
+    """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
+
+    They implement `twin.compute.native.StepFunctions`.
 
     Args:
         kinematics: the machine.
-        rotary_limit: radians a rotary axis may leave its start to repair an orientation.
+        rotary_limit: largest move (radians) of a rotary axis from its start to correct an orientation.
     """
 
     def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
@@ -55,7 +58,7 @@ class Steps:
 
     @cached_property
     def turn(self) -> ca.Function:
-        """One step of all axes, and the matrices of it."""
+        """One Newton step of all axes, and its matrices."""
         left, machine = self._left, self._kinematics.machine
         size = _largest(ca.vertcat(left.point, left.axis))
         if not machine.rotary:
@@ -68,7 +71,7 @@ class Steps:
 
     @cached_property
     def again(self) -> ca.Function:
-        """What one more step with the same matrices moves."""
+        """Further step with the same matrices."""
         machine = self._kinematics.machine
         point, axis, rotary = ca.SX.sym("point", 3), ca.SX.sym("axis", 2), len(machine.rotary)
         if not rotary:
@@ -86,7 +89,7 @@ class Steps:
 
     @cached_property
     def repair(self) -> ca.Function:
-        """The rotary axes moved as far as makes sense."""
+        """Limited correction of the orientation by the rotary axes."""
         machine, q = self._kinematics.machine, self._at[0]
         if not machine.rotary:
             return self._function("repair", [q])
@@ -94,9 +97,9 @@ class Steps:
 
     @cached_property
     def check(self) -> ca.Function:
-        """What is left: tip less goal, tool axis less target, and tool axis along the two directions across the target.
+        """Residuals: tip less goal, tool axis less target, and components of the tool axis perpendicular to the target.
 
-        Two vectors a side are carried out along the chain, where derivatives need every frame on the way.
+        Only two vectors per side are carried along the chain; the derivatives need every frame.
         """
         (tip, pointing), (goal, target) = (
             branch.carried(*start)
@@ -118,7 +121,7 @@ class Steps:
         return branches(self._kinematics.machine, self._at[0], self._errors)
 
     def _residual(self, terms: int) -> _Residual:
-        """Tool less target, both in the frame where the chains to tool and work part."""
+        """Residual of the tool from its target, both in the frame where the chains to tool and work branch."""
         by_position = ca.jacobian(self._errors, self._at[0])
         (tool, tool_twists), (work, work_twists) = (
             one.twists(self._errors, by_position, terms) for one in self._branches
@@ -128,7 +131,7 @@ class Steps:
         pointing, target = tool.rotation[:, 2], work.rotation @ self._axis
         across = ca.horzcat(*_across(target))
         moved, turned = [], []
-        # Turn of the tool against the work by every axis, and velocity of the tip, both as one who stands on the work sees them.
+        # Rotation of the tool by every axis, and velocity of the tip, both relative to the work.
         for a, b in zip(tool_twists, work_twists, strict=True):
             turn = a[0] - b[0]
             moved.append(a[1] - b[1] + ca.cross(turn, tip))
@@ -158,7 +161,7 @@ def _sparse(*values: float) -> Any:
 
 
 def _across(z: Any) -> tuple[Any, Any]:
-    """Two unit vectors across a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
+    """Return two unit vectors perpendicular to a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
     sign = ca.if_else(z[2] < 0.0, -1.0, 1.0)
     a = -1.0 / (sign + z[2])
     b = z[0] * z[1] * a
@@ -174,7 +177,7 @@ def _largest(vector: Any) -> Any:
 
 
 def _placed(machine: Machine, which: list[int], values: Any) -> Any:
-    """(axes,) with ``values`` at some axes."""
+    """Return an (axes,) vector with ``values`` at some axes and zero elsewhere."""
     found = ca.SX(len(machine.axes), 1)
     for k, i in enumerate(which):
         found[i] = values[k]
@@ -182,27 +185,27 @@ def _placed(machine: Machine, which: list[int], values: Any) -> Any:
 
 
 def _inverse(matrix: Any) -> Any:
-    """Of a matrix of three, by cofactors: its columns are the linear axes, nearly at right angles."""
+    """Return the inverse of a 3×3 matrix by cofactors; its columns are the linear axes, nearly perpendicular."""
     a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     rows = ca.vertcat(ca.cross(b, c).T, ca.cross(c, a).T, ca.cross(a, b).T)
     return rows * (1.0 / ca.dot(a, rows[0, :].T))
 
 
 class _Matrices(NamedTuple):
-    """What a step is made of: the linear axes follow the point, what is left is the tool axis's system in the rotary axes."""
+    """Matrices of a step: with the linear axes eliminated by the point, the tool axis gives a system in the rotary axes."""
 
     linear: Any
     """(3, 3) linear axes by the point."""
     slope: Any
-    """(3, rotary) how the linear axes follow the rotary ones."""
+    """(3, rotary) motion of the linear axes that follows the rotary ones."""
     coupling: Any
     """(2, 3) tool axis by the linear axes."""
     rotary: Any
-    """(rotary, 2) rotary axes by the tool axis, the linear ones following."""
+    """(rotary, 2) rotary axes by the tool axis, with the linear axes following."""
 
 
 def _reduced(machine: Machine, left: _Residual) -> tuple[Any, Any, Any, Any]:
-    """The first three of `_Matrices`, and what the fourth is the inverse of."""
+    """Return the first three of `_Matrices`, and the matrix whose inverse is the fourth."""
     linear, rotary = list(machine.linear), list(machine.rotary)
     inverse, coupling = _inverse(left.point_by[:, linear]), left.axis_by[:, linear]
     slope = inverse @ left.point_by[:, rotary]
@@ -215,7 +218,7 @@ def _matrices(machine: Machine, left: _Residual) -> _Matrices:
 
 
 def _turned(machine: Machine, by: _Matrices, left: _Residual, *, longest: bool) -> Any:
-    """What one step of Newton's moves; if ``longest``, no rotary axis further than `LARGEST_STEP`."""
+    """Return the move of one Newton step; with ``longest``, no rotary axis moves further than `LARGEST_STEP`."""
     alone = by.linear @ left.point
     move = -(by.rotary @ (left.axis - by.coupling @ alone))
     if longest:
@@ -225,19 +228,19 @@ def _turned(machine: Machine, by: _Matrices, left: _Residual, *, longest: bool) 
 
 
 def _repaired(machine: Machine, q: Any, left: _Residual, limit: float) -> Any:
-    """The rotary axes moved as far as makes sense."""
+    """Return the commands with the rotary axes moved to correct the orientation, within the limit."""
     inverse, _, coupling, matrix = _reduced(machine, left)
     right = left.axis - coupling @ (inverse @ left.point)
     rotary = list(machine.rotary)
     lower, upper = machine.limits[rotary].T
     reach = q[rotary] + _bounded_move(matrix, right, limit)
-    # A start beyond its range stays where it is (and is reported); others stop at the limit.
+    # An axis that starts beyond its range keeps its position (and is reported); others stop at the limit.
     reach = ca.fmin(ca.fmax(reach, ca.fmin(lower, q[rotary])), ca.fmax(upper, q[rotary]))
     return q + _placed(machine, rotary, reach - q[rotary])
 
 
 def _pseudo_inverse(a: Any) -> Any:
-    """A⁺ of (2, 2) and (2, 1)."""
+    """Return A⁺ of a (2, 2) or (2, 1) matrix."""
     squares = ca.sumsqr(a)
     flat = ca.if_else(squares > 0.0, 1.0 / squares, 0.0)
     if a.shape[1] == 1:
@@ -249,11 +252,11 @@ def _pseudo_inverse(a: Any) -> Any:
 
 
 def _bounded_move(a: Any, b: Any, limit: float) -> Any:
-    """How far the rotary axes are moved where they cannot repair the whole orientation.
+    """Return the move of the rotary axes where they cannot correct the whole orientation.
 
-    Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β·(β/t)³: continuous at
-    the limit, and soon gone towards the singularity, where turning C repairs nothing: C stays continuous through it, and
-    a program that stands at B = 0 does not have its C moved for nothing.
+    Along each singular direction the full correction needs t = δ/σ. Up to the limit β it is made in full; beyond the limit the move is
+    β·(β/t)³. This is continuous at the limit and decreases rapidly towards the singularity, where turning C has no effect on the
+    orientation: C stays continuous through it, and a program at B = 0 gets no useless motion of C.
     """
     if a.shape[1] == 1:
         return _along(a, -b, ca.SX.ones(1, 1), limit)
@@ -271,7 +274,7 @@ def _bounded_move(a: Any, b: Any, limit: float) -> Any:
 
 
 def _along(column: Any, right: Any, direction: Any, limit: float) -> Any:
-    """The share of one singular direction: ``column`` is σ u."""
+    """Return the move along one singular direction; ``column`` is σ u."""
     squares = ca.sumsqr(column)
     sigma = ca.sqrt(squares)
     delta = ca.dot(column, right)  # σ δ

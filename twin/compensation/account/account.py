@@ -1,4 +1,4 @@
-"""Checked program → report: the written program re-simulated densely beside the original, stretch by stretch."""
+"""Collect the report of a compensation by simulating the original and the written program densely, stretch by stretch."""
 
 from __future__ import annotations
 
@@ -27,21 +27,22 @@ from twin.numerics.spatial import tilt
 from twin.uncertainty.at_tool import ToolUncertainty
 
 ENDS: Final = 16_384
-"""Whose uncertainty is taken at once: 36 numbers for every end."""
+"""Block end points whose uncertainty is evaluated at once; each takes 36 numbers."""
 STRAIGHT_MM: Final = 1.0
 STRAIGHT_DEG: Final = 0.3
-"""How far from a straight line axes may be for their uncertainty to be taken along it: over so little, that of a curve changes by less
-than a hundredth but at the very ends of its domain."""
+"""Deviation of an axis from a straight line (mm, degrees) up to which uncertainty is interpolated along that line. Over such a distance
+a curve's uncertainty changes by less than one per cent, except at the very ends of its domain.
+"""
 SAME_SIDE: Final = 0.01
-"""The same of the sides that axes come from, +1 and −1."""
+"""The same limit for approach directions, which range from −1 to +1."""
 
 
 @final
 class CompensationAccount:
-    """The account of one compensated program.
+    """Builds the report of one compensated program.
 
     Args:
-        bench: machine, calibration, options.
+        bench: machine, calibration and options.
         aim: what was corrected.
         source: the program's name.
     """
@@ -61,7 +62,7 @@ class CompensationAccount:
         self._of_sides: list[LineNote] = []
 
     def add(self, corrected: Corrected) -> None:
-        """Re-simulate densely what was written of a stretch, beside what was there before."""
+        """Simulate a corrected stretch densely, before and after correction, and add the result to the totals."""
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
         self._idle = pieces.idle
         for seen in self._seen(corrected):
@@ -86,12 +87,12 @@ class CompensationAccount:
         self._motions += len(pieces.start) - context
 
     def report(self, *, lines: int, moves: int, notices: Sequence[Notice]) -> Report:
-        """The account of all of it.
+        """Return the report of everything added so far.
 
         Args:
-            lines: how many lines the program has.
-            moves: how many moves.
-            notices: of whoever read it.
+            lines: number of lines of the program.
+            moves: number of its moves.
+            notices: notices of the program reader.
         """
         bench, options = self._bench, self._bench.options
         notes = (
@@ -136,15 +137,15 @@ class CompensationAccount:
             control=self._of_control(),
         )
 
-    # --- what is added -----------------------------------------------------------------------------------------------
+    # --- accumulation ------------------------------------------------------------------------------------------------
 
     def _seen(self, corrected: Corrected) -> Iterator[Seen]:
-        """Ends of pieces, then the dense points inside those of some legs."""
+        """Yield the end points of pieces, then dense points inside the pieces, one portion of legs after the other."""
         pieces, between, rows = corrected.pieces, corrected.between, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
         ways = between.ways(corrected.rows, corrected.rows.printed, as_run=True)
-        # Written unchanged: its arcs are arcs.
+        # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
         sided = bool(self._bench.lost.axes)
         if not sided:
@@ -168,14 +169,14 @@ class CompensationAccount:
         motion: np.ndarray,
         fraction: np.ndarray,
     ) -> Seen:
-        """Ends and dense points with the sides axes come from, which depend on all that was before.
+        """Return end points and dense points in order of travel, with approach directions, which depend on all earlier motion.
 
         Args:
-            corrected: the program.
-            ends: commands as meant and as given at the ends.
+            corrected: the stretch.
+            ends: nominal and written commands at the end points.
             inside: the same at the dense points.
-            motion: (n,) which motion those of both are on.
-            fraction: (n,) where on it.
+            motion: (n,) motion of each point, end points first.
+            fraction: (n,) fraction of the motion at which each point lies.
         """
         taken = np.zeros(len(motion), dtype=bool)
         taken[: len(corrected.own.taken)] = corrected.own.taken
@@ -187,11 +188,17 @@ class CompensationAccount:
             side[order] = self._bench.lost.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
             sides.append(side)
-        # A move that takes up a reversal has no place of its own to be at.
+        # A move that only takes up backlash has no nominal position.
         return Seen(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
 
     def _compare(self, seen: Seen, lines: np.ndarray, first: int) -> None:
-        """Re-simulate places, as meant and as given; of motions their ``lines``, and the number of the ``first``."""
+        """Simulate points with nominal and with written commands, and add the deviations to the tallies.
+
+        Args:
+            seen: the points.
+            lines: (motions,) line number of each motion.
+            first: number of the stretch's first motion within the program.
+        """
         before = self._bench.compared.poses(seen.meant, seen.meant, seen.meant_from)
         after = self._bench.compared.poses(seen.meant, seen.given, seen.given_from)
         keep = before.known & after.known
@@ -205,7 +212,7 @@ class CompensationAccount:
         self._sample.add(first, seen, keep)
 
     def _left_at_ends(self, rows: Rows) -> dict[str, np.ndarray]:
-        """(rows,) how far the point is off at ends: by ``rounding``, and by the ``solver``."""
+        """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good = ~rows.untouched & ~rows.clamped
         left_um = {}
         for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
@@ -215,13 +222,13 @@ class CompensationAccount:
         return left_um
 
     def _correct(self, rows: Rows, lines: np.ndarray) -> None:
-        """How far the tool was moved at the block ends, and how well the calibration knows that it had to be.
+        """Tally how far the correction moves the tool at block end points, and the uncertainty of that correction.
 
-        By the machine as drawn from the meant commands to the given ones; the calibration's uncertainty, of what is in scope, at
-        the meant ones: there and at the given ones it is the same to a thousandth.
+        The displacement is that of the machine without errors between nominal and compensated commands. The uncertainty is that of the
+        corrected errors at the nominal commands; at the compensated ones it differs by less than a thousandth.
         """
         aim = self._aim
-        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is accounted for by itself
+        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
         moved = self._bench.corrected_by.poses(Commands(rows.nominal), Commands(given))
         keep = ~rows.untouched & ~rows.taken & moved.known
         keep &= every(~self._bench.full.outside_domain(rows.nominal))
@@ -234,17 +241,17 @@ class CompensationAccount:
         if not aim.point.calibration.empty:
             at_point = _known(aim.at_point, rows)
             self._point.add(of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
-        turned = ~rows.singular  # the others are listed as what cannot be corrected
+        turned = ~rows.singular  # the others are listed as not corrected
         asked = aim.scope.orientation and self._bench.thesis is None
         if asked and aim.at_axis is not None and np.any(turned):
             known = at_point if at_point is not None and aim.at_axis is aim.at_point else _known(aim.at_axis, rows)
             size = moved.angle_rad[turned] * 1e6
             self._axis.add(of[turned], rows.motion[turned], size, known[turned, 1], aim.at_axis)
 
-    # --- what is made of it ------------------------------------------------------------------------------------------
+    # --- results -----------------------------------------------------------------------------------------------------
 
     def _of_control(self) -> ControlNote | None:
-        """What the control does by itself at the poses the classes are told apart at."""
+        """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
         section, alone = self._bench.calibration.control, self._bench.control_alone
         if section is None:
             return None
@@ -258,7 +265,7 @@ class CompensationAccount:
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
     def _classes(self, *, whole: bool) -> Iterator[ClassShare]:
-        """The shares of the classes; ``whole`` where every block is corrected."""
+        """Yield the share of each class; ``whole``: whether every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
         nominal = self._bench.space.nominal
         meant, reached = nominal.forward(before), nominal.forward(after)
@@ -279,14 +286,14 @@ class CompensationAccount:
 
 
 def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> None:
-    """Distances (µm), angles and tilts (µrad) of some poses to a tally."""
+    """Add distances (µm), angles and tilts (µrad) of compared poses to a tally."""
     tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
     size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])
     tally.add(size, np.einsum("ij,ij->i", size, size), lines)
 
 
 def _known(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
-    """(rows, 2, 4) U of the point and its standard uncertainties, µm; of the axis and the rotation, µrad; NaN if nothing is known."""
+    """Return (rows, 2, 4): U and three standard uncertainties of the tool point (µm) and of its orientation (µrad); NaN if unknown."""
     if not tool.parameters:
         return np.full((len(rows.motion), 2, 4), np.nan)
 

@@ -1,4 +1,4 @@
-"""What became of a program: what is about to be written, read back and executed densely, beside the input."""
+"""Build the report of a refitted program: the output read back, executed densely and compared with the input."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from twin.nc.dialect import Dialect
 @final
 @dataclass(frozen=True)
 class Job:
-    """The input and what was made of it.
+    """The input of a refit and its results.
 
     Attributes:
         program: as read.
-        reading: what it says.
+        reading: its moves.
         path: its motions.
         fitted: its runs.
-        shares: of the tolerance.
+        shares: division of the tolerance.
         short: the program with fewer blocks.
-        text: what is about to be written.
-        dialect: its language.
-        result: the compensation, or what was posted without one; None where there is neither.
+        text: the output.
+        dialect: language of the output.
+        result: the compensation, or the posted program without one; None if there is neither.
         asked: whether the machine's errors were to be compensated.
     """
 
@@ -50,18 +50,18 @@ class Job:
 
 
 def account(fewer: Fewer, job: Job) -> PathReport:
-    """Execute what is about to be written on the machine with its errors, and tell.
+    """Execute the output on the machine with its errors, and return the report.
 
     Args:
-        fewer: made the blocks; its bench has the whole tolerance.
-        job: the input and what was made of it.
+        fewer: refitter of the runs; its bench has the whole tolerance.
+        job: the input and the results.
     """
     bench, errors = fewer.bench, fewer.bench.calibration
     tolerance = bench.options.tolerance_mm
     runs = tuple(_runs(fewer, job))
     notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.passed)]
     if not runs:
-        notes.insert(0, LineNote(1, "no run of short feed blocks: nothing was refitted"))
+        notes.insert(0, LineNote(1, "no run of short feed blocks found: nothing was refitted"))
     compensation = job.result.report if job.result is not None and fewer.compensated else None
     return PathReport(
         program=job.program.source,
@@ -73,7 +73,10 @@ def account(fewer: Fewer, job: Job) -> PathReport:
         angle_deg=float(np.degrees(tolerance / fewer.lever)),
         runs=runs,
         not_met=tuple(
-            LineNote(run.first_line, f"{run.total_um:.2f} µm from the input's path, to line {run.last_line}")
+            LineNote(
+                run.first_line,
+                f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}",
+            )
             for run in runs
             if run.total_um > tolerance * 1e3 * (1.0 + 1e-9)
         ),
@@ -85,7 +88,7 @@ def account(fewer: Fewer, job: Job) -> PathReport:
 
 
 def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
-    """The runs, executed: as the input means them, as they were shortened, and as they are about to be written."""
+    """Yield the report of each run, from executing the input, the shortened program and the output."""
     space, nominal = fewer.space, fewer.space.nominal
     members = {line for one in job.fitted for line in one.places.run.lines}
     moves, short_moves = job.reading.moves, job.short.reading.moves
@@ -124,26 +127,26 @@ def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
 
 
 def _done(fewer: Fewer, job: Job, dense: np.ndarray, begins: np.ndarray) -> Executed:
-    """What is about to be written, executed; ``begins``: the first move of it that each shortened one became."""
+    """Return the executed output; ``begins``: index of the first output move of each move of the shortened program."""
     again = job.dialect.read(job.text.encode("latin-1"), job.program.source)
     tcp = fewer.bench.options.tcp and not fewer.posted
     reading = job.dialect.moves(again, fewer.space.axes, tcp=tcp)
     done = execute_words(again, reading, fewer.space, fewer.bench.full, dense)
     if job.result is None:
         return done
-    # While a reversal is taken up the tool is in no place of its own.
+    # A move that only takes up backlash has no nominal position.
     moves = job.result.moves
     place = np.arange(len(moves)) - np.searchsorted(moves, moves)
     return done.without((begins[moves] + place)[job.result.taken])
 
 
 def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[UncertaintyContribution]:
-    """What the uncertainty at a place of the path is made of."""
+    """Yield the uncertainty budget at a point of the path."""
     path = max((run.path_um for run in runs), default=0.0)
     between_ends = max((run.machine_um for run in runs), default=0.0)
     yield UncertaintyContribution.within("path: fit and chords", path, "largest distance from the input")
     yield UncertaintyContribution.within(
-        "compensation between ends, rounding", between_ends, "largest distance from the blocks"
+        "compensation between end points, rounding", between_ends, "largest distance from the blocks"
     )
     known = None if compensation is None else compensation.uncertainty.point
     if known is not None:

@@ -1,4 +1,4 @@
-"""Fewer blocks for a run: a curve from corner to corner, and blocks along it, within what the tolerance leaves for the path."""
+"""Fewer blocks for a run: a curve from corner to corner, cut into blocks, within the path's share of the tolerance."""
 
 from __future__ import annotations
 
@@ -20,34 +20,38 @@ from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
 from twin.compensation.toolpath import Path
 
 LEVER_MM: Final = 100.0
-"""Where a tool has no length: how far from the tip the tool axis is held to the tolerance."""
+"""Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""
 COMPENSATION: Final = (0.1, 1e-3)
-"""The machine's share between ends: of what rounding leaves, and mm at most. It falls with the square of a block's length."""
+"""Share of the compensation between end points: fraction of the tolerance after rounding, and largest value in mm. The error between end
+points falls with the square of a block's length.
+"""
 FIT: Final = (0.25, 0.5, 0.75)
-"""What a curve may have of the path's share, tried in this order …"""
+"""Fractions of the path's share that a curve may use, tried in this order …"""
 ENOUGH: Final = 0.5
-"""… until there are no more control points than this share of the blocks that come out, and of the two together than this share of the
-blocks there were. A curve must leave a polyline by half the height of its chords, and points by what they were rounded to: where that
-is much, a curve needs more of the tolerance."""
+"""… until the control points are no more than this fraction of the output blocks, and both together no more than this fraction of the
+input blocks. A curve deviates from a polyline by at least half the height of its chords, and from points by their rounding; where
+these are large, the curve needs more of the tolerance.
+"""
 POWERS: Final = (0.0, 0.5, 1.0)
-"""Parameters tried: as the points come, as the root of the way between them, as the way. Points cut at equal steps of a curve's own
-parameter give it back (the cycloid at its cusps); points cut anyhow need the way."""
+"""Exponents of the parameter that are tried: equal steps per point, root of the distance, distance. Points taken at equal steps of a
+curve's own parameter need the first (a cycloid at its cusps); irregular points need the last.
+"""
 TRIAL: Final = 600
 """Blocks of a stretch on which the parameter is chosen."""
 NEAR: Final = 0.05
-"""Share of the path's share below which it does not matter where blocks and curve are still closer."""
+"""Fraction of the path's share below which a smaller distance between blocks and curve is not searched for."""
 STEPS: Final = 16
-"""Places a block at which a fitted curve is looked at."""
+"""Points per block at which a fitted curve is evaluated."""
 
 
 class Figures(NamedTuple):
-    """What a run's curves and blocks took of the tolerance, the largest of its stretches.
+    """Use of the tolerance by a run's curves and blocks, the largest over its stretches.
 
     Attributes:
-        share_mm: what the curve was allowed.
-        fit_mm: how far curve and input are apart, both ways, at the tool.
-        chord_mm: how far blocks and curve are.
-        path_mm: how far blocks and input are.
+        share_mm: tolerance of the curve.
+        fit_mm: distance between curve and input at the tool, in both directions.
+        chord_mm: distance between blocks and curve.
+        path_mm: distance between blocks and input.
     """
 
     share_mm: float = 0.0
@@ -59,15 +63,15 @@ class Figures(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Fitted:
-    """What became of one run.
+    """One refitted run.
 
     Attributes:
-        places: where its blocks end now.
-        shares: of the tolerance.
-        corners: how many of its vertices stayed corners, its ends not counted.
+        places: new end points of its blocks.
+        shares: division of the tolerance.
+        corners: number of vertices kept as corners, without the end points of the run.
         pieces: its curves.
-        figures: what they took.
-        why: why it was left as it is; empty where it was not.
+        figures: their use of the tolerance.
+        why: why it was left unchanged; empty if it was refitted.
     """
 
     places: Places
@@ -79,24 +83,24 @@ class Fitted:
 
     @property
     def control_points(self) -> int:
-        """Of its curves, and one a block left as it is."""
+        """Control points of its curves, plus one for each unchanged block."""
         standing = len(self.places.given) - sum(piece.blocks for piece in self.pieces)
         return sum(piece.degree for piece in self.pieces) + standing + 1
 
 
 @final
 class Fewer:
-    """Makes fewer blocks of runs.
+    """Refits runs with fewer blocks.
 
     Args:
-        bench: the machine, set up; its options have the whole tolerance.
-        increment: (axes,) least increments of the words that come out.
-        compensated: whether the machine's share of the tolerance is kept free.
-        posted: whether axis words come out whatever went in.
-        printed: whether every block is to be written anew, fitted or not.
+        bench: machine, calibration and options, with the whole tolerance.
+        increment: (axes,) least increments of the output words.
+        compensated: whether a share of the tolerance is reserved for the compensation between end points.
+        posted: whether axis words are written even for tool-tip input.
+        printed: whether every block is written anew, fitted or not.
 
     Raises:
-        InputError: a tolerance that rounding alone uses up.
+        InputError: rounding alone exceeds the tolerance.
     """
 
     def __init__(
@@ -113,10 +117,10 @@ class Fewer:
         self.shares(False)
 
     def shares(self, turning: bool) -> Shares:
-        """The tolerance shared out, for runs that turn rotary axes or do not.
+        """Return the division of the tolerance; ``turning``: for runs that turn rotary axes.
 
         Raises:
-            InputError: rounding alone uses it up.
+            InputError: rounding alone exceeds the tolerance.
         """
         half = self.increment / 2.0
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0
@@ -125,16 +129,17 @@ class Fewer:
         left = tolerance - rounding
         if left <= 0.0:
             raise InputError(
-                "--tolerance is no more than rounding takes",
-                expected=f"more than {rounding:.6f} mm: half a least increment of every axis"
-                + (f", rotary ones {self.lever:g} mm from the tip" if turning else ""),
+                "the tolerance does not exceed the rounding error",
+                expected=f"more than {rounding:.6f} mm, half a least increment of every axis"
+                + (f" (rotary axes at {self.lever:g} mm from the tip)" if turning else ""),
                 value=tolerance,
+                setting="tolerance",
             )
         machine = min(COMPENSATION[0] * left, COMPENSATION[1]) if self.compensated else 0.0
         return Shares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (left - machine) * 1e3)
 
     def of(self, run: Run, path: Path) -> Fitted:
-        """Fewer blocks for one run, where there are any."""
+        """Return one run with fewer blocks where possible."""
         first = path.motions[run.motions[0]].move
         turning = _turns(run)
         posted = self.posted and first.tcp
@@ -144,18 +149,18 @@ class Fewer:
         tool = self._tool(turning, first.tcp)
         modes = np.full(len(run.words), first.tcp)
         if np.any(self.bench.outside(self.space.commands(run.words, modes))):
-            return self._as_it_is(run, shares, "it leaves the range of an axis")
+            return self._as_it_is(run, shares, "outside the range of an axis")
         places = tool(run.words)
         moving = np.append(True, np.linalg.norm(np.diff(places, axis=0), axis=1) > SAME_MM)
         moving[-1] |= not moving[1:].any()
         vertices = run.words[moving]
         if len(vertices) < 3:
-            return self._as_it_is(run, shares, "it does not move the tool")
+            return self._as_it_is(run, shares, "the tool does not move")
         ids = np.cumsum(moving)[1:] - 1
         line = Polyline.of(vertices, tool)
         allowed -= _coarseness(line, tool)
         if allowed <= 0.0:
-            return self._as_it_is(run, shares, "its blocks are too far from straight at the tool")
+            return self._as_it_is(run, shares, "the blocks deviate too far from straight lines at the tool")
         cuts = corners(line, allowed)
         words: list[np.ndarray] = []
         given = np.zeros(len(run.lines), dtype=int)
@@ -177,7 +182,7 @@ class Fewer:
             changed[blocks] = True
             pieces += found[1]
             figures = Figures(*map(max, figures, found[2]))
-        why = "" if pieces else "no fewer blocks keep to the tolerance"
+        why = "" if pieces else "fewer blocks would exceed the tolerance"
         return Fitted(
             Places(run, np.concatenate(words), given, changed),
             shares,
@@ -188,7 +193,7 @@ class Fewer:
         )
 
     def _beyond(self, words: np.ndarray, *, tcp: bool) -> bool:
-        """Whether words lead beyond an axis's range or the domain of its error motions."""
+        """Return whether words leave an axis's range or the domain of its error motions."""
         commands = self.space.commands(words, np.full(len(words), tcp))
         lower, upper = self.bench.limits.T
         return bool(np.any((commands < lower) | (commands > upper)))
@@ -201,14 +206,17 @@ class Fewer:
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
     ) -> tuple[np.ndarray, list[CurvePiece], Figures] | None:
-        """The fewest blocks and control points found for a stretch without corners: the blocks' ends, the curve, what they take."""
+        """Return the block end points, curve and use of the tolerance with the fewest blocks and control points.
+
+        None if no blocks are saved.
+        """
         best, least = None, np.inf
         for part in FIT:
             line, pieces = self._curve(words, tool, part * allowed)
             if all(piece.blocks == 1 for piece in pieces):
                 continue
             curve, at = Fitter(line, tool, part * allowed).curve(pieces, STEPS)
-            # Blocks are straight in the words that come out.
+            # Blocks are straight in the output words.
             straight, out = (
                 (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
             )
@@ -226,7 +234,7 @@ class Fewer:
         return best
 
     def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Polyline, list[CurvePiece]]:
-        """The curve with the fewest control points, over the parameters."""
+        """Return the curve with the fewest control points over all parameters tried."""
         powers: tuple[float, ...] = POWERS
         if len(words) > 2 * TRIAL:
             costs = [_cost(Fitter(Polyline.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
@@ -236,9 +244,9 @@ class Fewer:
         return min(found, key=lambda one: _cost(one[1]))
 
     def _tool(self, turning: bool, tcp: bool) -> Tool:
-        """Words to places at the tool, mm: the point in the work frame, and the rotary words at the lever."""
+        """Return the function from words to coordinates at the tool, mm: the point in the work frame, and rotary words at the lever."""
         if not turning:
-            return lambda words: words[:, :3]  # the work frame stands to the axes as it is
+            return lambda words: words[:, :3]  # the work frame keeps its orientation to the axes
 
         def place(words: np.ndarray) -> np.ndarray:
             point = words[:, :3]
@@ -251,7 +259,7 @@ class Fewer:
 
 
 def _coarseness(line: Polyline, tool: Tool) -> float:
-    """How far a line is from the polyline of the places it is looked at, mm: nothing where its blocks are straight at the tool."""
+    """Return the largest deviation in mm of blocks, between their dense points, from straight lines at the tool."""
     middle = tool((line.dense[1:] + line.dense[:-1]) / 2.0)
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())
 

@@ -1,8 +1,8 @@
-"""A program or a table of points in, the program out that follows the same path with fewer blocks and lands within a tolerance of it.
+"""Refit a program or a table of points with fewer blocks within a tolerance.
 
-The tolerance holds for the path the machine with its errors executes beside the path the input means, both ways. It is shared out: what
-rounding may take, what the machine may err between the ends of a block, and the path itself; of that the curve gets as little as
-saves blocks, the blocks the rest. What comes out is read back and executed densely before anybody sees it.
+The tolerance holds between the path that the machine with its errors executes and the path of the input, in both directions. It is
+divided between rounding, compensation between block end points, and the path itself. Of the share of the path the curve gets the
+smallest part that saves blocks, and the blocks get the rest. The output is read back and executed densely before it is returned.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Refit:
 
     Attributes:
         text: the program, to be written as latin-1.
-        report: what was done.
+        report: its report.
     """
 
     text: str
@@ -58,8 +58,8 @@ class Refitter:
     Args:
         machine: the machine.
         calibration: its errors.
-        options: as of `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
-        compensated: whether the output is compensated; else it is meant for the machine as drawn.
+        options: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
+        compensated: whether the output is compensated; otherwise it is for the machine without errors.
 
     Raises:
         InputError: the machine cannot run programs.
@@ -89,11 +89,11 @@ class Refitter:
             dialect: its language.
             progress: called with a stage and the fraction done.
             into: the language to write; another than the program's own only for cutter locations, which are then posted.
-            printed: whether every block is to be written at the least increments, fitted or not: for points.
+            printed: whether every block is written rounded to the least increments, fitted or not; used for points.
 
         Raises:
-            InputError: the program cannot be read, or has something in it that must not pass; a tolerance that rounding alone uses up.
-            OutputError: the text produced does not say what was meant.
+            InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
+            OutputError: the output, read back, differs from the intended positions.
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
@@ -129,7 +129,7 @@ class Refitter:
     def _result(
         self, short: Shortened, dialect: Dialect, shares: Shares, say: Progress, *, into: Dialect | None
     ) -> Compensation:
-        """The shortened program compensated where that is asked for, posted where it is to be another language."""
+        """Return the shortened program compensated, posted, or both, as requested."""
         share = shares.compensation if self.compensated else shares.tolerance
         options = replace(self.bench.options, tolerance_mm=share * 1e-3)
         compensator = Compensator(self.bench.machine, self.bench.calibration, options)
@@ -143,7 +143,7 @@ class Refitter:
 
 
 def _others(path: Path, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
-    """Moves that are in no run, and where they end."""
+    """Return moves outside all runs, with their end points."""
     members = {line for run in runs for line in run.lines}
     return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
 
@@ -159,21 +159,21 @@ def refit(
     feed: float | None = None,
     progress: Progress | None = None,
 ) -> Refit:
-    """Refit the program of a file (or one that comes with twin), or the points of a table.
+    """Refit the program of a file (or a sample program of twin), or the points of a table.
 
     Args:
         program: its path; ``.csv`` is a table of points (`twin.compensation.fewer_blocks.points`).
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: as of `Refitter`.
+        options: as for `Refitter`.
         compensated: whether the output is compensated.
-        output: the name of the output, for its language; the program's own, ISO for points, if None.
+        output: name of the output, which determines its language; if None that of the program, ISO for points.
         feed: mm/min of a program made of points.
         progress: called with a stage and the fraction done.
 
     Raises:
         InputError: the input cannot be read, or the output's language does not fit it.
-        OutputError: as `Refitter.refit`.
+        OutputError: as for `Refitter.refit`.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
@@ -186,13 +186,17 @@ def refit(
     else:
         if feed is not None:
             raise InputError(
-                "--feed for a program", expected="--feed with points only: a program has its own", value=feed
+                "a feed was given for a program",
+                expected="a feed for points only; a program has its own",
+                value=feed,
+                setting="feed",
             )
         read, dialect = read_program(source)
     if target is not None and not dialect.becomes(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
-            expected=f"-o with {' '.join(dialect.suffixes)}",
+            expected=f"a file name ending in {' '.join(dialect.suffixes)}",
             file=output,
+            setting="output",
         )
     return refitter.refit(read, dialect, progress, into=target, printed=points)

@@ -1,4 +1,4 @@
-"""Tool path → correction: the commands for the ends of every block's pieces, and how many pieces a block needs."""
+"""Correction of a tool path: commands for the end points of every block's pieces, and the number of pieces per block."""
 
 from twin.compensation.solving.corrected import Corrected, corrected, replacing
 from twin.compensation.solving.pieces import Pieces

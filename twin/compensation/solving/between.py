@@ -1,4 +1,4 @@
-"""Between the ends of pieces: what the machine does there, densely, beside what was meant."""
+"""Dense check of the path between the end points of pieces: real tool points compared with nominal ones."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import SAME, Rows, Ways, counted, even_cuts, spacings
 
 SAMPLES_A_PIECE: Final = 5
-"""Interior points at which every piece is re-simulated; more where it is long."""
+"""Least number of interior points at which a piece is simulated; long pieces have more."""
 POSES: Final = 100_000
-"""Points checked at once, which bounds the memory it takes."""
+"""Points checked at once, to bound the memory."""
 
 
 class Samples(NamedTuple):
     """Dense points inside the pieces of legs.
 
     Attributes:
-        leg: (pieces,) which leg each piece is of.
-        number: (pieces,) which piece of it.
-        piece: (n,) which of the pieces each point is in.
-        within: (n,) at which fraction of it.
+        leg: (pieces,) leg of each piece.
+        number: (pieces,) index of the piece within its leg.
+        piece: (n,) piece of each point.
+        within: (n,) fraction of that piece.
     """
 
     leg: np.ndarray
@@ -36,10 +36,10 @@ class Samples(NamedTuple):
 
 @final
 class Between:
-    """Looks at a program, or a stretch of it, between the ends of its pieces.
+    """Errors of a program, or of a stretch of it, between the end points of its pieces.
 
     Args:
-        pieces: cut.
+        pieces: the program cut into pieces.
     """
 
     def __init__(self, pieces: Pieces) -> None:
@@ -47,11 +47,11 @@ class Between:
         self._known_mm = np.full(len(pieces.legs.motion), np.nan)
 
     def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
-        """What was found inside some legs no longer holds."""
+        """Discard cached errors of some legs."""
         self._known_mm[legs] = np.nan
 
     def left(self, rows: Rows) -> np.ndarray:
-        """(motions,) largest distance (mm) as of `largest` that is left inside each motion, 0 where there is no path to keep to."""
+        """Return (motions,) the largest error (mm) inside each motion, as in `largest`; 0 where no path is defined."""
         motion = self._pieces.legs.motion
         legs = np.flatnonzero(self._pieces.interpolated[motion])
         unknown = legs[np.isnan(self._known_mm[legs])]
@@ -60,7 +60,7 @@ class Between:
         return self._by_motion(legs, self._known_mm[legs])
 
     def left_as_run(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
-        """(n,) the same of some motions, from where the axes really stand when each begins."""
+        """Return (motions,) the largest error (mm) inside some motions, starting from the actual axis positions; as in `left`."""
         legs = np.flatnonzero(np.isin(self._pieces.legs.motion, motions))
         return self._by_motion(legs, self._distances(legs, rows, as_run=True))[motions]
 
@@ -70,9 +70,9 @@ class Between:
         return found
 
     def largest(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
-        """(legs,) largest distance (mm) of the reached point from the meant one between the ends of each leg's pieces.
+        """Return (legs,) the largest distance (mm) of the real from the nominal point between the end points of each leg's pieces.
 
-        Linear words are taken before rounding, so that splitting is not asked to cure rounding.
+        Linear words are taken before rounding, so that blocks are not split because of rounding.
         """
         self._known_mm[legs] = self._distances(legs, rows, as_run=False)
         return self._known_mm[legs]
@@ -87,17 +87,17 @@ class Between:
         samples, aim = self.samples(legs), self._pieces.aim
         sides = self._sides(samples, rows, ways) if aim.point.directed else None
         distance = aim.compared.distance_mm(self.meant(samples), self.given(samples, ways), sides)
-        # A leg that another stands for has no piece, and no point.
+        # A leg merged into another has no pieces and no points.
         points = self._each(legs) * self._pieces.legs.count[legs]
         worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
         return np.where(points > 0, worst, 0.0)
 
     def _sides(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
-        """(n, axes) sides that axes come from inside pieces."""
+        """Return (n, axes) approach directions inside pieces."""
         row = _rows_of(samples, ways)
         sides = rows.approach[row[samples.piece]]
         for axis in set(self._pieces.aim.lost.axes) & set(self._pieces.bench.machine.rotary):
-            # A rotary axis may be part of the way through its play at either end. One that turned unseen is through.
+            # A rotary axis may be partly through its play at either end point. After an unobserved reversal it is fully through.
             last = np.maximum(row - 1, 0)
             unseen = rows.turned[row, axis] & ~rows.taken[last]
             before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
@@ -107,11 +107,11 @@ class Between:
     # --- dense points ------------------------------------------------------------------------------------------------
 
     def portions(self, legs: np.ndarray) -> list[np.ndarray]:
-        """Legs in portions of no more than some `POSES` samples, about as many in each."""
+        """Split legs into portions of about equal size with at most about `POSES` samples."""
         return np.split(legs, even_cuts(self._each(legs) * self._pieces.legs.count[legs], POSES)) if legs.size else []
 
     def samples(self, legs: np.ndarray) -> Samples:
-        """Dense points inside the pieces of legs of interpolated motions."""
+        """Return dense points inside the pieces of legs of interpolated motions."""
         pieces = self._pieces.legs.count[legs]
         leg, number = counted(legs, pieces)
         points = np.repeat(self._each(legs), pieces)
@@ -119,7 +119,7 @@ class Between:
         return Samples(leg, number, piece, (point + 0.5) / points[piece])
 
     def _each(self, legs: np.ndarray) -> np.ndarray:
-        """(legs,) how many dense points every piece of each leg has."""
+        """Return (legs,) the number of dense points per piece of each leg."""
         all_legs = self._pieces.legs
         share = all_legs.end[legs] - all_legs.begin[legs]
         points = np.ceil(self._spacings[all_legs.motion[legs]] * share / np.maximum(all_legs.count[legs], 1))
@@ -127,22 +127,22 @@ class Between:
 
     @cached_property
     def _spacings(self) -> np.ndarray:
-        """(motions,) how many of the largest distances between samples each is long."""
+        """(motions,) length of each motion in units of the largest distance between samples."""
         return spacings(self._pieces.start, self._pieces.end)
 
     def fractions(self, samples: Samples) -> np.ndarray:
-        """(n,) of the motion that each point is at."""
+        """Return (n,) the fraction of the motion at each point."""
         first, last = self._fractions(samples)
         return np.asarray(first[samples.piece] + samples.within * (last - first)[samples.piece])
 
     def _fractions(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-        """(pieces,) and (pieces,) of the motion that each piece begins and ends at."""
+        """Return (pieces,) and (pieces,) the fractions of the motion at which each piece begins and ends."""
         share = 1.0 / self._pieces.legs.count[samples.leg]
         begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
         return begin, end
 
     def meant(self, samples: Samples) -> Commands:
-        """Commands that the control makes of the program as it came."""
+        """Return the nominal commands, which the control derives from the original program."""
         motion = self._pieces.legs.motion[samples.leg]
         first, last = self._fractions(samples)
         if np.all(self._pieces.straight[motion]):
@@ -155,26 +155,26 @@ class Between:
         return Commands(self._space.commands(words, self._pieces.tcp[of]))
 
     def given(self, samples: Samples, ways: Ways) -> Commands:
-        """Commands where pieces go those ways."""
+        """Return the commands at the points if pieces follow the ways given."""
         row = _rows_of(samples, ways)
         tcp = self._pieces.tcp_out[self._pieces.legs.motion[samples.leg]]
         return self._on_lines(ways.begin.take(row, axis=0), ways.way.take(row, axis=0), samples, tcp)
 
     def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
-        """Points on straight lines in (pieces, axes) words; ``tcp``: (pieces,)."""
+        """Return points on straight lines in (pieces, axes) words; ``tcp``: (pieces,) mode."""
         if not np.any(tcp):
             way = way[:, np.argsort(self._space.order)]
             return Commands(self._space.commands(begin, tcp), way, samples.piece, samples.within)
         words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
         return Commands(self._space.commands(words, tcp[samples.piece]))
 
-    # --- where pieces go ---------------------------------------------------------------------------------------------
+    # --- ways of pieces ----------------------------------------------------------------------------------------------
 
     def ways(self, rows: Rows, given: np.ndarray, *, as_run: bool = False) -> Ways:
-        """The way of each piece, its end being ``given`` in words.
+        """Return the way of each piece, with its end point at the words ``given``.
 
-        A motion that starts from a place left as written really starts there (``as_run``); for splitting it is taken to
-        start compensated, since no splitting cures its first end.
+        With ``as_run``, a motion after a line left as written starts at its actual position. For splitting it is assumed to start
+        compensated, because splitting cannot correct its starting point.
         """
         first = np.append(True, rows.motion[1:] != rows.motion[:-1])
         begin = np.concatenate([given[:1], given[:-1]])
@@ -184,17 +184,17 @@ class Between:
         return Ways(begin, given - begin, ends, first_of_leg)
 
     def begins_off(self, rows: Rows) -> np.ndarray:
-        """(motions,) whether each begins where the axes were left uncorrected: by the motion before, or by a line between them."""
+        """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
         off = np.zeros(len(self._pieces.start), dtype=bool)
         off[1:] = (rows.untouched | rows.clamped)[self._ends_of(rows)[:-1]] | ~self._follows[1:]
         return off & self._pieces.interpolated
 
     def _ends_of(self, rows: Rows) -> np.ndarray:
-        """(motions,) the last row of each."""
+        """Return (motions,) the last row of each motion."""
         return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
 
     def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
-        """(motions, axes) words each motion starts from: the last of the one before, where it follows on."""
+        """Return (motions, axes) words at the start of each motion: the last ones of the motion before, if it continues from there."""
         pieces = self._pieces
         begin = np.full_like(pieces.start, np.nan)
         begin[1:] = given[self._ends_of(rows)[:-1]]
@@ -207,12 +207,14 @@ class Between:
         return begin
 
     def _standing(self, apart: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
-        """(n, axes) commands where some motions begin: axes that a line between left as written moved stand where that says.
+        """Return (n, axes) actual commands at the start of some motions.
+
+        Axes moved by a line left as written between two motions stand where that line put them.
 
         Args:
             apart: (n,) the motions.
-            nominal: (n, axes) where they were meant to begin.
-            begin: (motions, axes) words that the motion before each ends in.
+            nominal: (n, axes) nominal commands at their start.
+            begin: (motions, axes) words at the end of the motion before.
         """
         standing = np.array(nominal)
         after = apart > 0
@@ -232,5 +234,5 @@ class Between:
 
 
 def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
-    """(pieces,) the row each piece ends in."""
+    """Return (pieces,) the row of each piece's end point."""
     return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])

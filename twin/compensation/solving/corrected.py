@@ -1,6 +1,6 @@
-"""A program, or a stretch of it, corrected: solved, and split where the machine would leave the meant path between two ends.
+"""Correct a program, or a stretch of it: solve all end points, and split blocks where the path between them leaves the tolerance.
 
-With reversals a block is cut where such an axis turns round inside it, too (`twin.compensation.solving.reversals`).
+If an axis has backlash, a block is also cut where that axis reverses inside it (`twin.compensation.solving.reversals`).
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from twin.machine.effects.empirical import check_ranges
 from twin.nc.iso.bulk import NewPositions
 
 LARGEST_SPLIT: Final = 4096
-"""Pieces a block may be split into; an error that needs more is not one that splitting cures."""
+"""Most pieces per block; an error that needs more cannot be reduced by splitting."""
 MOST_ROUNDS: Final = 16
-"""Times that blocks are split again."""
+"""Most rounds of splitting."""
 ARC_POINTS: Final = 64
-"""Points of an arc at which it is compared with the ranges, for the message."""
+"""Points of an arc that are compared with the axis ranges, for the message."""
 
 
 @final
 @dataclass(frozen=True)
 class Corrected:
-    """A program, or a stretch of it, corrected.
+    """A corrected program, or a stretch of it.
 
     Attributes:
-        pieces: what it was cut into.
-        between: what happens between the ends of these.
-        rows: the commands for the ends.
-        context: how many of its motions, the first ones, belong to the stretch before.
+        pieces: the program cut into pieces.
+        between: the errors between their end points.
+        rows: the commands at the end points.
+        context: number of its first motions that belong to the stretch before.
     """
 
     pieces: Pieces
@@ -50,17 +50,17 @@ class Corrected:
 
     @cached_property
     def lines(self) -> np.ndarray:
-        """(motions,) their line numbers."""
+        """(motions,) line numbers."""
         return self.pieces.path.columns.line + 1
 
     @cached_property
     def own(self) -> Rows:
-        """The rows behind the context."""
+        """The rows after the context."""
         return self.rows.where(slice(int(np.searchsorted(self.rows.motion, self.context)), None))
 
     @cached_property
     def new(self) -> NewPositions:
-        """What replaces the motions behind the context; nothing does of those that stay as written."""
+        """Positions that replace the motions after the context; none for motions left as written."""
         pieces, rows = self.pieces, self.rows
         count = pieces.count(rows)
         first = np.cumsum(count) - count
@@ -69,24 +69,24 @@ class Corrected:
         elif not pieces.posted:
             count[rows.motion[rows.untouched]] = 0
         positions = np.array(rows.printed)
-        # No rotary words: the vector says it, or the program has none.
+        # No rotary words: a vector gives the orientation, or the program has none.
         bare = pieces.by_vector[rows.motion] | (not pieces.aim.turns)
         positions[np.ix_(bare, range(3, positions.shape[1]))] = np.nan
         return NewPositions(first[self.context :], count[self.context :], positions, rows.vectors)
 
     @property
     def rewritten(self) -> int:
-        """How many motions are given new words."""
+        """Number of motions with new words."""
         return int(np.count_nonzero(self.new.count))
 
 
 def replacing(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
-    """What replaces the moves of a program, or of a part of it, corrected in stretches.
+    """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
 
     Args:
-        stretches: one behind the other.
-        moves: how many moves it has.
-        axes: how many words a position has.
+        stretches: consecutive stretches.
+        moves: number of moves.
+        axes: number of words per position.
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
@@ -100,15 +100,15 @@ def replacing(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPosit
 
 
 def corrected(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
-    """Solve all blocks, splitting where the error between two ends exceeds the tolerance.
+    """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:
         pieces: the program, or a stretch of it.
         say: called with a stage and the fraction done.
-        context: how many of its motions, the first ones, belong to the stretch before.
+        context: number of its first motions that belong to the stretch before.
 
     Raises:
-        InputError: a position that the calibration does not cover; an arc that cannot be compensated whole.
+        InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
     """
     bench, lines = pieces.bench, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
@@ -128,7 +128,7 @@ def corrected(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
 
 
 def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
-    """Split blocks until the machine keeps to the path between their ends, or splitting does not help."""
+    """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
     legs, tolerance = pieces.legs, pieces.bench.options.tolerance_mm
     candidates = np.flatnonzero(pieces.interpolated[legs.motion])
     for step in range(1, MOST_ROUNDS + 1):
@@ -142,7 +142,7 @@ def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
         candidates = candidates[failing]
         if not candidates.size:
             break
-        # The error between ends is quadratic in length.
+        # The error between end points is quadratic in length.
         factor = np.clip(1.1 * np.sqrt(worst[failing] / tolerance), 1.3, 16.0)
         legs.count[candidates] = np.minimum(np.ceil(legs.count[candidates] * factor).astype(int), LARGEST_SPLIT)
         between.forget(candidates)
@@ -151,7 +151,7 @@ def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
 
 
 def _whole(pieces: Pieces, between: Between, rows: Rows) -> Rows:
-    """Leave blocks that leave the range on their way as written, whole."""
+    """Restore blocks that leave an axis's range between their end points: left as written, in one piece."""
     legs = pieces.legs
     kept = pieces.left_as_written(rows)
     if not np.any(pieces.count(rows)[kept] > 1):
@@ -164,7 +164,7 @@ def _whole(pieces: Pieces, between: Between, rows: Rows) -> Rows:
 
 
 def _check_arcs(pieces: Pieces, rows: Rows) -> None:
-    """Raise `InputError` if an arc is left as written: it would not begin where the compensated block before it ends."""
+    """Raise `InputError` if an arc would be left as written: it would not begin where the compensated block before it ends."""
     arcs = rows.motion[rows.untouched & ~pieces.straight[rows.motion]]
     if not arcs.size:
         return
@@ -179,7 +179,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
     i = int(np.argmax(beyond[row]))
     place, side = commands[row, i], int(commands[row, i] >= limits[i, 0])
     raise InputError(
-        f"the arc {'ends at' if at_end else 'passes'} {machine.axes[i].name} {place:.6g}, {('below', 'above')[side]} the axis's "
+        f"the arc {'ends at' if at_end else 'reaches'} {machine.axes[i].name} {place:.6g}, {('below', 'above')[side]} the axis's "
         f"{('minimum', 'maximum')[side]} {limits[i, side]:g}",
         expected="arcs within the range of every axis: is the work offset missing?",
         file=pieces.source,
@@ -189,7 +189,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
 
 
 def _check_ranges(pieces: Pieces, rows: Rows) -> None:
-    """Raise `InputError` if a corrected block leaves, between its ends, the range of an effect without a known cause."""
+    """Raise `InputError` if a corrected block leaves the range of an empirical effect between its end points."""
     calibration = pieces.bench.calibration
     if calibration.empirical:
         nominal = rows.nominal[~rows.untouched]

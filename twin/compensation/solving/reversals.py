@@ -1,7 +1,7 @@
-"""Reversals taken up: every axis is commanded for the side it comes from, and a move of its own takes up what a turn costs.
+"""Backlash compensation: every axis is commanded for its approach direction, and inserted moves take up the backlash at reversals.
 
-Wherever an axis turns round, between blocks or inside one, the move takes up the reversal before the way back begins: that start needs
-the new side's command, not the old one's.
+Where an axis reverses, between blocks or inside one, the inserted move takes up the backlash before the way back begins, because that
+starting point needs the command for the new direction.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import Rows
 
 RETURN: Final = 3.0
-"""Least increments by which an axis is taken beyond a place and back so that it has turned: rounding may take one of them."""
+"""Least increments by which an axis is moved beyond a position and back so that it has reversed; rounding may remove one of them."""
 
 
 def taken_up(pieces: Pieces, rows: Rows) -> Rows:
-    """The same pieces with every axis commanded for the side it comes from, and the moves that take up what a turn costs."""
+    """Return the rows with every axis commanded for its approach direction, and with the moves inserted that take up backlash."""
     wanted = _wanted(pieces, rows)
     sides = pieces.aim.lost.turned(pieces.path, rows.motion, wanted)
     turned = np.append(np.zeros_like(sides[:1], dtype=bool), sides[1:] != sides[:-1], axis=0)
     at = _before_which(pieces, rows, wanted, turned)
     begin = np.where(rows.motion[at] == rows.motion[at - 1], rows.fraction[at - 1], 0.0)
-    # Where an axis jumps ahead when it turns, it goes beyond what takes that up and back, so that it has turned.
+    # An axis that jumps ahead when it reverses is moved beyond that position and back, so that it has reversed.
     ahead = turned[at] & (pieces.aim.lost.size >= pieces.bench.machine_increment)
     beyond = np.where(ahead, -RETURN * pieces.bench.machine_increment * sides[at], 0.0)
     over = np.flatnonzero(ahead.any(axis=1))
@@ -46,10 +46,10 @@ def taken_up(pieces: Pieces, rows: Rows) -> Rows:
 
 
 def _before_which(pieces: Pieces, rows: Rows, wanted: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Rows in front of which a move takes up a reversal.
+    """Return the rows before which a move is inserted that takes up backlash.
 
-    Not on a rapid, and not behind a line passed through: there the axis is taken to its new side on its way to the end; unless it
-    jumps ahead when it turns, and its way is too short to show it.
+    None is inserted on a rapid or after a passed-through line: there the axis reaches its new side on the way to the end point, unless
+    it jumps ahead when it reverses and its way is too short for that.
     """
     size = pieces.aim.lost.size
     at = np.flatnonzero(turned.any(axis=1))
@@ -64,7 +64,7 @@ def _before_which(pieces: Pieces, rows: Rows, wanted: np.ndarray, turned: np.nda
 
 
 def _wanted(pieces: Pieces, rows: Rows) -> np.ndarray:
-    """(rows, axes) where the axes are really to be: compensated for everything but reversals, and not rounded."""
+    """Return (rows, axes) the intended axis positions: compensated for everything but backlash, not rounded."""
     start = np.clip(rows.nominal, *pieces.bench.limits.T)
     commands, _ = pieces.oriented(rows.target, start, None)
     solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
@@ -72,7 +72,7 @@ def _wanted(pieces: Pieces, rows: Rows) -> np.ndarray:
 
 
 def _followed(pieces: Pieces, rows: Rows) -> Rows:
-    """What is printed may take a rotary axis to its new side in part only: the linear axes follow what it does."""
+    """Solve the linear axes again for rotary axes that, as printed, reach their new side only in part."""
     rotary = list(pieces.bench.machine.rotary)
     if not set(rotary) & set(pieces.aim.lost.axes):
         return rows
@@ -87,7 +87,10 @@ def _followed(pieces: Pieces, rows: Rows) -> Rows:
 
 
 def _ratcheted(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
-    """Axes that do not step back, by rounding, on the way to their side: play would swallow it, a control might turn."""
+    """Return the rows without small steps back caused by rounding.
+
+    Backlash would absorb such a step, or a control might see a reversal.
+    """
     increment = pieces.increment
     commands = rows.commands.copy()
     fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.bench.machine.rotary))
@@ -112,7 +115,7 @@ def _ratcheted(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, .
 
 
 def _not_back(way: np.ndarray, most: float) -> np.ndarray:
-    """A way up with its steps back left out, if they are smaller than ``most``: larger ones are no rounding."""
+    """Return a rising sequence with steps back below ``most`` removed; larger ones are not caused by rounding."""
     out = []
     top = way[0]
     for place in way.tolist():

@@ -1,4 +1,4 @@
-"""A program of any length written, stretch by stretch, and read back."""
+"""Write a program of any length stretch by stretch, and read it back."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ ISO: Final = Iso()
 
 @final
 class PartWriter:
-    """Writes a program, part by part.
+    """Writes a program part by part.
 
     Args:
-        bench: machine, calibration, options.
-        source: the program as it came.
-        out: takes what comes out.
+        bench: machine, calibration and options.
+        source: the original program.
+        out: output stream.
 
     Attributes:
-        moves: how many were written.
-        bytes: how much was read of what was written.
+        moves: number of moves written.
+        bytes: bytes of the original program that have been written.
     """
 
     def __init__(self, bench: Bench, source: ProgramFile, out: BinaryIO) -> None:
@@ -46,7 +46,7 @@ class PartWriter:
         """Write a part, and read back what was written.
 
         Raises:
-            OutputError: it does not say what was meant.
+            OutputError: it differs from the intended positions.
         """
         first = 0
         for read in part.read:
@@ -58,7 +58,9 @@ class PartWriter:
     def _write(self, read: Read, new: NewPositions, *, idle: bool) -> None:
         stretch, moves = read
         if self._rewriter is None and not len(moves):
-            self._held.append(stretch.scan.data)  # the first move tells who does the kinematics in front of it
+            self._held.append(
+                stretch.scan.data
+            )  # the mode of the lines before the first move is that of the first move
             return
         if self._rewriter is None:
             newline, style = self._begins
@@ -79,7 +81,7 @@ class PartWriter:
         self.bytes += len(stretch.scan.data)
 
     def _put(self, data: bytes, *, last: bool) -> None:
-        """Write, the first lines not before all of them are there: then with the comments at the head of the program."""
+        """Write data; the first lines are held until the head is complete and then written with the warning comments."""
         if self._head is None:
             self._out.write(data)
             return
@@ -90,5 +92,5 @@ class PartWriter:
             self._head = None
 
     def finish(self) -> None:
-        """Write what waits for more lines."""
+        """Write the lines still held."""
         self._put(b"", last=True)

@@ -1,4 +1,4 @@
-"""From what a program says to what the axes are told: words, commands, and the path between two blocks."""
+"""Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
 from twin.compensation.toolpath.follow import Follower, follow
 from twin.compensation.toolpath.motions import MotionColumns, Passage, Path, PathMotion
