@@ -45,24 +45,24 @@ def test_poses_beside_those_meant(
     comparison = PoseComparison(real, nominal)
     meant, given = lines(n, 5), lines(n, 6)
     found = comparison.poses(meant, given)
-    reached, target = real.forward(given.written()), nominal.forward(meant.written())
+    reached, target = real.forward(given.as_array()), nominal.forward(meant.as_array())
     distance = np.linalg.norm(reached.point_mm - target.point_mm, axis=1)
     assert np.abs(found.distance_mm - distance).max() <= ROUNDING_MM
     assert np.abs(found.angle_rad - angle_between_rad(reached.axis, target.axis)).max() <= ROUNDING_RAD
     leaning = np.einsum("nij,ni->nj", target.rotation, reached.axis)
-    assert np.abs(found.leaning - leaning).max() <= ROUNDING_RAD
+    assert np.abs(found.axis_in_nominal_frame - leaning).max() <= ROUNDING_RAD
     assert found.known.all()
     assert np.abs(comparison.distance_mm(meant, given) - distance).max() <= ROUNDING_MM
     # The same written out; and of commands that are those meant only the errors are left.
-    plain = comparison.poses(Commands(meant.written()), Commands(given.written()))
+    plain = comparison.poses(Commands(meant.as_array()), Commands(given.as_array()))
     assert np.abs(plain.distance_mm - distance).max() <= ROUNDING_MM
     errors = comparison.poses(given, given)
-    small = real.forward(given.written())
-    truth = nominal.forward(given.written())
+    small = real.forward(given.as_array())
+    truth = nominal.forward(given.as_array())
     assert np.abs(np.linalg.norm(small.point_mm - truth.point_mm, axis=1) - errors.distance_mm).max() <= ROUNDING_MM
-    assert tilt(errors.leaning) == pytest.approx(small.tilt_urad(truth) * 1e-6, abs=ROUNDING_RAD)
+    assert tilt(errors.axis_in_nominal_frame) == pytest.approx(small.tilt_urad(truth) * 1e-6, abs=ROUNDING_RAD)
     which = np.array([3, 1, 40])
-    assert np.array_equal(given.written(which), given.written()[which])
+    assert np.array_equal(given.as_array(which), given.as_array()[which])
 
 
 def test_what_is_not_known(dmu50: Machine, calibration: Calibration) -> None:

@@ -22,7 +22,7 @@ from twin import cli, compensate
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.backlash import LostMotion
+from twin.compensation.backlash import Backlash
 from twin.compensation.execute import execute
 from twin.compensation.toolpath import Path as ToolPath
 from twin.compensation.toolpath import WordSpace, follow
@@ -325,9 +325,9 @@ def test_sides_of_play_and_of_a_control_that_jumps(dmu50: Machine) -> None:
     commands[:, 1] = way
     motion = np.zeros(len(way), dtype=int)
 
-    def of(size: float) -> LostMotion:
+    def of(size: float) -> Backlash:
         effect = effect_named("reversal", "Y", {"size": size}, dmu50)
-        return LostMotion(replace(Calibration.zero(dmu50), extra=(effect,)))
+        return Backlash(replace(Calibration.zero(dmu50), extra=(effect,)))
 
     play = of(-10.0).sides(path, motion, commands)[:, 1]
     assert play == pytest.approx([0.0, 0.6, 1.0, 1.0, 0.34, -1.0, -0.6, -1.0])
@@ -350,7 +350,7 @@ def test_lines_left_as_written_move_axes_too(dmu50: Machine, tmp_path: Path) -> 
         (3, 0),
     ]
     effects = tuple(effect_named("reversal", axis, {"size": -10.0}, dmu50) for axis in "YZ")
-    lost = LostMotion(replace(Calibration.zero(dmu50), extra=effects))
+    lost = Backlash(replace(Calibration.zero(dmu50), extra=effects))
     commands = space.commands(
         np.array([motion.end for motion in path.motions]), np.zeros(len(path.motions), dtype=bool)
     )
@@ -420,7 +420,7 @@ def executed(text: str, machine: Machine, known: Calibration) -> tuple[Compensat
     program = dialect.read(result.text.encode(), "out.nc")
     space = compensator.bench.space
     run = execute(
-        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.bench.full
+        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.bench.real
     )
     reached = run.reached_mm[run.ends]
     off = np.linalg.norm(reached - space.nominal.forward(result.nominal).point_mm, axis=1) * 1e3

@@ -14,7 +14,7 @@ from scipy.interpolate import BPoly
 
 from tests.compensation.test_path import from_line
 from twin.compensation.fewer_blocks.chords import few_blocks
-from twin.compensation.fewer_blocks.distance import to_any, to_line
+from twin.compensation.fewer_blocks.distance import distances_anywhere, distances_near
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline
 
 
@@ -119,7 +119,7 @@ def test_distances_are_never_too_small(seed: int, vertices: int, count: int) -> 
     places = np.stack([np.interp(at, np.arange(vertices), column) for column in line.T], axis=1)
     points = places + rng.normal(size=places.shape) * rng.choice([1e-3, 0.3])
     exact = from_line(points, line)
-    assert to_any(points, line) == pytest.approx(exact, abs=1e-9)
-    near = to_line(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
+    assert distances_anywhere(points, line) == pytest.approx(exact, abs=1e-9)
+    near = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
     assert np.all(near >= exact - 1e-9)
     assert near == pytest.approx(exact, abs=1e-9)  # the widest window is wider than the line

@@ -116,7 +116,7 @@ def test_execution_follows_the_program(dmu50: Machine, calibration: Calibration)
     read, dialect = read_program("cone_frustum.nc")
     bench = Compensator(dmu50, calibration, Options(tool_length_mm=120.0)).bench
     path = follow(read, dialect.moves(read, bench.space.axes, tcp=False), bench.space)
-    run = execute(read, path, bench.space, bench.full)
+    run = execute(read, path, bench.space, bench.real)
     assert run.left_out == 0
     ends = run.positions[run.ends]
     assert ends == pytest.approx(np.array([q for _, q in run_iso(read.text)]), abs=1e-9)

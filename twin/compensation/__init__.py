@@ -56,8 +56,8 @@ end points by an independent machine model that shares no code with `twin`, tool
 #   blocks           Dialect.moves                Program                → Reading
 #   tool path        toolpath.follow              Reading                → Path
 #   pieces           solving.Pieces               Path                   → Pieces
-#   correction       solving.corrected            Pieces                 → Corrected
-#   output           solving.replacing, Dialect   Corrected              → NewPositions, text
+#   correction       solving.correct              Pieces                 → Corrected
+#   output           solving.new_positions, DialectCorrected              → NewPositions, text
 #   check            checked.check                NewPositions, output read back
 #   report           account.CompensationAccount  Corrected              → Report
 #

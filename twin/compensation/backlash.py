@@ -4,15 +4,15 @@ A *side* is an effect's ``approach_<axis>``: +1 approached from below, −1 from
 not moved yet, or that a line passed through unchanged has left at an unknown position. The path of a rapid move is not modelled: the
 side at the end point is that of the direct way from its start.
 
-**Model of the machine** (`LostMotion.sides`). A negative reversal value (the axis lags) is backlash: the axis stands still until its
+**Model of the machine** (`Backlash.sides`). A negative reversal value (the axis lags) is backlash: the axis stands still until its
 command has come back by that value, so the side changes gradually over this distance (the play operator of Krasnosel'skii and
 Pokrovskii, 1989). A positive reversal value (the axis jumps ahead) is not mechanical play but an overcompensating control, which acts
 at once when the command reverses; it is modelled that way.
 
-**Compensation** (`LostMotion.turned`). The inverse of the play operator is a step of the reversal value at every reversal of the
+**Compensation** (`Backlash.commanded_sides`). The inverse of the play operator is a step of the reversal value at every reversal of the
 intended axis motion, even if the way back is short. The intended motion is the corrected one: if the program holds an axis still and a
-straightness correction moves it back by some micrometres, backlash would absorb that motion. A way back of less than `TURN` least
-increments does not count as a reversal, because rounding of words causes as much; the error left by this rule is of that size.
+straightness correction moves it back by some micrometres, backlash would absorb that motion. A way back of less than `LEAST_REVERSAL`
+least increments does not count as a reversal, because rounding of words causes as much; the error left by this rule is of that size.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ STILL: Final = 1e-6
 UNEVEN: Final = 0.05
 """Largest variation along an axis (µm, µrad) of the reversal value that a control's table corrects: one digit of the table."""
 
-NOTHING: Final = 1e-8
+NEGLIGIBLE: Final = 1e-8
 """Reversal value (mm, degrees) below which the control corrects it fully, apart from rounding."""
 
-TURN: Final = 1.5
+LEAST_REVERSAL: Final = 1.5
 """Least increments by which an axis must come back to count as reversed: one is rounding, two are a reversal."""
 
 
 @final
-class LostMotion:
+class Backlash:
     """The reversal values of a calibration, less those corrected by the control itself.
 
     Args:
@@ -80,9 +80,9 @@ class LostMotion:
                 continue
             axis = effect.axis
             self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
-        self.size[np.abs(self.size) < NOTHING] = 0.0
+        self.size[np.abs(self.size) < NEGLIGIBLE] = 0.0
         self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]
-        self._dead_band = TURN * np.array([axis.increment for axis in machine.axes])
+        self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
     def sides(self, path: Path, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Return the approach directions that result from commands given one after the other.
@@ -99,23 +99,23 @@ class LostMotion:
         for axis in self.axes:
             way, own = _with_passages(path, motion, commands[:, axis], axis)
             lag = self.size[axis] < 0.0
-            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._held(way, axis))[own]
+            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._side_reached(way, axis))[own]
         return found
 
-    def turned(self, path: Path, motion: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    def commanded_sides(self, path: Path, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
         """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
 
         Returns:
             (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last one
             of equal points.
         """
-        found = np.zeros(wanted.shape)
+        found = np.zeros(intended.shape)
         for axis in self.axes:
-            way, own = _with_passages(path, motion, wanted[:, axis], axis)
-            found[:, axis] = _from_the_turn(way, self._held(way, axis))[own]
+            way, own = _with_passages(path, motion, intended[:, axis], axis)
+            found[:, axis] = _from_reversal(way, self._side_reached(way, axis))[own]
         return found
 
-    def _held(self, way: np.ndarray, axis: int) -> np.ndarray:
+    def _side_reached(self, way: np.ndarray, axis: int) -> np.ndarray:
         return _play(way, self._dead_band[axis])[1]
 
 
@@ -147,7 +147,7 @@ def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(states), np.array(sides)
 
 
-def _from_the_turn(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return sides that are detected late, moved back to the preceding extreme point."""
     found = sides.copy()
     unknown = np.flatnonzero(np.isnan(way))

@@ -10,7 +10,7 @@ from typing import Literal, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.backlash import LostMotion
+from twin.compensation.backlash import Backlash
 from twin.compensation.comparison import PoseComparison
 from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
@@ -85,10 +85,10 @@ class Bench:
 
     Attributes:
         space: conversion between words and commands on the machine without errors.
-        full: the machine with all its errors.
-        lost: its reversal values.
-        compared: pose comparison of the machine with all its errors with the nominal pose.
-        corrected_by: displacement of the tool between nominal and other commands, on the machine without errors.
+        real: the machine with all its errors.
+        backlash: its reversal values.
+        comparison: pose comparison of the machine with all its errors with the nominal pose.
+        nominal_comparison: displacement of the tool between nominal and other commands, on the machine without errors.
         thesis: the baseline method, if chosen.
         machine_increment: (axes,) least increments in command order.
         increment: (axes,) the same in word order.
@@ -106,10 +106,10 @@ class Bench:
         calibration.check_settled()
         options.conditions.require(calibration)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
-        self.full = self._with(calibration)
-        self.lost = LostMotion(calibration)
-        self.compared = PoseComparison(self.full, self.space.nominal)
-        self.corrected_by = PoseComparison(self.space.nominal, self.space.nominal)
+        self.real = self._with(calibration)
+        self.backlash = Backlash(calibration)
+        self.comparison = PoseComparison(self.real, self.space.nominal)
+        self.nominal_comparison = PoseComparison(self.space.nominal, self.space.nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
                 "the method of the thesis does not model the control's own tables and would correct their share twice",
@@ -128,13 +128,13 @@ class Bench:
     @cached_property
     def control_alone(self) -> Kinematics | None:
         """Machine without errors under the control's tables; None if the tables do not act on these errors."""
-        return self.limited(lambda name: False, lambda table: True) if self.calibration.corrections else None
+        return self.with_errors(lambda name: False, lambda table: True) if self.calibration.corrections else None
 
-    def limited(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
-        """Return the machine with only some of its errors; arguments as for `where`."""
-        return self._with(self.where(keep, keep_table))
+    def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
+        """Return the machine with only some of its errors; arguments as for `calibration_with`."""
+        return self._with(self.calibration_with(keep, keep_table))
 
-    def where(self, keep: Keep, keep_table: KeepTable) -> Calibration:
+    def calibration_with(self, keep: Keep, keep_table: KeepTable) -> Calibration:
         """Return the calibration with only some of its errors.
 
         Args:
@@ -190,18 +190,18 @@ class CorrectionAim:
     Attributes:
         turns: whether the program moves rotary axes.
         scope: classes that are corrected.
-        lost: reversal values that are corrected.
+        backlash: reversal values that are corrected.
     """
 
     def __init__(self, bench: Bench, turns: bool) -> None:
         self._bench = bench
         self.turns = turns
         self.scope = scope = bench.options.scope or Scope.everything(orientation=turns)
-        corrected = bench.where(
+        corrected = bench.calibration_with(
             lambda name: scope.at_point(name, bench.machine) or (turns and scope.in_orientation(name, bench.machine)),
             self._table_at_point,
         )
-        self.lost = LostMotion(corrected if bench.thesis is None else bench.space.nominal.calibration)
+        self.backlash = Backlash(corrected if bench.thesis is None else bench.space.nominal.calibration)
 
     def _table_at_point(self, table: ControlCorrection) -> bool:
         return self.scope.covers(_classes_of(table))
@@ -210,10 +210,10 @@ class CorrectionAim:
     def point(self) -> Kinematics:
         """Machine with the errors corrected at the functional point, less the control's own correction of them."""
         machine = self._bench.machine
-        return self._bench.limited(lambda name: self.scope.at_point(name, machine), self._table_at_point)
+        return self._bench.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
-    def compared(self) -> PoseComparison:
+    def comparison(self) -> PoseComparison:
         """Pose comparison of that machine with the nominal pose."""
         return PoseComparison(self.point, self._bench.space.nominal)
 
@@ -225,7 +225,7 @@ class CorrectionAim:
     @cached_property
     def orientation(self) -> Kinematics | None:
         """Machine with the errors corrected by the rotary axes; None if these do not move for it."""
-        limited = self._bench.limited(
+        limited = self._bench.with_errors(
             lambda name: self.scope.in_orientation(name, self._bench.machine),
             lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
         )
@@ -263,7 +263,9 @@ class CorrectionAim:
     def by_class(self) -> Mapping[str, Kinematics]:
         """Machine with the errors of one class alone, for every class in which it has errors."""
         bench = self._bench
-        found = {basic: bench.limited(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC}
+        found = {
+            basic: bench.with_errors(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC
+        }
         return {name: alone for name, alone in found.items() if not alone.calibration.empty}
 
 

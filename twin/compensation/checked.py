@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.errors import InputError, OutputError
-from twin.compensation.solving.rows import counted
+from twin.compensation.solving.rows import repeat_with_index
 from twin.nc.iso.bulk import NewPositions
 
 PRINTED_MM: Final = 2e-4
@@ -26,7 +26,7 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
     Raises:
         OutputError: they differ.
     """
-    of, within = counted(np.arange(len(lines)), np.maximum(new.count, 1))
+    of, within = repeat_with_index(np.arange(len(lines)), np.maximum(new.count, 1))
     if len(got) != len(of):
         line = int(lines[of[min(len(got), len(of) - 1)]]) if len(of) else 0
         raise OutputError(f"{source}:{line}: {len(got)} moves in the output, {len(of)} expected")

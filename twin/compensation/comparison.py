@@ -36,7 +36,7 @@ class Commands:
     line: np.ndarray | None = None
     share: np.ndarray | None = None
 
-    def written(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+    def as_array(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Return the commands as an (n, axes) array; ``which``: a selection of them."""
         if self.way is None or self.line is None or self.share is None:
             return np.asarray(self.begin[which])
@@ -59,18 +59,20 @@ class ComparedPoses:
     Attributes:
         distance_mm: (n,) distance between the functional points.
         angle_rad: (n,) angle between the tool axes.
-        leaning: (n, 3) tool axis in the nominal tool frame, the argument of `twin.numerics.spatial.tilt`.
+        axis_in_nominal_frame: (n, 3) tool axis in the nominal tool frame, the argument of `twin.numerics.spatial.tilt`.
         known: (n,) whether the commands are finite and within the domains of all curves of the machine.
     """
 
     distance_mm: np.ndarray
     angle_rad: np.ndarray
-    leaning: np.ndarray
+    axis_in_nominal_frame: np.ndarray
     known: np.ndarray
 
     def where(self, keep: np.ndarray) -> ComparedPoses:
         """Return a selection of the poses."""
-        return ComparedPoses(self.distance_mm[keep], self.angle_rad[keep], self.leaning[keep], self.known[keep])
+        return ComparedPoses(
+            self.distance_mm[keep], self.angle_rad[keep], self.axis_in_nominal_frame[keep], self.known[keep]
+        )
 
 
 @final
@@ -98,10 +100,10 @@ class PoseComparison:
 
     def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation; arguments as for `distance_mm`."""
-        distance, apart, leaning, beyond = self._poses(*self._inputs(meant, given, approach))
+        distance, axis_gap, axis_in_nominal_frame, beyond = self._poses(*self._inputs(meant, given, approach))
         known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
-        angle = 2.0 * np.arcsin(np.minimum(apart[:, 0] / 2.0, 1.0))
-        return ComparedPoses(distance[:, 0], angle, leaning, known)
+        angle = 2.0 * np.arcsin(np.minimum(axis_gap[:, 0] / 2.0, 1.0))
+        return ComparedPoses(distance[:, 0], angle, axis_in_nominal_frame, known)
 
     def _inputs(self, meant: Commands, given: Commands, approach: np.ndarray | None) -> Iterator[np.ndarray | Taken]:
         yield from meant.inputs
@@ -117,8 +119,8 @@ class PoseComparison:
     @cached_property
     def _poses(self) -> BatchFunction:
         inputs, distance, (meant, real), beyond = self._expressions
-        apart = ca.norm_2(real - meant[:, 2])
-        return BatchFunction(ca.Function("poses", inputs, [distance, apart, meant.T @ real, beyond]))
+        axis_gap = ca.norm_2(real - meant[:, 2])
+        return BatchFunction(ca.Function("poses", inputs, [distance, axis_gap, meant.T @ real, beyond]))
 
     @cached_property
     def _expressions(self) -> tuple[list[Any], Any, tuple[Any, Any], Any]:

@@ -20,7 +20,7 @@ from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import check, motionless, unreadable
-from twin.compensation.solving import Corrected, Pieces, corrected, replacing
+from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
 from twin.compensation.toolpath import Path as ToolPath
 from twin.compensation.toolpath import follow, turns_tool
@@ -48,7 +48,7 @@ class Compensation:
         commands: (rows, axes) compensated commands as printed.
         moves: (rows,) index of each row's move among those of the reading.
         lines: (rows,) program line of each row.
-        taken: (rows,) whether the row only takes up backlash before the block begins.
+        backlash_move: (rows,) whether the row only takes up backlash before the block begins.
     """
 
     text: str
@@ -61,7 +61,7 @@ class Compensation:
     commands: np.ndarray
     moves: np.ndarray
     lines: np.ndarray
-    taken: np.ndarray
+    backlash_move: np.ndarray
 
     def _repr_html_(self) -> str:
         return self.report._repr_html_()
@@ -118,7 +118,7 @@ class Compensator:
         posted = written.name != dialect.name
         aim = bench.aim(turns=turns_tool(reading.moves, axes))
         say("solving", 0.1)
-        found = corrected(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
+        found = correct(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
         rewrites = tuple(_rewrites(found))
         say("writing", 0.8)
         if posted:
@@ -131,12 +131,12 @@ class Compensator:
         say("checking", 0.9)
         account = CompensationAccount(bench, aim, program.source)
         account.add(found)
-        notices = [*reading.notices, *path.passed]
+        notices = [*reading.notices, *path.notices]
         report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
         say("done", 1.0)
         rows = found.rows
         moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
-        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.taken)
+        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
         return Compensation(text, report, reading, rewrites, path, *map(locked, columns))
 
     def _check(
@@ -148,7 +148,7 @@ class Compensator:
             again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
-        new = replacing([found], len(reading.moves), len(axes.names))
+        new = new_positions([found], len(reading.moves), len(axes.names))
         got = np.array([move.position for move in again.moves]).reshape(-1, len(axes.names))
         check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
 
@@ -175,7 +175,7 @@ class Compensator:
         dialect = dialect_of(program)
         target = dialect if into is None else into
         streams = (
-            dialect.in_stretches and target.name == dialect.name and program.is_file() and not self.bench.lost.axes
+            dialect.in_stretches and target.name == dialect.name and program.is_file() and not self.bench.backlash.axes
         )
         with command_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
@@ -272,7 +272,7 @@ def _rewrites(found: Corrected) -> Iterator[Rewrite]:
 def _shares(found: Corrected, part: slice) -> np.ndarray | None:
     """Return the share of a motion's time for each of its rows; None if all are equal. One degree counts as one millimetre."""
     rows = found.rows
-    taken = rows.taken[part]
+    taken = rows.backlash_move[part]
     if not np.any(taken):
         return None
     shares = np.diff(rows.fraction[part], prepend=0.0)

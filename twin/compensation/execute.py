@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.backlash import LostMotion
+from twin.compensation.backlash import Backlash
 from twin.compensation.toolpath import Path, PathMotion, Setup, WordSpace, check_domains, follow, outside_range
 from twin.display import card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
@@ -120,7 +120,7 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
     ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
     positions = space.commands(words, columns.tcp[of])
     check_domains(real, program.source, lines[ends], positions[ends])
-    sides = LostMotion(real.calibration).sides(path, of, positions)
+    sides = Backlash(real.calibration).sides(path, of, positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
     meant, reached = space.nominal.forward(positions), real.forward(positions, sides)

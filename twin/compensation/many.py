@@ -61,8 +61,8 @@ class ProgramOutcome:
         if self.error is not None:
             return f"failed: {self.error}"
         before, after = self.summary["before"], self.summary["after"]
-        told = f"{before['rms_um']:.2f} → {after['rms_um']:.2f} µm RMS, {before['max_um']:.2f} → {after['max_um']:.2f} µm max"
-        return f"{self.summary['headline']} ({told})"
+        change = f"{before['rms_um']:.2f} → {after['rms_um']:.2f} µm RMS, {before['max_um']:.2f} → {after['max_um']:.2f} µm max"
+        return f"{self.summary['headline']} ({change})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON report."""
@@ -78,7 +78,7 @@ class ProgramOutcome:
 
 @final
 @dataclass(frozen=True)
-class Order:
+class ProgramTask:
     """One program to compensate.
 
     Attributes:
@@ -103,7 +103,7 @@ class ProgramAnswer(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Shop:
+class ProgramCompensator:
     """Machine, calibration and options common to all programs."""
 
     machine: Machine
@@ -119,21 +119,21 @@ class Shop:
         """Compensator, created once per worker."""
         return Compensator(self.machine, self.calibration, self.options)
 
-    def fill(self, order: Order) -> ProgramAnswer | InputError | OutputError:
+    def compensate(self, task: ProgramTask) -> ProgramAnswer | InputError | OutputError:
         """Compensate one program; an error is returned rather than raised, so that it does not stop the others."""
         try:
-            if isinstance(order.data, InputError):
-                return order.data
-            if order.data is not None:
-                return self._elsewhere(order, order.data)
-            report = self.compensator.compensate_file(order.program, order.output)
+            if isinstance(task.data, InputError):
+                return task.data
+            if task.data is not None:
+                return self._elsewhere(task, task.data)
+            report = self.compensator.compensate_file(task.program, task.output)
             return ProgramAnswer(report.to_text(), report.to_dict())
         except (InputError, OutputError) as error:
             return error
 
-    def _elsewhere(self, order: Order, data: bytes) -> ProgramAnswer:
-        with scratch_folder() as room:
-            own, out = room / order.program.name, room / f"out.{order.program.name}"
+    def _elsewhere(self, task: ProgramTask, data: bytes) -> ProgramAnswer:
+        with scratch_folder() as scratch:
+            own, out = scratch / task.program.name, scratch / f"out.{task.program.name}"
             own.write_bytes(data)
             try:
                 report = self.compensator.compensate_file(own, out)
@@ -141,11 +141,11 @@ class Shop:
                 if error.file != str(own):
                     raise
                 raise InputError(
-                    error.what, expected=error.expected, file=order.program, line=error.line, value=error.value
+                    error.what, expected=error.expected, file=task.program, line=error.line, value=error.value
                 ) from None
             except OutputError as error:
-                raise OutputError(str(error).replace(str(own), str(order.program))) from None
-            report = replace(report, program=str(order.program))
+                raise OutputError(str(error).replace(str(own), str(task.program))) from None
+            report = replace(report, program=str(task.program))
             return ProgramAnswer(report.to_text(), report.to_dict(), out.read_bytes())
 
 
@@ -205,33 +205,35 @@ def compensate_files(
     """
     say = progress or (lambda stage, fraction: None)
     own = Workers() if workers is None else workers
-    shop = Shop(machine, calibration, Options() if options is None else options)
-    _ = shop.compensator  # an error common to all programs is raised once, before anything is written
-    goals = outputs(programs, folder)
+    worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
+    _ = worker.compensator  # an error common to all programs is raised once, before anything is written
+    targets = outputs(programs, folder)
     made = not folder.is_dir()
     folder.mkdir(exist_ok=True)
     try:
         # In the same file system, so that finished outputs are renamed into place and unfinished ones vanish with the scratch folder.
-        with scratch_folder(folder) as room:
-            there, goal_of = [], []
-            for program, goal in goals.items():
+        with scratch_folder(folder) as scratch:
+            there, targets_of = [], []
+            for program, target in targets.items():
                 try:
-                    there.append((find_program(program), room / goal.name))
-                    goal_of.append((program, goal))
+                    there.append((find_program(program), scratch / target.name))
+                    targets_of.append((program, target))
                 except InputError as error:
                     yield ProgramOutcome(program, None, {}, error)
-            orders = _Orders(there, travel=own.scheduler is not None)
+            tasks = _ProgramTasks(there, travel=own.scheduler is not None)
             say("programs", 0.0)
-            answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), refusals=True)
+            answers = finished(
+                ProgramCompensator.compensate, worker, tasks, own, name=lambda task: str(task.program), refusals=True
+            )
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):
-                    program, goal = goal_of[index]
+                    program, target = targets_of[index]
                     if isinstance(found, ProgramAnswer):
-                        _keep(found, there[index][1], goal)
-                        outcome = ProgramOutcome(program, goal, found.report, None)
+                        _keep(found, there[index][1], target)
+                        outcome = ProgramOutcome(program, target, found.report, None)
                     else:  # an error in one program, even one that ends its worker, does not stop the others
                         outcome = ProgramOutcome(program, None, {}, found)
-                    say("programs", count / len(orders))
+                    say("programs", count / len(tasks))
                     yield outcome
     finally:
         if made and not any(folder.iterdir()):
@@ -239,7 +241,7 @@ def compensate_files(
 
 
 @final
-class _Orders(Sequence[Order]):
+class _ProgramTasks(Sequence[ProgramTask]):
     """Sequence of orders; programs to be sent are read only when their order is requested, not all at once."""
 
     def __init__(self, there: Sequence[tuple[Path, Path]], *, travel: bool) -> None:
@@ -256,12 +258,12 @@ class _Orders(Sequence[Order]):
             data = program.read_bytes() if self._travel else None
         except OSError as error:
             data = InputError("cannot be read", expected="a readable file", file=program, value=error.strerror)
-        return Order(program, output, data)
+        return ProgramTask(program, output, data)
 
 
-def _keep(answer: ProgramAnswer, made: Path, goal: Path) -> None:
+def _keep(answer: ProgramAnswer, made: Path, target: Path) -> None:
     """Write the reports, then the program: wherever a program exists, its reports do too."""
-    program, text, data = _written(goal)
+    program, text, data = _written(target)
     write_whole(text, answer.text)
     write_json(data, answer.report)
     if answer.data is not None:
@@ -270,4 +272,4 @@ def _keep(answer: ProgramAnswer, made: Path, goal: Path) -> None:
     try:
         move_into_place(made, program)
     except OSError as error:
-        raise InputError("cannot be written", expected="a writable file", file=goal, value=error.strerror) from error
+        raise InputError("cannot be written", expected="a writable file", file=target, value=error.strerror) from error

@@ -74,8 +74,8 @@ class Poses:
             len(self), lambda i: [fixed(v, 4) for v in self.point_mm[i]] + [fixed(v, 6) for v in self.axis[i]]
         )
         headers = ("x (mm)", "y (mm)", "z (mm)", "i", "j", "k")
-        said = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
-        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, said).text
+        caption = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
+        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, caption).text
 
 
 @final

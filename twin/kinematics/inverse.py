@@ -89,20 +89,22 @@ class Solution:
         rows, rest = first_rows(
             len(self.code), lambda i: [*(fixed(v, 4) for v in self.positions[i]), str(self.status[i].value)]
         )
-        left = ""
+        residuals = ""
         if len(self.code):
-            left = f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
-        told = pairs(
+            residuals = (
+                f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
+            )
+        summary = pairs(
             [
                 ("status", ", ".join(f"{status.value} {count:,}" for status, count in counts.items() if count)),
-                ("largest residual", left),
+                ("largest residual", residuals),
                 ("Newton steps", str(self.iterations)),
             ]
         )
         headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
-        said = note("commands in command order, mm and degrees")
+        caption = note("commands in command order, mm and degrees")
         title = f"Solution for {several(len(self.code), 'pose')}"
-        return card(title, told, table(headers, rows, right=range(axes)), rest, said, wrong=not met).text
+        return card(title, summary, table(headers, rows, right=range(axes)), rest, caption, wrong=not met).text
 
 
 @final

@@ -24,7 +24,7 @@ from twin.machine.machine import Machine
 
 LARGEST_STEP: Final = 0.1
 """Largest move (radians) of a rotary axis in one step; a longer one would leave the branch."""
-ALIKE: Final = 1e-15
+RANK_ONE_RATIO: Final = 1e-15
 """Ratio of singular values below which a system of two counts as having rank one (as in NumPy's pinv)."""
 
 
@@ -59,14 +59,18 @@ class Steps:
     @cached_property
     def turn(self) -> ca.Function:
         """One Newton step of all axes, and its matrices."""
-        left, machine = self._left, self._kinematics.machine
-        size = _largest(ca.vertcat(left.point, left.axis))
+        residual, machine = self._step_residual, self._kinematics.machine
+        size = _largest(ca.vertcat(residual.point, residual.axis))
         if not machine.rotary:
-            return self._function("turn", [self._followed, size])
-        matrices = _matrices(machine, left)
+            return self._function("turn", [self._linear_step, size])
+        matrices = _matrices(machine, residual)
         return self._function(
             "turn",
-            [self._at[0] + _turned(machine, matrices, left, longest=True), size, ca.vertcat(*map(ca.vec, matrices))],
+            [
+                self._at[0] + _newton_move(machine, matrices, residual, longest=True),
+                size,
+                ca.vertcat(*map(ca.vec, matrices)),
+            ],
         )
 
     @cached_property
@@ -78,14 +82,14 @@ class Steps:
             return ca.Function("again", [point, axis], [ca.SX.zeros(len(machine.axes))])
         shapes = ((3, 3), (3, rotary), (2, 3), (rotary, 2))
         parts = [ca.SX.sym("matrix", *shape) for shape in shapes]
-        left = _Residual(point, axis, None, None)
-        move = _turned(machine, _Matrices(*parts), left, longest=False)
+        residual = _Residual(point, axis, None, None)
+        move = _newton_move(machine, _Matrices(*parts), residual, longest=False)
         return ca.Function("again", [point, axis, ca.vertcat(*map(ca.vec, parts))], [ca.densify(move)])
 
     @cached_property
     def follow(self) -> ca.Function:
         """One step of the linear axes."""
-        return self._function("follow", [self._followed, _largest(self._left.point)])
+        return self._function("follow", [self._linear_step, _largest(self._step_residual.point)])
 
     @cached_property
     def repair(self) -> ca.Function:
@@ -93,7 +97,7 @@ class Steps:
         machine, q = self._kinematics.machine, self._at[0]
         if not machine.rotary:
             return self._function("repair", [q])
-        return self._function("repair", [_repaired(machine, q, self._residual(terms=2), self._limit)])
+        return self._function("repair", [_limited_correction(machine, q, self._residual(terms=2), self._limit)])
 
     @cached_property
     def check(self) -> ca.Function:
@@ -107,9 +111,9 @@ class Steps:
                 self._branches, ((self._tip, _sparse(0.0, 0.0, 1.0)), (self._point, self._axis)), strict=True
             )
         )
-        gap, apart, off = tip - goal, pointing - target, ca.horzcat(*_across(target)).T @ pointing
+        gap, axis_gap, off = tip - goal, pointing - target, ca.horzcat(*_perpendicular(target)).T @ pointing
         return self._function(
-            "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(apart), gap, off]
+            "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(axis_gap), gap, off]
         )
 
     @cached_property
@@ -129,28 +133,28 @@ class Steps:
         tip = tool.rotation @ self._tip + tool.translation
         goal = work.rotation @ self._point + work.translation
         pointing, target = tool.rotation[:, 2], work.rotation @ self._axis
-        across = ca.horzcat(*_across(target))
+        perpendicular = ca.horzcat(*_perpendicular(target))
         moved, turned = [], []
         # Rotation of the tool by every axis, and velocity of the tip, both relative to the work.
         for a, b in zip(tool_twists, work_twists, strict=True):
             turn = a[0] - b[0]
             moved.append(a[1] - b[1] + ca.cross(turn, tip))
-            turned.append(across.T @ ca.cross(turn, pointing))
-        return _Residual(tip - goal, across.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
+            turned.append(perpendicular.T @ ca.cross(turn, pointing))
+        return _Residual(tip - goal, perpendicular.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
 
     @property
     def _tip(self) -> Any:
         return _sparse(0.0, 0.0, -self._kinematics.tool_length_mm * MM)
 
     @cached_property
-    def _left(self) -> _Residual:
+    def _step_residual(self) -> _Residual:
         return self._residual(terms=1)
 
     @property
-    def _followed(self) -> Any:
+    def _linear_step(self) -> Any:
         linear = list(self._kinematics.machine.linear)
-        move = -(_inverse(self._left.point_by[:, linear]) @ self._left.point)
-        return self._at[0] + _placed(self._kinematics.machine, linear, move)
+        move = -(_inverse(self._step_residual.point_by[:, linear]) @ self._step_residual.point)
+        return self._at[0] + _at_axes(self._kinematics.machine, linear, move)
 
     def _function(self, name: str, results: list[Any]) -> ca.Function:
         return ca.Function(name, [*self._at, self._point, self._axis], [ca.densify(result) for result in results])
@@ -160,7 +164,7 @@ def _sparse(*values: float) -> Any:
     return ca.SX(ca.sparsify(ca.DM(values)))
 
 
-def _across(z: Any) -> tuple[Any, Any]:
+def _perpendicular(z: Any) -> tuple[Any, Any]:
     """Return two unit vectors perpendicular to a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
     sign = ca.if_else(z[2] < 0.0, -1.0, 1.0)
     a = -1.0 / (sign + z[2])
@@ -176,7 +180,7 @@ def _largest(vector: Any) -> Any:
     return found
 
 
-def _placed(machine: Machine, which: list[int], values: Any) -> Any:
+def _at_axes(machine: Machine, which: list[int], values: Any) -> Any:
     """Return an (axes,) vector with ``values`` at some axes and zero elsewhere."""
     found = ca.SX(len(machine.axes), 1)
     for k, i in enumerate(which):
@@ -204,39 +208,39 @@ class _Matrices(NamedTuple):
     """(rotary, 2) rotary axes by the tool axis, with the linear axes following."""
 
 
-def _reduced(machine: Machine, left: _Residual) -> tuple[Any, Any, Any, Any]:
+def _reduced(machine: Machine, residual: _Residual) -> tuple[Any, Any, Any, Any]:
     """Return the first three of `_Matrices`, and the matrix whose inverse is the fourth."""
     linear, rotary = list(machine.linear), list(machine.rotary)
-    inverse, coupling = _inverse(left.point_by[:, linear]), left.axis_by[:, linear]
-    slope = inverse @ left.point_by[:, rotary]
-    return inverse, slope, coupling, left.axis_by[:, rotary] - coupling @ slope
+    inverse, coupling = _inverse(residual.point_by[:, linear]), residual.axis_by[:, linear]
+    slope = inverse @ residual.point_by[:, rotary]
+    return inverse, slope, coupling, residual.axis_by[:, rotary] - coupling @ slope
 
 
-def _matrices(machine: Machine, left: _Residual) -> _Matrices:
-    inverse, slope, coupling, system = _reduced(machine, left)
+def _matrices(machine: Machine, residual: _Residual) -> _Matrices:
+    inverse, slope, coupling, system = _reduced(machine, residual)
     return _Matrices(inverse, slope, coupling, _pseudo_inverse(system))
 
 
-def _turned(machine: Machine, by: _Matrices, left: _Residual, *, longest: bool) -> Any:
+def _newton_move(machine: Machine, by: _Matrices, residual: _Residual, *, longest: bool) -> Any:
     """Return the move of one Newton step; with ``longest``, no rotary axis moves further than `LARGEST_STEP`."""
-    alone = by.linear @ left.point
-    move = -(by.rotary @ (left.axis - by.coupling @ alone))
+    alone = by.linear @ residual.point
+    move = -(by.rotary @ (residual.axis - by.coupling @ alone))
     if longest:
         move = move * ca.fmin(1.0, LARGEST_STEP / ca.fmax(_largest(move), 1e-300))
     follow = -(alone + by.slope @ move)
-    return _placed(machine, list(machine.rotary), move) + _placed(machine, list(machine.linear), follow)
+    return _at_axes(machine, list(machine.rotary), move) + _at_axes(machine, list(machine.linear), follow)
 
 
-def _repaired(machine: Machine, q: Any, left: _Residual, limit: float) -> Any:
+def _limited_correction(machine: Machine, q: Any, residual: _Residual, limit: float) -> Any:
     """Return the commands with the rotary axes moved to correct the orientation, within the limit."""
-    inverse, _, coupling, matrix = _reduced(machine, left)
-    right = left.axis - coupling @ (inverse @ left.point)
+    inverse, _, coupling, matrix = _reduced(machine, residual)
+    right = residual.axis - coupling @ (inverse @ residual.point)
     rotary = list(machine.rotary)
     lower, upper = machine.limits[rotary].T
     reach = q[rotary] + _bounded_move(matrix, right, limit)
     # An axis that starts beyond its range keeps its position (and is reported); others stop at the limit.
     reach = ca.fmin(ca.fmax(reach, ca.fmin(lower, q[rotary])), ca.fmax(upper, q[rotary]))
-    return q + _placed(machine, rotary, reach - q[rotary])
+    return q + _at_axes(machine, rotary, reach - q[rotary])
 
 
 def _pseudo_inverse(a: Any) -> Any:
@@ -247,7 +251,7 @@ def _pseudo_inverse(a: Any) -> Any:
         return a.T * flat
     determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
-    whole = ca.fabs(determinant) > ALIKE * squares
+    whole = ca.fabs(determinant) > RANK_ONE_RATIO * squares
     return ca.if_else(whole, adjugate, a.T) * ca.if_else(whole, 1.0 / determinant, flat)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from twin._common.arrays import every
 from twin._common.units import URAD
 from twin.compensation.account.interpolation import interpolated
-from twin.compensation.account.notes import of_channels, of_reversals, of_setup, of_sides
+from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
 from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
-from twin.compensation.account.sample import Sample, Seen
+from twin.compensation.account.sample import Sample, SimulatedPoints
 from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
@@ -53,21 +53,21 @@ class CompensationAccount:
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._sample = Sample()
         self._shortfalls = ShortfallTally()
-        self._left_um = {"rounding": 0.0, "solver": 0.0}
+        self._residual_um = {"rounding": 0.0, "solver": 0.0}
         self._largest = np.zeros(len(bench.machine.axes))
         self._motions = self._split = self._added = self._rewritten = self._cutting = 0
         self._idle = self._any_tcp = False
         self._all_tcp = True
         self._reversals = np.zeros(len(bench.machine.axes), dtype=int)
-        self._of_sides: list[LineNote] = []
+        self._approach_notes: list[LineNote] = []
 
     def add(self, corrected: Corrected) -> None:
         """Simulate a corrected stretch densely, before and after correction, and add the result to the totals."""
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
         self._idle = pieces.idle
-        for seen in self._seen(corrected):
-            self._compare(seen, corrected.lines, self._motions - context)
-        left_um = self._left_at_ends(rows)
+        for points in self._simulated(corrected):
+            self._compare(points, corrected.lines, self._motions - context)
+        residual_um = self._end_point_residuals_um(rows)
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
         count = pieces.count(corrected.rows)[context:]
@@ -77,13 +77,13 @@ class CompensationAccount:
         self._rewritten += corrected.rewritten
         self._all_tcp &= bool(pieces.tcp[context:].all())
         self._any_tcp |= bool(pieces.tcp[context:].any())
-        self._correct(rows, corrected.lines)
+        self._tally_correction(rows, corrected.lines)
         if not self._idle:
-            for found in uncorrected(corrected, left_um):
+            for found in uncorrected(corrected, residual_um):
                 self._shortfalls.add(found)
-        axes = self._bench.lost.axes
-        self._reversals[axes] += np.count_nonzero(rows.turned[rows.taken][:, axes], axis=0)
-        self._of_sides += of_sides(corrected)
+        axes = self._bench.backlash.axes
+        self._reversals[axes] += np.count_nonzero(rows.reverses[rows.backlash_move][:, axes], axis=0)
+        self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
 
     def report(self, *, lines: int, moves: int, notices: Sequence[Notice]) -> Report:
@@ -96,9 +96,9 @@ class CompensationAccount:
         """
         bench, options = self._bench, self._bench.options
         notes = (
-            *of_setup(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
-            *of_channels(bench),
-            *self._of_sides,
+            *setup_notes(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
+            *condition_notes(bench),
+            *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
         unused = options.conditions.unused(bench.calibration)
@@ -111,7 +111,7 @@ class CompensationAccount:
             warnings=bench.calibration.warnings,
             method=options.method,
             scope="as in the thesis" if options.method == "thesis" else str(self._aim.scope),
-            tool_length_mm=bench.full.tool_length_mm,
+            tool_length_mm=bench.real.tool_length_mm,
             tolerance_um=options.tolerance_mm * 1e3,
             lines=lines,
             moves=moves,
@@ -124,51 +124,51 @@ class CompensationAccount:
             },
             before=Deviation.of(self._before),
             after=Deviation.of(self._after),
-            rounding_um=self._left_um["rounding"],
-            solver_um=self._left_um["solver"],
-            classes=tuple(self._classes(whole=not left)),
+            rounding_um=self._residual_um["rounding"],
+            solver_um=self._residual_um["solver"],
+            classes=tuple(self._classes(all_corrected=not left)),
             not_corrected=left,
             notes=notes,
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
             cutting=self._cutting,
             idle=self._idle,
             conditions={name: value for name, value in options.conditions.channels.items() if name not in unused},
-            reversals=tuple(of_reversals(bench, self._aim, self._reversals)),
-            control=self._of_control(),
+            reversals=tuple(reversal_notes(bench, self._aim, self._reversals)),
+            control=self._control_note(),
         )
 
     # --- accumulation ------------------------------------------------------------------------------------------------
 
-    def _seen(self, corrected: Corrected) -> Iterator[Seen]:
+    def _simulated(self, corrected: Corrected) -> Iterator[SimulatedPoints]:
         """Yield the end points of pieces, then dense points inside the pieces, one portion of legs after the other."""
-        pieces, between, rows = corrected.pieces, corrected.between, corrected.own
+        pieces, between, rows = corrected.pieces, corrected.path_errors, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
         ways = between.ways(corrected.rows, corrected.rows.printed, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        sided = bool(self._bench.lost.axes)
+        sided = bool(self._bench.backlash.axes)
         if not sided:
-            yield Seen(rows.motion, *ends, counts=~rows.taken)
+            yield SimulatedPoints(rows.motion, *ends, valid=~rows.backlash_move)
         for portion in [dense] if sided else between.portions(dense):
             samples = between.samples(portion)
-            meant = between.meant(samples)
-            given = meant if pieces.idle else between.given(samples, ways)
+            meant = between.nominal_commands(samples)
+            given = meant if pieces.idle else between.written_commands(samples, ways)
             motion = legs[samples.leg][samples.piece]
             if sided:
                 fraction = np.concatenate([rows.fraction, between.fractions(samples)])
-                yield self._sided(corrected, ends, (meant, given), np.concatenate([rows.motion, motion]), fraction)
+                yield self._with_sides(corrected, ends, (meant, given), np.concatenate([rows.motion, motion]), fraction)
             else:
-                yield Seen(motion, meant, given)
+                yield SimulatedPoints(motion, meant, given)
 
-    def _sided(
+    def _with_sides(
         self,
         corrected: Corrected,
         ends: tuple[Commands, Commands],
         inside: tuple[Commands, Commands],
         motion: np.ndarray,
         fraction: np.ndarray,
-    ) -> Seen:
+    ) -> SimulatedPoints:
         """Return end points and dense points in order of travel, with approach directions, which depend on all earlier motion.
 
         Args:
@@ -179,49 +179,49 @@ class CompensationAccount:
             fraction: (n,) fraction of the motion at which each point lies.
         """
         taken = np.zeros(len(motion), dtype=bool)
-        taken[: len(corrected.own.taken)] = corrected.own.taken
+        taken[: len(corrected.own.backlash_move)] = corrected.own.backlash_move
         order = np.lexsort((taken, fraction, motion))
         commands, sides = [], []
         for end, between in zip(ends, inside, strict=True):
-            both = np.concatenate([end.written(), between.written()])
+            both = np.concatenate([end.as_array(), between.as_array()])
             side = np.zeros(both.shape)
-            side[order] = self._bench.lost.sides(corrected.pieces.path, motion[order], both[order])
+            side[order] = self._bench.backlash.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
             sides.append(side)
         # A move that only takes up backlash has no nominal position.
-        return Seen(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
+        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
 
-    def _compare(self, seen: Seen, lines: np.ndarray, first: int) -> None:
+    def _compare(self, points: SimulatedPoints, lines: np.ndarray, first: int) -> None:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
 
         Args:
-            seen: the points.
+            points: the points.
             lines: (motions,) line number of each motion.
             first: number of the stretch's first motion within the program.
         """
-        before = self._bench.compared.poses(seen.meant, seen.meant, seen.meant_from)
-        after = self._bench.compared.poses(seen.meant, seen.given, seen.given_from)
+        before = self._bench.comparison.poses(points.nominal, points.nominal, points.nominal_sides)
+        after = self._bench.comparison.poses(points.nominal, points.written, points.written_sides)
         keep = before.known & after.known
-        if seen.counts is not None:
-            keep &= seen.counts
-        of = lines[seen.motion]
+        if points.valid is not None:
+            keep &= points.valid
+        of = lines[points.motion]
         if not keep.all():
             before, after, of = before.where(keep), after.where(keep), of[keep]
         for tally, found in ((self._before, before), (self._after, after)):
             _add(tally, found, of)
-        self._sample.add(first, seen, keep)
+        self._sample.add(first, points, keep)
 
-    def _left_at_ends(self, rows: Rows) -> dict[str, np.ndarray]:
+    def _end_point_residuals_um(self, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good = ~rows.untouched & ~rows.clamped
-        left_um = {}
+        residual_um = {}
         for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = self._aim.compared.distance_mm(Commands(rows.nominal), Commands(given), rows.approach)
-            left_um[name] = distance * 1e3
-            self._left_um[name] = max(self._left_um[name], float(left_um[name][good].max(initial=0.0)))
-        return left_um
+            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(given), rows.approach)
+            residual_um[name] = distance * 1e3
+            self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
+        return residual_um
 
-    def _correct(self, rows: Rows, lines: np.ndarray) -> None:
+    def _tally_correction(self, rows: Rows, lines: np.ndarray) -> None:
         """Tally how far the correction moves the tool at block end points, and the uncertainty of that correction.
 
         The displacement is that of the machine without errors between nominal and compensated commands. The uncertainty is that of the
@@ -229,9 +229,9 @@ class CompensationAccount:
         """
         aim = self._aim
         given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
-        moved = self._bench.corrected_by.poses(Commands(rows.nominal), Commands(given))
-        keep = ~rows.untouched & ~rows.taken & moved.known
-        keep &= every(~self._bench.full.outside_domain(rows.nominal))
+        moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(given))
+        keep = ~rows.untouched & ~rows.backlash_move & moved.known
+        keep &= every(~self._bench.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
@@ -239,18 +239,20 @@ class CompensationAccount:
         of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
-            at_point = _known(aim.at_point, rows)
+            at_point = _uncertainty(aim.at_point, rows)
             self._point.add(of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
         asked = aim.scope.orientation and self._bench.thesis is None
         if asked and aim.at_axis is not None and np.any(turned):
-            known = at_point if at_point is not None and aim.at_axis is aim.at_point else _known(aim.at_axis, rows)
+            known = (
+                at_point if at_point is not None and aim.at_axis is aim.at_point else _uncertainty(aim.at_axis, rows)
+            )
             size = moved.angle_rad[turned] * 1e6
             self._axis.add(of[turned], rows.motion[turned], size, known[turned, 1], aim.at_axis)
 
     # --- results -----------------------------------------------------------------------------------------------------
 
-    def _of_control(self) -> ControlNote | None:
+    def _control_note(self) -> ControlNote | None:
         """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
         section, alone = self._bench.calibration.control, self._bench.control_alone
         if section is None:
@@ -264,8 +266,8 @@ class CompensationAccount:
         axes = tuple(dict.fromkeys(table.axis.name for table in self._bench.calibration.corrections))
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
-    def _classes(self, *, whole: bool) -> Iterator[ClassShare]:
-        """Yield the share of each class; ``whole``: whether every block is corrected."""
+    def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
+        """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
         nominal = self._bench.space.nominal
         meant, reached = nominal.forward(before), nominal.forward(after)
@@ -281,18 +283,18 @@ class CompensationAccount:
                 before_rms_um=_rms(share),
                 before_max_um=float(share.max(initial=0.0)),
                 before_max_urad=float(turn.max(initial=0.0)),
-                left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and whole else None,
+                left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and all_corrected else None,
             )
 
 
 def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> None:
     """Add distances (µm), angles and tilts (µrad) of compared poses to a tally."""
-    tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
+    tilts = np.abs(tilt(found.axis_in_nominal_frame).T / URAD) if lines.size else np.zeros((2, 0))
     size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])
     tally.add(size, np.einsum("ij,ij->i", size, size), lines)
 
 
-def _known(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
+def _uncertainty(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
     """Return (rows, 2, 4): U and three standard uncertainties of the tool point (µm) and of its orientation (µrad); NaN if unknown."""
     if not tool.parameters:
         return np.full((len(rows.motion), 2, 4), np.nan)

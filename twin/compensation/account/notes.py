@@ -16,7 +16,7 @@ WARM_UP_S: Final = 600.0
 """Time over which the further change of a thermal effect is reported, s."""
 
 
-def of_setup(bench: Bench, *, all_tcp: bool, any_tcp: bool) -> Iterator[LineNote]:
+def setup_notes(bench: Bench, *, all_tcp: bool, any_tcp: bool) -> Iterator[LineNote]:
     """Yield a note for every work offset or origin that was given but does not apply to this program."""
     setup = bench.options.setup
     if all_tcp and any(setup.work_offset.get(name) for name in bench.space.axes.linear):
@@ -28,7 +28,7 @@ def of_setup(bench: Bench, *, all_tcp: bool, any_tcp: bool) -> Iterator[LineNote
         yield LineNote(1, "the work origin is ignored: the words are axis positions, which work offsets shift")
 
 
-def of_channels(bench: Bench) -> Iterator[LineNote]:
+def condition_notes(bench: Bench) -> Iterator[LineNote]:
     """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably."""
     conditions = bench.options.conditions
     for name in conditions.unused(bench.calibration):
@@ -47,10 +47,10 @@ def of_channels(bench: Bench) -> Iterator[LineNote]:
             )
 
 
-def of_sides(corrected: Corrected) -> Iterator[LineNote]:
+def approach_notes(corrected: Corrected) -> Iterator[LineNote]:
     """Yield notes on axes whose approach direction is unknown, and on axes that overshoot while a positive reversal is taken up."""
     bench, rows = corrected.pieces.bench, corrected.own
-    for axis in corrected.pieces.aim.lost.axes:
+    for axis in corrected.pieces.aim.backlash.axes:
         name = bench.machine.axes[axis].name
         blocks = np.unique(rows.motion[(rows.approach[:, axis] == 0.0) & ~rows.untouched])
         if blocks.size:
@@ -59,7 +59,7 @@ def of_sides(corrected: Corrected) -> Iterator[LineNote]:
                 int(corrected.lines[blocks[0]]),
                 f"approach direction of {name} unknown {where}: the middle of its reversal value is assumed",
             )
-        if bench.lost.size[axis] > 0.0 and np.any(rows.taken):
+        if bench.backlash.size[axis] > 0.0 and np.any(rows.backlash_move):
             yield LineNote(
                 1,
                 f"the reversal value of {name} is positive (the axis jumps ahead when it reverses): compensating it moves {name} "
@@ -67,9 +67,11 @@ def of_sides(corrected: Corrected) -> Iterator[LineNote]:
             )
 
 
-def of_reversals(bench: Bench, aim: CorrectionAim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
+def reversal_notes(bench: Bench, aim: CorrectionAim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
     """Yield how each reversal of the calibration was treated; ``taken_up`` (axes,): number of reversals at which it was taken up."""
-    for i in np.flatnonzero(bench.lost.size).tolist():
+    for i in np.flatnonzero(bench.backlash.size).tolist():
         axis = bench.machine.axes[i]
         unit, scale = ("um", 1e3) if axis.linear else ("urad", axis.scale * 1e6)
-        yield ReversalNote(axis.name, unit, float(bench.lost.size[i] * scale), i in aim.lost.axes, int(taken_up[i]))
+        yield ReversalNote(
+            axis.name, unit, float(bench.backlash.size[i] * scale), i in aim.backlash.axes, int(taken_up[i])
+        )

@@ -18,22 +18,22 @@ possible and is not in step with anything a program repeats (H. Weyl, Math. Ann.
 """
 
 
-class Seen(NamedTuple):
+class SimulatedPoints(NamedTuple):
     """Simulated points of a program.
 
     Attributes:
         motion: (n,) motion each point is on.
-        meant, given: nominal commands and written commands.
-        meant_from, given_from: (n, axes) approach directions at these commands; None if the machine does not depend on them.
-        counts: (n,) whether the point counts as a nominal position; None for all.
+        nominal, written: nominal commands and written commands.
+        nominal_sides, written_sides: (n, axes) approach directions at these commands; None if the machine does not depend on them.
+        valid: (n,) whether the point counts as a nominal position; None for all.
     """
 
     motion: np.ndarray
-    meant: Commands
-    given: Commands
-    meant_from: np.ndarray | None = None
-    given_from: np.ndarray | None = None
-    counts: np.ndarray | None = None
+    nominal: Commands
+    written: Commands
+    nominal_sides: np.ndarray | None = None
+    written_sides: np.ndarray | None = None
+    valid: np.ndarray | None = None
 
 
 @final
@@ -45,19 +45,19 @@ class Sample:
         self._parts: list[tuple[np.ndarray, ...]] = []
         self._count = 0
 
-    def add(self, first: int, seen: Seen, keep: np.ndarray) -> None:
+    def add(self, first: int, points: SimulatedPoints, keep: np.ndarray) -> None:
         """Add those points that belong to the sample.
 
         Args:
             first: number of the first motion within the program.
-            seen: the points.
+            points: the points.
             keep: (n,) which of them are valid.
         """
-        place = np.mod((first + seen.motion) * GOLDEN, 1.0)
+        place = np.mod((first + points.motion) * GOLDEN, 1.0)
         which = np.flatnonzero((place < self._share) & keep)
         poses = []
-        for commands, sides in ((seen.meant, seen.meant_from), (seen.given, seen.given_from)):
-            written = commands.written(which)
+        for commands, sides in ((points.nominal, points.nominal_sides), (points.written, points.written_sides)):
+            written = commands.as_array(which)
             poses += [written, np.zeros(written.shape) if sides is None else sides[which]]
         self._take((place[which], *poses))
         while (

@@ -16,18 +16,18 @@ UNSOLVED_UM: Final = 0.01
 """Largest residual (µm) accepted as a solution; the solver usually leaves a thousandth of it."""
 
 
-def uncorrected(corrected: Corrected, left_um: Mapping[str, np.ndarray]) -> Iterator[FoundShortfalls]:
+def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> Iterator[FoundShortfalls]:
     """Yield the blocks of a program, or of a stretch of it, that could not be corrected, by reason.
 
     Args:
         corrected: the stretch.
-        left_um: by cause (``rounding``, ``solver``), (rows,) distance in µm of the tool point from its target at the end points after
-            the context.
+        residual_um: by cause (``rounding``, ``solver``), (rows,) distance in µm of the tool point from its target at the end points
+            after the context.
     """
-    yield from _beyond_range(corrected, left_um["rounding"])
+    yield from _beyond_range(corrected, residual_um["rounding"])
     yield from _off_in_orientation(corrected)
     if corrected.pieces.bench.thesis is None:
-        yield from _not_solved(corrected, left_um["solver"])
+        yield from _not_solved(corrected, residual_um["solver"])
         yield from _off_between(corrected)
         yield from _beginning_off(corrected)
 
@@ -80,7 +80,7 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
         missed = _cutting(corrected)[of] & (scope.asked and scope.orientation)
         reason = f"orientation not corrected: {reason}"
         yield FoundShortfalls(
-            "orientation", reason, "urad", corrected.lines[of], rows.orientation_left[which] * 1e6, missed
+            "orientation", reason, "urad", corrected.lines[of], rows.orientation_residual_rad[which] * 1e6, missed
         )
 
 
@@ -106,7 +106,7 @@ def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShort
 def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Yield blocks whose error between end points exceeds the tolerance."""
     pieces, rows = corrected.pieces, corrected.rows
-    left, count = corrected.between.left(rows) * 1e3, pieces.count(rows)
+    left, count = corrected.path_errors.motion_errors_mm(rows) * 1e3, pieces.count(rows)
     left[rows.motion[rows.clamped | rows.untouched]] = 0.0
     left[: corrected.context] = 0.0
     over = np.flatnonzero(left > 1e3 * pieces.bench.options.tolerance_mm)
@@ -118,10 +118,10 @@ def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
 
 def _beginning_off(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Yield blocks that begin at a position left uncorrected."""
-    begins = np.flatnonzero(corrected.between.begins_off(corrected.rows))
+    begins = np.flatnonzero(corrected.path_errors.starts_uncorrected(corrected.rows))
     begins = begins[begins >= corrected.context]
     if begins.size:
-        off = corrected.between.left_as_run(begins, corrected.rows) * 1e3
+        off = corrected.path_errors.motion_errors_as_run_mm(begins, corrected.rows) * 1e3
         which = off > _allowed_um(corrected.pieces.bench)
         reason = "begins at an uncorrected position"
         yield FoundShortfalls(

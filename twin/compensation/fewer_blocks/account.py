@@ -11,9 +11,9 @@ import numpy as np
 from twin.compensation.account import LineNote, Report
 from twin.compensation.compensator import Compensation
 from twin.compensation.fewer_blocks.emit import Shortened
-from twin.compensation.fewer_blocks.fewer import Fewer, Fitted
-from twin.compensation.fewer_blocks.report import PathReport, RunReport, Shares, UncertaintyContribution
-from twin.compensation.fewer_blocks.verify import Executed, apart_mm, execute_words
+from twin.compensation.fewer_blocks.report import PathReport, RunReport, ToleranceShares, UncertaintyContribution
+from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
+from twin.compensation.fewer_blocks.verify import Executed, execute_words, path_distance_mm
 from twin.compensation.toolpath import Path
 from twin.nc.blocks import Program, Reading
 from twin.nc.dialect import Dialect
@@ -21,7 +21,7 @@ from twin.nc.dialect import Dialect
 
 @final
 @dataclass(frozen=True)
-class Job:
+class RefitJob:
     """The input of a refit and its results.
 
     Attributes:
@@ -30,47 +30,47 @@ class Job:
         path: its motions.
         fitted: its runs.
         shares: division of the tolerance.
-        short: the program with fewer blocks.
+        shortened: the program with fewer blocks.
         text: the output.
         dialect: language of the output.
         result: the compensation, or the posted program without one; None if there is neither.
-        asked: whether the machine's errors were to be compensated.
+        compensation_requested: whether the machine's errors were to be compensated.
     """
 
     program: Program
     reading: Reading
     path: Path
-    fitted: tuple[Fitted, ...]
-    shares: Shares
-    short: Shortened
+    fitted: tuple[RefittedRun, ...]
+    shares: ToleranceShares
+    shortened: Shortened
     text: str
     dialect: Dialect
     result: Compensation | None
-    asked: bool
+    compensation_requested: bool
 
 
-def account(fewer: Fewer, job: Job) -> PathReport:
+def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
     """Execute the output on the machine with its errors, and return the report.
 
     Args:
-        fewer: refitter of the runs; its bench has the whole tolerance.
+        run_refitter: refitter of the runs; its bench has the whole tolerance.
         job: the input and the results.
     """
-    bench, errors = fewer.bench, fewer.bench.calibration
+    bench, errors = refitter.bench, refitter.bench.calibration
     tolerance = bench.options.tolerance_mm
-    runs = tuple(_runs(fewer, job))
-    notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.passed)]
+    runs = tuple(_runs(refitter, job))
+    notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.notices)]
     if not runs:
         notes.insert(0, LineNote(1, "no run of short feed blocks found: nothing was refitted"))
-    compensation = job.result.report if job.result is not None and fewer.compensated else None
+    compensation = job.result.report if job.result is not None and refitter.compensated else None
     return PathReport(
         program=job.program.source,
         machine=bench.machine.name,
         calibration=str(errors.path or "none"),
-        warnings=errors.warnings if fewer.compensated else (),
+        warnings=errors.warnings if refitter.compensated else (),
         shares=job.shares,
-        lever_mm=fewer.lever,
-        angle_deg=float(np.degrees(tolerance / fewer.lever)),
+        lever_mm=refitter.lever,
+        angle_deg=float(np.degrees(tolerance / refitter.lever)),
         runs=runs,
         not_met=tuple(
             LineNote(
@@ -83,29 +83,29 @@ def account(fewer: Fewer, job: Job) -> PathReport:
         notes=tuple(notes),
         contributions=tuple(_contributions(runs, compensation)),
         compensation=compensation,
-        compensation_asked=job.asked,
+        compensation_requested=job.compensation_requested,
     )
 
 
-def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
+def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
     """Yield the report of each run, from executing the input, the shortened program and the output."""
-    space, nominal = fewer.space, fewer.space.nominal
-    members = {line for one in job.fitted for line in one.places.run.lines}
-    moves, short_moves = job.reading.moves, job.short.reading.moves
+    space, nominal = refitter.space, refitter.space.nominal
+    members = {line for one in job.fitted for line in one.end_points.run.lines}
+    moves, short_moves = job.reading.moves, job.shortened.reading.moves
     in_run = np.array([move.line in members for move in short_moves])
     meant = execute_words(job.program, job.reading, space, nominal, np.array([move.line in members for move in moves]))
-    exact = execute_words(job.short.program, job.short.reading, space, nominal, in_run)
+    exact = execute_words(job.shortened.program, job.shortened.reading, space, nominal, in_run)
     rewrites = () if job.result is None else job.result.rewrites
     becomes = {id(rewrite.move): len(rewrite.positions) for rewrite in rewrites}
     counts = np.array([becomes.get(id(move), 1) for move in short_moves], dtype=int)
     begins = np.cumsum(counts) - counts
-    done = _done(fewer, job, np.repeat(in_run, counts), begins)
+    done = _done(refitter, job, np.repeat(in_run, counts), begins)
     ins = {move.line: i for i, move in enumerate(moves)}
     outs = {move.line: i for i, move in enumerate(short_moves)}
-    lever, tolerance = fewer.lever, fewer.bench.options.tolerance_mm
+    lever, tolerance = refitter.lever, refitter.bench.options.tolerance_mm
     for one in job.fitted:
-        lines = one.places.run.lines
-        kept = np.flatnonzero(one.places.kept)
+        lines = one.end_points.run.lines
+        kept = np.flatnonzero(one.end_points.kept)
         first, last = outs[lines[kept[0]]], outs[lines[kept[-1]]]
         executed = done.between(int(begins[first]), int(begins[last] + counts[last] - 1))
         yield RunReport(
@@ -116,28 +116,28 @@ def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
             corners=one.corners,
             control_points=one.control_points,
             degrees=tuple(f"{'t' if p.basis.kind == 'trigonometric' else ''}{p.degree}" for p in one.pieces),
-            fit_share_um=one.figures.share_mm * 1e3,
-            fit_um=one.figures.fit_mm * 1e3,
-            chord_um=one.figures.chord_mm * 1e3,
-            path_um=one.figures.path_mm * 1e3,
-            machine_um=apart_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
-            total_um=apart_mm(executed, meant.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance) * 1e3,
+            fit_share_um=one.tolerance_use.share_mm * 1e3,
+            fit_um=one.tolerance_use.fit_mm * 1e3,
+            chord_um=one.tolerance_use.chord_mm * 1e3,
+            path_um=one.tolerance_use.path_mm * 1e3,
+            machine_um=path_distance_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
+            total_um=path_distance_mm(executed, meant.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance) * 1e3,
             why=one.why,
         )
 
 
-def _done(fewer: Fewer, job: Job, dense: np.ndarray, begins: np.ndarray) -> Executed:
+def _done(refitter: RunRefitter, job: RefitJob, dense: np.ndarray, begins: np.ndarray) -> Executed:
     """Return the executed output; ``begins``: index of the first output move of each move of the shortened program."""
     again = job.dialect.read(job.text.encode("latin-1"), job.program.source)
-    tcp = fewer.bench.options.tcp and not fewer.posted
-    reading = job.dialect.moves(again, fewer.space.axes, tcp=tcp)
-    done = execute_words(again, reading, fewer.space, fewer.bench.full, dense)
+    tcp = refitter.bench.options.tcp and not refitter.posted
+    reading = job.dialect.moves(again, refitter.space.axes, tcp=tcp)
+    done = execute_words(again, reading, refitter.space, refitter.bench.real, dense)
     if job.result is None:
         return done
     # A move that only takes up backlash has no nominal position.
     moves = job.result.moves
     place = np.arange(len(moves)) - np.searchsorted(moves, moves)
-    return done.without((begins[moves] + place)[job.result.taken])
+    return done.without((begins[moves] + place)[job.result.backlash_move])
 
 
 def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[UncertaintyContribution]:

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from twin.compensation.fewer_blocks.distance import apart
+from twin.compensation.fewer_blocks.distance import largest_distance
 from twin.compensation.fewer_blocks.fit import Polyline, Tool
 
 OUTWARD: Final = 0.25
 """Outward shift of a vertex, as a fraction of the sum of both chord heights: half their mean."""
-END: Final = 0.845
+END_CHORD: Final = 0.845
 """√(5/7): length of first and last chord relative to the others, for the same deviation in the middle: e²(1 − 1/8) − 1/8 = 1/2."""
 SAMPLES: Final = 16
 """Points per chord at which its distance is evaluated."""
@@ -104,7 +104,7 @@ def _blocks(
     words[:, still] = line.words[0, still]
     dense, dense_at = between(words, at, SAMPLES)
     places = tool(dense)
-    off = apart(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
+    off = largest_distance(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
     return (words[1:], at, off) if off <= allowed_mm else None
 
 
@@ -112,7 +112,7 @@ def _spread(sums: np.ndarray, curve_at: np.ndarray, count: int) -> np.ndarray:
     """Return (count+1,) parameters of vertices with equal shares of the demand, slightly less for the first and last chord."""
     shares = np.full(count, 1.0)
     if count > 2:
-        shares[[0, -1]] = END
+        shares[[0, -1]] = END_CHORD
     at = np.interp(np.append(0.0, np.cumsum(shares)) / shares.sum() * sums[-1], sums, curve_at)
     at[0], at[-1] = curve_at[0], curve_at[-1]
     return np.asarray(at)

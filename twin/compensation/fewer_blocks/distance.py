@@ -21,7 +21,7 @@ def lengths(points: np.ndarray) -> np.ndarray:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-def to_line(
+def distances_near(
     points: np.ndarray, at: np.ndarray, line: np.ndarray, line_at: np.ndarray, near: float, limit: float
 ) -> np.ndarray:
     """Return (n,) distances of points from a polyline, searched near each point's parameter; never too small.
@@ -48,11 +48,11 @@ def to_line(
             some = far[first : first + step]
             segment = here[some, None] + np.arange(-window, window + 1)
             np.minimum(np.maximum(segment, 0, out=segment), len(way) - 1, out=segment)
-            found[some] = _apart(points[some, None, :], start[segment], way[segment], square[segment]).min(axis=1)
+            found[some] = _distances(points[some, None, :], start[segment], way[segment], square[segment]).min(axis=1)
     return found
 
 
-def to_any(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+def distances_anywhere(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Return (n,) distances of points from the nearest point anywhere on a polyline."""
     start, way = line[:-1], np.diff(line, axis=0)
     square = np.maximum(np.einsum("ij,ij->i", way, way), TINY)
@@ -60,11 +60,11 @@ def to_any(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     step = max(1, MOST_PAIRS // len(way))
     for first in range(0, len(points), step):
         some = slice(first, first + step)
-        found[some] = _apart(points[some, None, :], start[None], way[None], square[None]).min(axis=1)
+        found[some] = _distances(points[some, None, :], start[None], way[None], square[None]).min(axis=1)
     return found
 
 
-def _apart(points: np.ndarray, start: np.ndarray, way: np.ndarray, square: np.ndarray) -> np.ndarray:
+def _distances(points: np.ndarray, start: np.ndarray, way: np.ndarray, square: np.ndarray) -> np.ndarray:
     """Return (n, m) distances of points (n, 1, d) from segments (n or 1, m, d); ``square``: squared lengths of the segments."""
     gap = points - start
     share = np.einsum("...i,...i->...", gap, way) / square
@@ -73,7 +73,7 @@ def _apart(points: np.ndarray, start: np.ndarray, way: np.ndarray, square: np.nd
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", gap, gap)))
 
 
-def apart(
+def largest_distance(
     one: np.ndarray,
     one_at: np.ndarray,
     other: np.ndarray,
@@ -90,17 +90,17 @@ def apart(
         one_at: (n,) their parameters.
         other: (m, d) vertices, m ≥ 2.
         other_at: (m,) their parameters; equal at corresponding points.
-        near: as for `to_line`.
-        limit: as for `to_line`.
+        near: as for `distances_near`.
+        limit: as for `distances_near`.
         anywhere: whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a
             distance beyond the limit.
     """
     worst = 0.0
     for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
-        found = to_line(points, at, line, line_at, near, limit)
+        found = distances_near(points, at, line, line_at, near, limit)
         far = np.flatnonzero(found > limit)
         if anywhere and far.size:
-            found[far] = to_any(points[far], line)
+            found[far] = distances_anywhere(points[far], line)
         worst = max(worst, float(found.max()))
         if worst > limit and not anywhere:
             break

@@ -23,25 +23,25 @@ from twin.nc.dialect import Dialect
 
 @final
 @dataclass(frozen=True)
-class Places:
+class RunEndPoints:
     """A run with new end points for its blocks.
 
     Attributes:
         run: as found.
         words: (m, axes) end points of the output blocks, not rounded.
-        given: (n,) index of the end point assigned to each block of the run, not decreasing.
+        assigned: (n,) index of the end point assigned to each block of the run, not decreasing.
         changed: (n,) whether a block's text is rewritten.
     """
 
     run: Run
     words: np.ndarray
-    given: np.ndarray
+    assigned: np.ndarray
     changed: np.ndarray
 
     @property
     def kept(self) -> np.ndarray:
         """(n,) whether each block remains: the first one of each end point."""
-        return np.append(True, np.diff(self.given) > 0)
+        return np.append(True, np.diff(self.assigned) > 0)
 
 
 class Shortened(NamedTuple):
@@ -60,7 +60,7 @@ def shortened(
     program: Program,
     dialect: Dialect,
     reading: Reading,
-    runs: Sequence[Places],
+    runs: Sequence[RunEndPoints],
     bench: Bench,
     *,
     posted: bool = False,
@@ -95,9 +95,9 @@ def shortened(
         first = by_line[lines[0]]
         printed = rounded(places.words, np.full(len(places.words), first.tcp), space, increment)
         for block in np.flatnonzero(places.changed):
-            rewrites.append(_rewrite(by_line[lines[block]], printed[places.given[block]], space, turns, vectors))
+            rewrites.append(_rewrite(by_line[lines[block]], printed[places.assigned[block]], space, turns, vectors))
         for block in np.flatnonzero(places.kept & places.changed):
-            exact[lines[block]] = places.words[places.given[block]]
+            exact[lines[block]] = places.words[places.assigned[block]]
         gone |= {lines[block] for block in np.flatnonzero(~places.kept)}
     text = dialect.rewrite(program, space.axes, reading, rewrites) if rewrites else program.text
     written = dialect.read(text.encode("latin-1"), program.source)

@@ -16,7 +16,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import locked
-from twin.compensation.fewer_blocks.distance import apart, lengths
+from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
 Kind = Literal["polynomial", "trigonometric"]
@@ -32,7 +32,7 @@ HOPELESS: Final = 5
 """If no curve up to this degree saves a block per control point, higher degrees are not tried."""
 MOST_SKIPPED: Final = 8
 """Most blocks left unchanged before a curve is tried again: where one start fails, the next few usually do too."""
-AT_LEAST: Final = 3
+LEAST_REST: Final = 3
 """Control points assumed for the rest of a smooth stretch, at least."""
 LEAST_HALF_ANGLE_RAD: Final = 0.01
 MOST_HALF_ANGLE_RAD: Final = 2.4
@@ -186,11 +186,11 @@ class Fitter:
                 first, tangent = found[-1].last, None
                 continue
             found.append(best)
-            first, tangent, skip = best.last, self._leaving(best), 0
+            first, tangent, skip = best.last, self._end_tangent(best), 0
         while len(found) > 1 and found[-2].blocks > 1:
-            before = self._leaving(found[-3]) if len(found) > 2 else None
+            before = self._end_tangent(found[-3]) if len(found) > 2 else None
             cost = found[-2].degree + found[-1].degree
-            joined = self._lowest(found[-2].first, before, most=cost - 1)
+            joined = self._lowest_degree(found[-2].first, before, most=cost - 1)
             if joined is None:
                 break
             found[-2:] = [joined]
@@ -214,7 +214,7 @@ class Fitter:
         """Return the best next piece from a vertex; None if none replaces more blocks than it has control points."""
         candidates: list[CurvePiece] = []
         for kind, degree in CANDIDATES:
-            piece = self._farthest(first, kind, degree, tangent)
+            piece = self._longest(first, kind, degree, tangent)
             if piece is None or (piece.blocks <= degree and piece.last < self.end):
                 if degree >= HOPELESS and not candidates:
                     break
@@ -225,16 +225,16 @@ class Fitter:
         if not candidates:
             return None
         if candidates[-1].last == self.end:
-            candidates[-1] = self._lowest(first, tangent, most=candidates[-1].degree) or candidates[-1]
+            candidates[-1] = self._lowest_degree(first, tangent, most=candidates[-1].degree) or candidates[-1]
 
         def cost(piece: CurvePiece) -> float:
             """Return the control points needed to the end if the rest costs as much per block as this piece."""
             left = self.end - piece.last
-            return piece.degree + (max(left * piece.degree / piece.blocks, AT_LEAST) if left else 0.0)
+            return piece.degree + (max(left * piece.degree / piece.blocks, LEAST_REST) if left else 0.0)
 
         return min(candidates, key=cost)
 
-    def _leaving(self, piece: CurvePiece) -> np.ndarray:
+    def _end_tangent(self, piece: CurvePiece) -> np.ndarray:
         """Return the (axes,) derivative of the words by the parameter at a piece's end."""
         slope = piece.basis.derivative(piece.control, np.array([1.0]))[0]
         return np.asarray(slope / self._way(piece.first, piece.last))
@@ -242,7 +242,7 @@ class Fitter:
     def _way(self, first: int, last: int) -> float:
         return float(self.line.at[last] - self.line.at[first])
 
-    def _farthest(self, first: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> CurvePiece | None:
+    def _longest(self, first: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> CurvePiece | None:
         """Return the longest piece of a degree, searched from the length last reached with that degree."""
         most = self.end - first
         low, high, best = 0, most + 1, None
@@ -257,7 +257,7 @@ class Fitter:
         self._reach[kind, degree] = max(low, 1)
         return best
 
-    def _lowest(self, first: int, tangent: np.ndarray | None, *, most: int) -> CurvePiece | None:
+    def _lowest_degree(self, first: int, tangent: np.ndarray | None, *, most: int) -> CurvePiece | None:
         """Return a piece from a vertex to the end, of the lowest sufficient degree up to ``most``, by bisection."""
         if most < 1:
             return None
@@ -279,21 +279,21 @@ class Fitter:
         basis = FGBernstein(degree, kind=kind, half_angle_rad=half_angle)
         ends = line.words[[first, last]]
         way = self._way(first, last)
-        held, given = [0, degree], [ends[0], ends[1]]
+        fixed, values = [0, degree], [ends[0], ends[1]]
         if tangent is not None:
             second = _second(basis, ends[0], way * tangent)
             if degree > 1:
-                held.insert(1, 1)
-                given.insert(1, second)
+                fixed.insert(1, 1)
+                values.insert(1, second)
             elif float(np.linalg.norm(self.tool(second[None])[0] - self.tool(ends[1:])[0])) > self.allowed:
                 return None
-        if len(held) > degree:
-            control = np.array(given)
+        if len(fixed) > degree:
+            control = np.array(values)
         else:
             nodes, inverse, weights = _solver(basis)
             control = inverse @ line.points(line.at[first] + way * nodes)
-            held_weights = weights[:, held]
-            control = control + held_weights @ np.linalg.solve(held_weights[held], np.array(given) - control[held])
+            fixed_weights = weights[:, fixed]
+            control = control + fixed_weights @ np.linalg.solve(fixed_weights[fixed], np.array(values) - control[fixed])
         still = np.ptp(line.words[first : last + 1], axis=0) == 0.0
         if kind == "polynomial":
             control[:, still] = ends[0, still]  # an axis at rest stays exactly at rest
@@ -303,7 +303,7 @@ class Fitter:
         curve = self.tool(_values(basis, count) @ control)
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
         meant, meant_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
-        off = apart(curve, at, meant, meant_at, limit, limit)
+        off = largest_distance(curve, at, meant, meant_at, limit, limit)
         return CurvePiece(first, last, basis, locked(control), off) if off <= self.allowed else None
 
 

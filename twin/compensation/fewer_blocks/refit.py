@@ -18,11 +18,11 @@ from twin._common.errors import InputError
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
-from twin.compensation.fewer_blocks.account import Job, account
+from twin.compensation.fewer_blocks.account import RefitJob, account
 from twin.compensation.fewer_blocks.emit import Shortened, shortened
-from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
-from twin.compensation.fewer_blocks.report import PathReport, Shares
+from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
+from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
 from twin.compensation.toolpath import Path, follow
 from twin.machine.calibration import Calibration
@@ -70,7 +70,7 @@ class Refitter:
     ) -> None:
         chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
         self.bench = Bench(machine, calibration if compensated else Calibration.zero(machine), chosen)
-        self.asked = compensated
+        self.compensation_requested = compensated
         self.compensated = compensated and not self.bench.calibration.empty
 
     def refit(
@@ -101,7 +101,7 @@ class Refitter:
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
         increment = self.bench.printed_increment(dialect, posted=posted)
-        fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
+        refitter = RunRefitter(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
         reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
@@ -110,24 +110,26 @@ class Refitter:
         fitted = []
         for i, run in enumerate(runs):
             say("fitting", 0.05 + 0.5 * i / len(runs))
-            fitted.append(fewer.of(run, path))
+            fitted.append(refitter.refit(run, path))
         say("writing", 0.55)
         others = _others(path, runs) if printed else ()
-        places = [one.places for one in fitted]
+        places = [one.end_points for one in fitted]
         short = shortened(program, dialect, reading, places, self.bench, posted=posted, others=others)
-        shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
+        shares = min((one.shares for one in fitted), key=lambda one: one.path, default=refitter.shares(False))
         result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
         if not posted:
             text = dialect.renumbered(program, text)
         say("checking", 0.9)
-        job = Job(program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.asked)
-        report = account(fewer, job)
+        job = RefitJob(
+            program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.compensation_requested
+        )
+        report = account(refitter, job)
         say("done", 1.0)
         return Refit(text, report)
 
     def _result(
-        self, short: Shortened, dialect: Dialect, shares: Shares, say: Progress, *, into: Dialect | None
+        self, short: Shortened, dialect: Dialect, shares: ToleranceShares, say: Progress, *, into: Dialect | None
     ) -> Compensation:
         """Return the shortened program compensated, posted, or both, as requested."""
         share = shares.compensation if self.compensated else shares.tolerance

@@ -54,7 +54,7 @@ def combined(contributions: Sequence[UncertaintyContribution]) -> float:
 
 @final
 @dataclass(frozen=True)
-class Shares:
+class ToleranceShares:
     """Division of the tolerance, µm.
 
     Attributes:
@@ -120,14 +120,14 @@ class PathReport:
         not_met: runs whose executed path exceeds the tolerance.
         contributions: uncertainty budget of the path.
         compensation: report of the compensation; None without one.
-        compensation_asked: whether the machine's errors were to be compensated.
+        compensation_requested: whether the machine's errors were to be compensated.
     """
 
     program: str
     machine: str
     calibration: str
     warnings: tuple[SourceWarning, ...]
-    shares: Shares
+    shares: ToleranceShares
     lever_mm: float
     angle_deg: float
     runs: tuple[RunReport, ...]
@@ -135,7 +135,7 @@ class PathReport:
     notes: tuple[LineNote, ...]
     contributions: tuple[UncertaintyContribution, ...]
     compensation: Report | None
-    compensation_asked: bool = False
+    compensation_requested: bool = False
 
     @property
     def illustrative(self) -> bool:
@@ -160,7 +160,7 @@ class PathReport:
     @property
     def complete(self) -> bool:
         """Whether every requirement was met; determines the exit status."""
-        compensated = not self.compensation_asked if self.compensation is None else self.compensation.complete
+        compensated = not self.compensation_requested if self.compensation is None else self.compensation.complete
         return compensated and not self.not_met
 
     @property
@@ -173,7 +173,7 @@ class PathReport:
         """Result of the compensation in one line; None if none was requested."""
         if self.compensation is not None:
             return self.compensation.headline
-        return NO_ERRORS if self.compensation_asked else None
+        return NO_ERRORS if self.compensation_requested else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON report."""
@@ -216,7 +216,7 @@ class PathReport:
         ]
         cells = [(words, f"{share:.3f}", f"{most:.3f}", bar(most / shares.tolerance)) for words, share, most in rows]
         u = self.expanded_um
-        told = [
+        facts = [
             ("blocks", f"{self.blocks:,} in {several(len(self.runs), 'run')}, now {self.blocks_out:,}"),
             (
                 "U of a point of the path (k = 2)",
@@ -229,7 +229,7 @@ class PathReport:
         ]
         title = f"{Path(self.program).name} on {self.machine} with fewer blocks"
         headers = (f"of {shares.tolerance:g} µm", "share, µm", "used, µm", "")
-        parts = (pairs(told), table(headers, cells, right=(1, 2)), *notes)
+        parts = (pairs(facts), table(headers, cells, right=(1, 2)), *notes)
         return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
 
     def used(self) -> dict[str, float]:

@@ -18,11 +18,11 @@ from twin.nc.dialect import Dialect
 
 FEWEST: Final = 3
 """Least number of blocks of a run: two cannot be reduced."""
-LONE_BEND_RAD: Final = np.radians(15.0)
+ISOLATED_BEND_RAD: Final = np.radians(15.0)
 """Least isolated bend that is a corner …"""
-LONE: Final = 3.0
+ISOLATED_FACTOR: Final = 3.0
 """… a bend is isolated if its neighbours are smaller by this factor; along a curve they are similar."""
-LONG: Final = 10.0
+LONG_FACTOR: Final = 10.0
 """A block longer than this many median blocks of the run is a line of its own, not part of a curve."""
 SAME_MM: Final = 1e-9
 """Distance below which positions are equal."""
@@ -95,9 +95,9 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     bend = 2.0 * np.arcsin(np.clip(half_sine, 0.0, 1.0))
     rounded = np.minimum(size[:-1], size[1:]) * half_sine / 4.0
     beside = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
-    lone = (bend >= LONE_BEND_RAD) & (bend >= LONE * beside)
-    long = size > LONG * np.median(size)
-    found = (rounded > 2.0 * allowed_mm) | lone | long[:-1] | long[1:]
+    isolated = (bend >= ISOLATED_BEND_RAD) & (bend >= ISOLATED_FACTOR * beside)
+    long = size > LONG_FACTOR * np.median(size)
+    found = (rounded > 2.0 * allowed_mm) | isolated | long[:-1] | long[1:]
     return [0, *(np.flatnonzero(found) + 1).tolist(), len(size)]
 
 

@@ -7,8 +7,8 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.backlash import LostMotion
-from twin.compensation.fewer_blocks.distance import apart, lengths
+from twin.compensation.backlash import Backlash
+from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.compensation.toolpath import PathMotion, WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.nc.blocks import Program, Reading
@@ -64,7 +64,7 @@ def execute_words(
     motions = zip(path.motions, dense[moves].tolist(), strict=True)
     words, of = path.dense([_fractions(motion) if looked_at else np.array([1.0]) for motion, looked_at in motions])
     commands = space.commands(words, path.columns.tcp[of])
-    sides = LostMotion(real.calibration).sides(path, of, commands)
+    sides = Backlash(real.calibration).sides(path, of, commands)
     point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
     return Executed(moves[of], words, point)
 
@@ -77,7 +77,7 @@ def _fractions(motion: PathMotion) -> np.ndarray:
     return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
 
 
-def apart_mm(
+def path_distance_mm(
     one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray], lever_mm: float, tolerance_mm: float
 ) -> float:
     """Return the largest distance between two executed paths in both directions, mm; each is given by words and points.
@@ -86,7 +86,7 @@ def apart_mm(
     also increases while a tool only turns.
     """
     at = [_shares(words, points, lever_mm) for words, points in (one, other)]
-    return apart(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
+    return largest_distance(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
 
 
 def _shares(words: np.ndarray, points: np.ndarray, lever_mm: float) -> np.ndarray:

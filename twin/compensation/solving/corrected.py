@@ -14,9 +14,9 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.bench import Progress
-from twin.compensation.solving.between import Between
+from twin.compensation.solving.path_errors import PathErrors
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.reversals import taken_up
+from twin.compensation.solving.reversals import insert_backlash_moves
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import check_domains
 from twin.kinematics.inverse import SLACK
@@ -38,13 +38,13 @@ class Corrected:
 
     Attributes:
         pieces: the program cut into pieces.
-        between: the errors between their end points.
+        path_errors: the errors between their end points.
         rows: the commands at the end points.
         context: number of its first motions that belong to the stretch before.
     """
 
     pieces: Pieces
-    between: Between
+    path_errors: PathErrors
     rows: Rows
     context: int
 
@@ -80,7 +80,7 @@ class Corrected:
         return int(np.count_nonzero(self.new.count))
 
 
-def replacing(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
+def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
     """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
 
     Args:
@@ -99,7 +99,7 @@ def replacing(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPosit
     return NewPositions(first, count, positions, vectors)
 
 
-def corrected(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
+def correct(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:
@@ -112,22 +112,22 @@ def corrected(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
     """
     bench, lines = pieces.bench, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
-    check_domains(bench.full, pieces.source, lines[context:], commands)
-    between = Between(pieces)
+    check_domains(bench.real, pieces.source, lines[context:], commands)
+    path_errors = PathErrors(pieces)
     rows = pieces.ends(np.arange(len(pieces.legs.motion)))
     if not pieces.idle:
         if bench.thesis is None:
-            rows = _whole(pieces, between, _split(pieces, between, rows, say))
+            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, say))
         _check_arcs(pieces, rows)
         if bench.thesis is None:
             _check_ranges(pieces, rows)
-            if pieces.aim.lost.axes:
-                between.forget()
-                rows = taken_up(pieces, rows)
-    return Corrected(pieces, between, rows, context)
+            if pieces.aim.backlash.axes:
+                path_errors.forget()
+                rows = insert_backlash_moves(pieces, rows)
+    return Corrected(pieces, path_errors, rows, context)
 
 
-def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
+def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, say: Progress) -> Rows:
     """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
     legs, tolerance = pieces.legs, pieces.bench.options.tolerance_mm
     candidates = np.flatnonzero(pieces.interpolated[legs.motion])
@@ -135,7 +135,7 @@ def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
         if not candidates.size:
             break
         say("splitting", min(0.7, 0.2 + 0.05 * step))
-        worst = between.largest(candidates, rows)
+        worst = path_errors.leg_errors_mm(candidates, rows)
         stuck = np.zeros(len(pieces.start), dtype=bool)
         stuck[rows.motion[rows.clamped | rows.untouched]] = True
         failing = (worst > tolerance) & ~stuck[legs.motion[candidates]] & (legs.count[candidates] < LARGEST_SPLIT)
@@ -145,20 +145,20 @@ def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
         # The error between end points is quadratic in length.
         factor = np.clip(1.1 * np.sqrt(worst[failing] / tolerance), 1.3, 16.0)
         legs.count[candidates] = np.minimum(np.ceil(legs.count[candidates] * factor).astype(int), LARGEST_SPLIT)
-        between.forget(candidates)
+        path_errors.forget(candidates)
         rows = rows.replaced(candidates, pieces.ends(candidates))
     return rows
 
 
-def _whole(pieces: Pieces, between: Between, rows: Rows) -> Rows:
+def _whole(pieces: Pieces, path_errors: PathErrors, rows: Rows) -> Rows:
     """Restore blocks that leave an axis's range between their end points: left as written, in one piece."""
     legs = pieces.legs
     kept = pieces.left_as_written(rows)
     if not np.any(pieces.count(rows)[kept] > 1):
         return rows
     again = np.flatnonzero(kept[legs.motion])
-    legs.whole(np.flatnonzero(kept))
-    between.forget(again)
+    legs.merge(np.flatnonzero(kept))
+    path_errors.forget(again)
     rows = rows.replaced(again, pieces.ends(again))
     return replace(rows, untouched=rows.untouched | kept[rows.motion])
 

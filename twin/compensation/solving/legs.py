@@ -14,14 +14,14 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.bench import Bench
-from twin.compensation.solving.rows import counted
+from twin.compensation.solving.rows import repeat_with_index
 from twin.compensation.toolpath import PathMotion
 
 STEP_DEG: Final = 2.0
 """Step of the search for reversals on an arc or a turn of the tool, degrees."""
-BEHIND: Final = 1e-4
+HALF_INTERVAL: Final = 1e-4
 """Half the interval for numerical velocities, as a fraction of the motion."""
-STANDING: Final = 1e-8
+AT_REST: Final = 1e-8
 """Displacement (mm, degrees) over that interval below which an axis stands still; the solver's numerical noise is smaller."""
 HALVINGS: Final = 24
 """Bisection steps: 2 degrees become 1e-7 of a degree."""
@@ -54,7 +54,7 @@ class Legs:
         end = np.where(last, 1.0, np.append(begin[1:], 1.0))
         return cls(motion, begin, end, np.ones(len(motion), dtype=int))
 
-    def whole(self, motions: np.ndarray) -> None:
+    def merge(self, motions: np.ndarray) -> None:
         """Merge the legs of some motions into one leg in one piece."""
         mine = np.isin(self.motion, motions)
         last = mine & (self.end == 1.0)
@@ -62,7 +62,7 @@ class Legs:
 
     def ends(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the leg of every piece of some legs, and the fraction of the motion at the piece's end point."""
-        of, number = counted(legs, self.count[legs])
+        of, number = repeat_with_index(legs, self.count[legs])
         share = (number + 1) / self.count[of]
         return of, np.where(share == 1.0, self.end[of], self.at(of, share))
 
@@ -90,10 +90,10 @@ def turning_points(
     if not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
-    of, index = counted(curved, counts + 1)
+    of, index = repeat_with_index(curved, counts + 1)
     grid = index / np.repeat(counts, counts + 1)
     found_of, found_at = [], []
-    velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > STANDING, np.sign(v), 0.0)
+    velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > AT_REST, np.sign(v), 0.0)
     for axis in axes:
         moving = np.flatnonzero(velocity[:, axis])
         first, last = moving[:-1], moving[1:]
@@ -106,7 +106,7 @@ def turning_points(
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         found_of.append(of[first])
         found_at.append((low + high) / 2.0)
-    return _apart(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
+    return _resolvable(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
 
 
 def _can_turn(motion: PathMotion) -> bool:
@@ -128,11 +128,11 @@ def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fract
         words = np.concatenate([motions[of[i]].along(at[i:j]) for i, j in pairwise(bounds)])
         return bench.space.commands(words, tcp)
 
-    before, behind = np.clip(fraction - BEHIND, 0.0, 1.0), np.clip(fraction + BEHIND, 0.0, 1.0)
+    before, behind = np.clip(fraction - HALF_INTERVAL, 0.0, 1.0), np.clip(fraction + HALF_INTERVAL, 0.0, 1.0)
     return commands(behind) - commands(before)
 
 
-def _apart(
+def _resolvable(
     bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points in order, without those that rounded words cannot distinguish from the one before or from an end point."""

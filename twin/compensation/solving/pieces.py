@@ -21,7 +21,7 @@ from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
 from twin.nc.dialect import Dialect
 
-ORIENTED_RAD: Final = 1e-9
+ORIENTATION_NOISE_RAD: Final = 1e-9
 """Orientation residual below which it is numerical noise of the solver."""
 
 
@@ -68,7 +68,7 @@ class Pieces:
         self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
         # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~bench.outside(self.space.commands(self.start, self.tcp))
-        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.lost.axes)
+        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
@@ -127,21 +127,21 @@ class Pieces:
         untouched = self.bench.outside(nominal)
         safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
         target = self.space.nominal.forward(safe)
-        vectors, orientation_left = np.full((len(of), 3), np.nan), np.zeros(len(of))
+        vectors, orientation_residual_rad = np.full((len(of), 3), np.nan), np.zeros(len(of))
         if self.bench.thesis is not None:
             exact = self.bench.thesis.commands(safe)
         else:
-            commands, orientation_left = self.oriented(target, safe, sides)
+            commands, orientation_residual_rad = self.oriented(target, safe, sides)
             commands, vectors = self._rotary_as_printed(commands, of)
             exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
         no, nowhere = np.zeros(len(of), dtype=bool), np.zeros(sides.shape)
         rows = Rows(
             leg=leg,
             motion=of,
-            taken=no,
+            backlash_move=no,
             approach=sides,
-            turned=nowhere.astype(bool),
-            beyond=nowhere,
+            reverses=nowhere.astype(bool),
+            overshoot=nowhere,
             fraction=fraction,
             words=words,
             nominal=nominal,
@@ -151,8 +151,8 @@ class Pieces:
             commands=exact,
             printed=words,
             vectors=vectors,
-            orientation_left=orientation_left,
-            singular=orientation_left > 0.0,
+            orientation_residual_rad=orientation_residual_rad,
+            singular=orientation_residual_rad > 0.0,
             clamped=no,
             untouched=untouched,
         )
@@ -173,7 +173,9 @@ class Pieces:
         turned = solution.positions[:, rotary]
         able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
         commands[np.ix_(able, rotary)] = turned[able]
-        left = np.where(solution.orientation_residual_rad > ORIENTED_RAD, solution.orientation_residual_rad, 0.0)
+        left = np.where(
+            solution.orientation_residual_rad > ORIENTATION_NOISE_RAD, solution.orientation_residual_rad, 0.0
+        )
         unable = np.flatnonzero(~able)
         if unable.size:
             reached = real.forward(commands[unable], None if sides is None else sides[unable])
@@ -183,7 +185,7 @@ class Pieces:
     def printed(self, rows: Rows) -> Rows:
         """Return the rows with ``exact`` converted to words and rounded to their increments."""
         limits, increment = self.bench.limits, self.increment
-        wanted = rows.exact + rows.beyond
+        wanted = rows.exact + rows.overshoot
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
         clamped = ~every(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
         tcp_out = self.tcp_out[rows.motion]

@@ -23,17 +23,17 @@ class Rows:
 
     Attributes:
         leg, motion: (n,) leg and motion of each end point.
-        taken: (n,) whether the row is an inserted move that only takes up backlash, at its fraction of the motion.
+        backlash_move: (n,) whether the row is an inserted move that only takes up backlash, at its fraction of the motion.
         approach: (n, axes) approach directions for which it is solved.
-        turned: (n, axes) whether each axis reverses before it.
-        beyond: (n, axes) intentional overshoot, mm and degrees.
+        reverses: (n, axes) whether each axis reverses before it.
+        overshoot: (n, axes) intentional overshoot, mm and degrees.
         fraction: (n,) fraction of its motion.
         words, nominal: (n, axes) nominal words and commands.
         target_mm, target_rotation: (n, 3) and (n, 3, 3) nominal pose.
         exact: (n, axes) compensated commands before linear words were rounded.
         commands, printed: (n, axes) compensated commands as printed, and the printed words.
         vectors: (n, 3) printed tool vectors; NaN where there is none.
-        orientation_left: (n,) orientation residual in radians that the rotary axes do not correct.
+        orientation_residual_rad: (n,) orientation residual in radians that the rotary axes do not correct.
         singular: (n,) whether that residual exceeds the solver's numerical noise.
         clamped: (n,) whether an axis stops at its limit.
         untouched: (n,) whether it is left as written because it is out of range.
@@ -41,10 +41,10 @@ class Rows:
 
     leg: np.ndarray
     motion: np.ndarray
-    taken: np.ndarray
+    backlash_move: np.ndarray
     approach: np.ndarray
-    turned: np.ndarray
-    beyond: np.ndarray
+    reverses: np.ndarray
+    overshoot: np.ndarray
     fraction: np.ndarray
     words: np.ndarray
     nominal: np.ndarray
@@ -54,7 +54,7 @@ class Rows:
     commands: np.ndarray
     printed: np.ndarray
     vectors: np.ndarray
-    orientation_left: np.ndarray
+    orientation_residual_rad: np.ndarray
     singular: np.ndarray
     clamped: np.ndarray
     untouched: np.ndarray
@@ -80,7 +80,7 @@ class Rows:
         for behind in (False, True):
             vectors = np.nan_to_num(rows.vectors)
             alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
-            rows = rows.where(~(rows.taken & (np.append(alike, False) if behind else np.append(False, alike))))
+            rows = rows.where(~(rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))))
         return rows
 
 
@@ -104,7 +104,7 @@ class Ways(NamedTuple):
     first: np.ndarray
 
 
-def counted(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def repeat_with_index(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Repeat each of (n,) items by its count, and number the repetitions 0, 1, 2 … within each."""
     return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
 

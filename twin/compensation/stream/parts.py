@@ -79,7 +79,7 @@ class ProgramFile:
             ) from error
 
 
-class Read(NamedTuple):
+class ReadStretch(NamedTuple):
     """A stretch as read: its lines and its moves."""
 
     stretch: Stretch
@@ -98,7 +98,7 @@ class ProgramPart:
         aim: errors to correct; None until a motion has been read.
     """
 
-    read: Sequence[Read]
+    read: Sequence[ReadStretch]
     motions: MotionColumns
     context: int
     aim: CorrectionAim | None
@@ -120,7 +120,7 @@ class PartReader:
 
     Attributes:
         lines: number of lines read so far.
-        changed: whether rotary motion appears only later, so that the program must be compensated again from its start.
+        turns_later: whether rotary motion appears only later, so that the program must be compensated again from its start.
         drills: whether it has a drilling cycle.
         failed: the error that ended reading; None if there is none.
     """
@@ -133,18 +133,18 @@ class PartReader:
         self._notices: list[Notice] = []
         self._turns = False
         self.lines = 0
-        self.changed = self.drills = False
+        self.turns_later = self.drills = False
         self.failed: InputError | None = None
 
     @property
     def notices(self) -> list[Notice]:
         """Notices on the lines read so far."""
-        return [*self._notices, *self._follower.passed]
+        return [*self._notices, *self._follower.notices]
 
     def parts(self) -> Iterator[ProgramPart]:
         """Yield the program as read; if reading `failed`, everything before."""
         a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
-        full, read = a_part, list[Read]()
+        full, read = a_part, list[ReadStretch]()
         motions = [MotionColumns.of({}, len(self._bench.space.axes.names))]
         try:
             for data in self._source.stretches():
@@ -159,22 +159,22 @@ class PartReader:
             self.failed = error
         yield self._part(read, motions)
 
-    def _part(self, read: list[Read], motions: list[MotionColumns]) -> ProgramPart:
+    def _part(self, read: list[ReadStretch], motions: list[MotionColumns]) -> ProgramPart:
         return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
-    def _read(self, data: bytes) -> Read:
+    def _read(self, data: bytes) -> ReadStretch:
         stretch = Stretch(data, self.lines, self._bench.space.axes.names)
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()
         self.drills = self._reader.drills
-        return Read(stretch, moves)
+        return ReadStretch(stretch, moves)
 
-    def _followed(self, read: Read, before: int) -> MotionColumns:
+    def _followed(self, read: ReadStretch, before: int) -> MotionColumns:
         """Return the motions of a stretch; ``before``: number of earlier moves in its part."""
         motions = self._follower.columns(read.moves, self._reader.left(), read.stretch.text_of)
         self._turns = self._turns or read.moves.turns(self._bench.space.axes.rotary)
         if self._aim is None and len(motions):
             self._aim = self._bench.aim(turns=self._turns)
-        self.changed = self._turns and self._aim is not None and not self._aim.turns
+        self.turns_later = self._turns and self._aim is not None and not self._aim.turns
         return replace(motions, move=motions.move + before)

@@ -21,8 +21,8 @@ import numpy as np
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Progress
 from twin.compensation.checked import motionless
-from twin.compensation.solving import Corrected, Pieces, corrected, replacing
-from twin.compensation.solving.between import SAMPLES_A_PIECE
+from twin.compensation.solving import Corrected, Pieces, correct, new_positions
+from twin.compensation.solving.path_errors import SAMPLES_A_PIECE
 from twin.compensation.solving.rows import even_cuts, spacings
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
@@ -90,7 +90,7 @@ class Streamed:
                 raise reader.failed
             if reader.drills:
                 return None
-            if not reader.changed:
+            if not reader.turns_later:
                 break
         if self._account is None:
             raise motionless(str(self._source.path))
@@ -113,7 +113,7 @@ class Streamed:
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
             try:
                 for part in chain(reader.parts(), (None,)):
-                    if reader.changed or reader.drills:
+                    if reader.turns_later or reader.drills:
                         return
                     if part is not None:
                         solved = solving.submit(self._solve, part)
@@ -145,9 +145,9 @@ class Streamed:
                 motions = part.motions.part(begin - context, end)
                 path = ToolPath(motions, motions)
                 pieces = Pieces(self._bench, path, part.aim, ISO, source=str(self._source.path))
-                cuts.append(corrected(pieces, _silent, context=context))
+                cuts.append(correct(pieces, _silent, context=context))
                 begin = end
-        return replacing(cuts, part.moves, len(self._bench.space.axes.names)), cuts
+        return new_positions(cuts, part.moves, len(self._bench.space.axes.names)), cuts
 
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""

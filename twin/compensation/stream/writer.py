@@ -9,7 +9,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import program_comments
 from twin.compensation.bench import Bench
 from twin.compensation.checked import check, unreadable
-from twin.compensation.stream.parts import ProgramFile, ProgramPart, Read
+from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.dialect import Iso
@@ -38,7 +38,7 @@ class PartWriter:
         self._out = out
         self._checker = IsoReader(self._name, self._axes, tcp=bench.options.tcp)
         self._rewriter: IsoRewriter | None = None
-        self._held: list[bytes] = []
+        self._pending: list[bytes] = []
         self._head: bytes | None = b""
         self._lines = self.moves = self.bytes = 0
 
@@ -55,19 +55,19 @@ class PartWriter:
             self._write(read, replace(new, first=new.first[own], count=new.count[own]), idle=idle)
             first = own.stop
 
-    def _write(self, read: Read, new: NewPositions, *, idle: bool) -> None:
+    def _write(self, read: ReadStretch, new: NewPositions, *, idle: bool) -> None:
         stretch, moves = read
         if self._rewriter is None and not len(moves):
-            self._held.append(
+            self._pending.append(
                 stretch.scan.data
             )  # the mode of the lines before the first move is that of the first move
             return
         if self._rewriter is None:
             newline, style = self._begins
             self._rewriter = IsoRewriter(self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]))
-            if self._held:
-                stretch = Stretch(b"".join(self._held) + stretch.scan.data, 0, self._axes.names)
-                self._held = []
+            if self._pending:
+                stretch = Stretch(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names)
+                self._pending = []
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
         written = Stretch(data, self._lines, self._axes.names)
         try:

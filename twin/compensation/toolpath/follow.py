@@ -26,7 +26,7 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
     follower = Follower(program.source, space)
     motions = follower.follow(reading, lambda line: program.texts[line])
     columns = MotionColumns.of(motions, len(space.axes.names))
-    return Path(tuple(motions.values()), columns, tuple(follower.passed), tuple(follower.passages))
+    return Path(tuple(motions.values()), columns, tuple(follower.notices), tuple(follower.passages))
 
 
 @final
@@ -38,12 +38,12 @@ class Follower:
         space: conversion from words to commands.
 
     Attributes:
-        passed: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
+        notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
         passages: axis positions after lines between motions, so far.
     """
 
     def __init__(self, source: str, space: WordSpace) -> None:
-        self.passed: list[Notice] = []
+        self.notices: list[Notice] = []
         self.passages: list[Passage] = []
         self._count = 0
         self._source = source
@@ -145,7 +145,7 @@ class Follower:
             self._words = np.where(self._named(move), end - self._space.offset, words)
             if move.tcp:
                 self._words[:3] = np.nan  # the position of the tip then depends on the control
-            self.passed.append(Notice(move.line, "machine coordinates: passed through unchanged"))
+            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
             return None
         end = np.where(np.isnan(end), words, end)
         if solutions is not None:
@@ -181,7 +181,7 @@ class Follower:
                 if missing
             }
             at = ", ".join(f"{name} = {value:g}°" for name, value in taken.items())
-            self.passed.append(
+            self.notices.append(
                 Notice(line, f"the program gives no position of {' and '.join(taken)} before this line: assumed {at}")
             )
             self._assumed = True
@@ -199,7 +199,7 @@ class Follower:
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        self.passed.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+        self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
         commands = end + space.offset
         if move.tcp:
             commands[:3] = np.nan

@@ -151,13 +151,13 @@ class Path:
     Attributes:
         motions: motions with all positions known.
         columns: the same in columns.
-        passed: notices on lines that move axes but are passed through unchanged, and on assumptions.
+        notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
         passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
     """
 
     motions: Sequence[PathMotion]
     columns: MotionColumns
-    passed: tuple[Notice, ...] = ()
+    notices: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
 
     def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

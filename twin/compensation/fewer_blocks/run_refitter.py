@@ -12,18 +12,18 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
-from twin.compensation.fewer_blocks.distance import apart
-from twin.compensation.fewer_blocks.emit import Places
+from twin.compensation.fewer_blocks.distance import largest_distance
+from twin.compensation.fewer_blocks.emit import RunEndPoints
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
-from twin.compensation.fewer_blocks.report import Shares
+from twin.compensation.fewer_blocks.report import ToleranceShares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
 from twin.compensation.toolpath import Path
 
 LEVER_MM: Final = 100.0
 """Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""
 COMPENSATION: Final = (0.1, 1e-3)
-"""Share of the compensation between end points: fraction of the tolerance after rounding, and largest value in mm. The error between end
-points falls with the square of a block's length.
+"""Share of the compensation between end points: fraction of the tolerance after rounding, and largest value in mm. The error
+between end points falls with the square of a block's length.
 """
 FIT: Final = (0.25, 0.5, 0.75)
 """Fractions of the path's share that a curve may use, tried in this order …"""
@@ -44,7 +44,7 @@ STEPS: Final = 16
 """Points per block at which a fitted curve is evaluated."""
 
 
-class Figures(NamedTuple):
+class ToleranceUse(NamedTuple):
     """Use of the tolerance by a run's curves and blocks, the largest over its stretches.
 
     Attributes:
@@ -62,34 +62,34 @@ class Figures(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Fitted:
+class RefittedRun:
     """One refitted run.
 
     Attributes:
-        places: new end points of its blocks.
+        end_points: new end points of its blocks.
         shares: division of the tolerance.
         corners: number of vertices kept as corners, without the end points of the run.
         pieces: its curves.
-        figures: their use of the tolerance.
+        tolerance_use: their use of the tolerance.
         why: why it was left unchanged; empty if it was refitted.
     """
 
-    places: Places
-    shares: Shares
+    end_points: RunEndPoints
+    shares: ToleranceShares
     corners: int
     pieces: tuple[CurvePiece, ...]
-    figures: Figures
+    tolerance_use: ToleranceUse
     why: str
 
     @property
     def control_points(self) -> int:
         """Control points of its curves, plus one for each unchanged block."""
-        standing = len(self.places.given) - sum(piece.blocks for piece in self.pieces)
+        standing = len(self.end_points.assigned) - sum(piece.blocks for piece in self.pieces)
         return sum(piece.degree for piece in self.pieces) + standing + 1
 
 
 @final
-class Fewer:
+class RunRefitter:
     """Refits runs with fewer blocks.
 
     Args:
@@ -116,7 +116,7 @@ class Fewer:
         self.lever = length if length > 0.0 else LEVER_MM
         self.shares(False)
 
-    def shares(self, turning: bool) -> Shares:
+    def shares(self, turning: bool) -> ToleranceShares:
         """Return the division of the tolerance; ``turning``: for runs that turn rotary axes.
 
         Raises:
@@ -136,9 +136,9 @@ class Fewer:
                 setting="tolerance",
             )
         machine = min(COMPENSATION[0] * left, COMPENSATION[1]) if self.compensated else 0.0
-        return Shares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (left - machine) * 1e3)
+        return ToleranceShares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (left - machine) * 1e3)
 
-    def of(self, run: Run, path: Path) -> Fitted:
+    def refit(self, run: Run, path: Path) -> RefittedRun:
         """Return one run with fewer blocks where possible."""
         first = path.motions[run.motions[0]].move
         turning = _turns(run)
@@ -149,24 +149,24 @@ class Fewer:
         tool = self._tool(turning, first.tcp)
         modes = np.full(len(run.words), first.tcp)
         if np.any(self.bench.outside(self.space.commands(run.words, modes))):
-            return self._as_it_is(run, shares, "outside the range of an axis")
+            return self._unchanged(run, shares, "outside the range of an axis")
         places = tool(run.words)
         moving = np.append(True, np.linalg.norm(np.diff(places, axis=0), axis=1) > SAME_MM)
         moving[-1] |= not moving[1:].any()
         vertices = run.words[moving]
         if len(vertices) < 3:
-            return self._as_it_is(run, shares, "the tool does not move")
+            return self._unchanged(run, shares, "the tool does not move")
         ids = np.cumsum(moving)[1:] - 1
         line = Polyline.of(vertices, tool)
         allowed -= _coarseness(line, tool)
         if allowed <= 0.0:
-            return self._as_it_is(run, shares, "the blocks deviate too far from straight lines at the tool")
+            return self._unchanged(run, shares, "the blocks deviate too far from straight lines at the tool")
         cuts = corners(line, allowed)
         words: list[np.ndarray] = []
         given = np.zeros(len(run.lines), dtype=int)
         changed = np.full(len(run.lines), self.printed)
         pieces: list[CurvePiece] = []
-        figures = Figures()
+        figures = ToleranceUse()
         for number, (begin, end) in enumerate(pairwise(cuts)):
             blocks = np.flatnonzero((ids <= end) & ((ids > begin) | (number == 0)))
             found = self._stretch(vertices[begin : end + 1], tool, allowed, posted=posted) if end - begin > 2 else None
@@ -181,10 +181,10 @@ class Fewer:
             given[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
             changed[blocks] = True
             pieces += found[1]
-            figures = Figures(*map(max, figures, found[2]))
+            figures = ToleranceUse(*map(max, figures, found[2]))
         why = "" if pieces else "fewer blocks would exceed the tolerance"
-        return Fitted(
-            Places(run, np.concatenate(words), given, changed),
+        return RefittedRun(
+            RunEndPoints(run, np.concatenate(words), given, changed),
             shares,
             len(cuts) - 2,
             tuple(pieces),
@@ -198,14 +198,14 @@ class Fewer:
         lower, upper = self.bench.limits.T
         return bool(np.any((commands < lower) | (commands > upper)))
 
-    def _as_it_is(self, run: Run, shares: Shares, why: str) -> Fitted:
+    def _unchanged(self, run: Run, shares: ToleranceShares, why: str) -> RefittedRun:
         count = len(run.lines)
-        places = Places(run, run.words[1:], np.arange(count), np.full(count, self.printed))
-        return Fitted(places, shares, 0, (), Figures(), why)
+        places = RunEndPoints(run, run.words[1:], np.arange(count), np.full(count, self.printed))
+        return RefittedRun(places, shares, 0, (), ToleranceUse(), why)
 
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
-    ) -> tuple[np.ndarray, list[CurvePiece], Figures] | None:
+    ) -> tuple[np.ndarray, list[CurvePiece], ToleranceUse] | None:
         """Return the block end points, curve and use of the tolerance with the fewest blocks and control points.
 
         None if no blocks are saved.
@@ -226,8 +226,8 @@ class Fewer:
                 continue
             least = cost
             dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
-            chord = apart(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
-            figures = Figures(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
+            chord = largest_distance(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
+            figures = ToleranceUse(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
             best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
             if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break

@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.arrays import every
 from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.rows import SAME, Rows, Ways, counted, even_cuts, spacings
+from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, spacings
 
 SAMPLES_A_PIECE: Final = 5
 """Least number of interior points at which a piece is simulated; long pieces have more."""
@@ -35,7 +35,7 @@ class Samples(NamedTuple):
 
 
 @final
-class Between:
+class PathErrors:
     """Errors of a program, or of a stretch of it, between the end points of its pieces.
 
     Args:
@@ -44,23 +44,23 @@ class Between:
 
     def __init__(self, pieces: Pieces) -> None:
         self._pieces, self._space = pieces, pieces.space
-        self._known_mm = np.full(len(pieces.legs.motion), np.nan)
+        self._cached_mm = np.full(len(pieces.legs.motion), np.nan)
 
     def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
         """Discard cached errors of some legs."""
-        self._known_mm[legs] = np.nan
+        self._cached_mm[legs] = np.nan
 
-    def left(self, rows: Rows) -> np.ndarray:
-        """Return (motions,) the largest error (mm) inside each motion, as in `largest`; 0 where no path is defined."""
+    def motion_errors_mm(self, rows: Rows) -> np.ndarray:
+        """Return (motions,) the largest error (mm) inside each motion, as in `leg_errors_mm`; 0 where no path is defined."""
         motion = self._pieces.legs.motion
         legs = np.flatnonzero(self._pieces.interpolated[motion])
-        unknown = legs[np.isnan(self._known_mm[legs])]
+        unknown = legs[np.isnan(self._cached_mm[legs])]
         if unknown.size:
-            self.largest(unknown, rows)
-        return self._by_motion(legs, self._known_mm[legs])
+            self.leg_errors_mm(unknown, rows)
+        return self._by_motion(legs, self._cached_mm[legs])
 
-    def left_as_run(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
-        """Return (motions,) the largest error (mm) inside some motions, starting from the actual axis positions; as in `left`."""
+    def motion_errors_as_run_mm(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
+        """Return (motions,) the largest error (mm) inside some motions, each starting from the actual axis positions."""
         legs = np.flatnonzero(np.isin(self._pieces.legs.motion, motions))
         return self._by_motion(legs, self._distances(legs, rows, as_run=True))[motions]
 
@@ -69,13 +69,13 @@ class Between:
         np.maximum.at(found, self._pieces.legs.motion[legs], of_legs)
         return found
 
-    def largest(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
+    def leg_errors_mm(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
         """Return (legs,) the largest distance (mm) of the real from the nominal point between the end points of each leg's pieces.
 
         Linear words are taken before rounding, so that blocks are not split because of rounding.
         """
-        self._known_mm[legs] = self._distances(legs, rows, as_run=False)
-        return self._known_mm[legs]
+        self._cached_mm[legs] = self._distances(legs, rows, as_run=False)
+        return self._cached_mm[legs]
 
     def _distances(self, legs: np.ndarray, rows: Rows, *, as_run: bool) -> np.ndarray:
         words = self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
@@ -86,9 +86,11 @@ class Between:
     def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
         samples, aim = self.samples(legs), self._pieces.aim
         sides = self._sides(samples, rows, ways) if aim.point.directed else None
-        distance = aim.compared.distance_mm(self.meant(samples), self.given(samples, ways), sides)
+        distance = aim.comparison.distance_mm(
+            self.nominal_commands(samples), self.written_commands(samples, ways), sides
+        )
         # A leg merged into another has no pieces and no points.
-        points = self._each(legs) * self._pieces.legs.count[legs]
+        points = self._points_per_piece(legs) * self._pieces.legs.count[legs]
         worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
         return np.where(points > 0, worst, 0.0)
 
@@ -96,10 +98,10 @@ class Between:
         """Return (n, axes) approach directions inside pieces."""
         row = _rows_of(samples, ways)
         sides = rows.approach[row[samples.piece]]
-        for axis in set(self._pieces.aim.lost.axes) & set(self._pieces.bench.machine.rotary):
+        for axis in set(self._pieces.aim.backlash.axes) & set(self._pieces.bench.machine.rotary):
             # A rotary axis may be partly through its play at either end point. After an unobserved reversal it is fully through.
             last = np.maximum(row - 1, 0)
-            unseen = rows.turned[row, axis] & ~rows.taken[last]
+            unseen = rows.reverses[row, axis] & ~rows.backlash_move[last]
             before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
             sides[:, axis] = before + samples.within * (sides[:, axis] - before)
         return np.asarray(sides)
@@ -108,17 +110,21 @@ class Between:
 
     def portions(self, legs: np.ndarray) -> list[np.ndarray]:
         """Split legs into portions of about equal size with at most about `POSES` samples."""
-        return np.split(legs, even_cuts(self._each(legs) * self._pieces.legs.count[legs], POSES)) if legs.size else []
+        return (
+            np.split(legs, even_cuts(self._points_per_piece(legs) * self._pieces.legs.count[legs], POSES))
+            if legs.size
+            else []
+        )
 
     def samples(self, legs: np.ndarray) -> Samples:
         """Return dense points inside the pieces of legs of interpolated motions."""
         pieces = self._pieces.legs.count[legs]
-        leg, number = counted(legs, pieces)
-        points = np.repeat(self._each(legs), pieces)
-        piece, point = counted(np.arange(len(leg)), points)
+        leg, number = repeat_with_index(legs, pieces)
+        points = np.repeat(self._points_per_piece(legs), pieces)
+        piece, point = repeat_with_index(np.arange(len(leg)), points)
         return Samples(leg, number, piece, (point + 0.5) / points[piece])
 
-    def _each(self, legs: np.ndarray) -> np.ndarray:
+    def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
         """Return (legs,) the number of dense points per piece of each leg."""
         all_legs = self._pieces.legs
         share = all_legs.end[legs] - all_legs.begin[legs]
@@ -141,7 +147,7 @@ class Between:
         begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
         return begin, end
 
-    def meant(self, samples: Samples) -> Commands:
+    def nominal_commands(self, samples: Samples) -> Commands:
         """Return the nominal commands, which the control derives from the original program."""
         motion = self._pieces.legs.motion[samples.leg]
         first, last = self._fractions(samples)
@@ -154,7 +160,7 @@ class Between:
         words = self._pieces.words_at(of, self.fractions(samples))
         return Commands(self._space.commands(words, self._pieces.tcp[of]))
 
-    def given(self, samples: Samples, ways: Ways) -> Commands:
+    def written_commands(self, samples: Samples, ways: Ways) -> Commands:
         """Return the commands at the points if pieces follow the ways given."""
         row = _rows_of(samples, ways)
         tcp = self._pieces.tcp_out[self._pieces.legs.motion[samples.leg]]
@@ -178,12 +184,12 @@ class Between:
         """
         first = np.append(True, rows.motion[1:] != rows.motion[:-1])
         begin = np.concatenate([given[:1], given[:-1]])
-        begin[first] = self._begin(rows, given, as_run=as_run)[rows.motion[first]]
-        ends = np.flatnonzero(~rows.taken)
+        begin[first] = self._start_words(rows, given, as_run=as_run)[rows.motion[first]]
+        ends = np.flatnonzero(~rows.backlash_move)
         first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self._pieces.legs.motion)))
         return Ways(begin, given - begin, ends, first_of_leg)
 
-    def begins_off(self, rows: Rows) -> np.ndarray:
+    def starts_uncorrected(self, rows: Rows) -> np.ndarray:
         """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
         off = np.zeros(len(self._pieces.start), dtype=bool)
         off[1:] = (rows.untouched | rows.clamped)[self._ends_of(rows)[:-1]] | ~self._follows[1:]
@@ -193,34 +199,34 @@ class Between:
         """Return (motions,) the last row of each motion."""
         return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
 
-    def _begin(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
+    def _start_words(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
         """Return (motions, axes) words at the start of each motion: the last ones of the motion before, if it continues from there."""
         pieces = self._pieces
         begin = np.full_like(pieces.start, np.nan)
         begin[1:] = given[self._ends_of(rows)[:-1]]
-        apart = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
-        if apart.size:
-            sides = rows.approach[np.searchsorted(rows.motion, apart)]
-            rows = pieces.solve(np.searchsorted(pieces.legs.motion, apart), np.zeros(len(apart)), sides)
-            commands = self._standing(apart, rows.nominal, begin) if as_run else rows.exact
-            begin[apart] = self._space.words(commands, pieces.tcp_out[apart])
+        separate = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
+        if separate.size:
+            sides = rows.approach[np.searchsorted(rows.motion, separate)]
+            rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
+            commands = self._actual_start(separate, rows.nominal, begin) if as_run else rows.exact
+            begin[separate] = self._space.words(commands, pieces.tcp_out[separate])
         return begin
 
-    def _standing(self, apart: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
         """Return (n, axes) actual commands at the start of some motions.
 
         Axes moved by a line left as written between two motions stand where that line put them.
 
         Args:
-            apart: (n,) the motions.
+            separate: (n,) the motions.
             nominal: (n, axes) nominal commands at their start.
             begin: (motions, axes) words at the end of the motion before.
         """
         standing = np.array(nominal)
-        after = apart > 0
-        before = apart[after] - 1
+        after = separate > 0
+        before = separate[after] - 1
         meant = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
-        reached = self._space.commands(begin[apart[after]], self._pieces.tcp_out[before])
+        reached = self._space.commands(begin[separate[after]], self._pieces.tcp_out[before])
         standing[after] = np.where(np.abs(meant - nominal[after]) < SAME, reached, nominal[after])
         return standing
 
