@@ -57,7 +57,7 @@ end points by an independent machine model that shares no code with `twin`, tool
 #   tool path        toolpath.follow              Reading                → Path
 #   pieces           solving.Pieces               Path                   → Pieces
 #   correction       solving.correct              Pieces                 → Corrected
-#   output           solving.new_positions, DialectCorrected              → NewPositions, text
+#   output           solving.new_positions        Corrected              → NewPositions, text
 #   check            checked.check                NewPositions, output read back
 #   report           account.CompensationAccount  Corrected              → Report
 #

@@ -222,7 +222,7 @@ class Corrections:
             return None
         names = ", ".join(list(missing)[:NAMED]) + (f" and {len(missing) - NAMED} more" if len(missing) > NAMED else "")
         what = "known only in part" if any(one.known for one in self) else "unknown"
-        return f"uncertainty of the correction: {what} (the calibration has no covariance of {names})"
+        return f"uncertainty of the correction: {what} (no covariance in the calibration: {names})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON report."""

@@ -53,7 +53,7 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
     """Execute the output on the machine with its errors, and return the report.
 
     Args:
-        run_refitter: refitter of the runs; its bench has the whole tolerance.
+        refitter: made the fewer blocks; its bench has the whole tolerance.
         job: the input and the results.
     """
     bench, errors = refitter.bench, refitter.bench.calibration

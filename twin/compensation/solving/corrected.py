@@ -179,7 +179,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
     i = int(np.argmax(beyond[row]))
     place, side = commands[row, i], int(commands[row, i] >= limits[i, 0])
     raise InputError(
-        f"the arc {'ends at' if at_end else 'reaches'} {machine.axes[i].name} {place:.6g}, {('below', 'above')[side]} the axis's "
+        f"the arc {'ends at' if at_end else 'passes'} {machine.axes[i].name} {place:.6g}, {('below', 'above')[side]} the axis's "
         f"{('minimum', 'maximum')[side]} {limits[i, side]:g}",
         expected="arcs within the range of every axis: is the work offset missing?",
         file=pieces.source,

@@ -182,7 +182,7 @@ class Follower:
             }
             at = ", ".join(f"{name} = {value:g}°" for name, value in taken.items())
             self.notices.append(
-                Notice(line, f"the program gives no position of {' and '.join(taken)} before this line: assumed {at}")
+                Notice(line, f"the program gives no position of {' and '.join(taken)} before this line: taken as {at}")
             )
             self._assumed = True
         return np.where(unsaid, space.start, rotary)
