@@ -20,7 +20,7 @@ from twin.numerics.spatial import tilt
 LENGTH = 60.0
 LIMITS = np.array([[50.0, 450.0], [50.0, 400.0], [-350.0, -50.0], [10.0, 80.0], [10.0, 300.0]])
 ROUNDING_MM, ROUNDING_RAD = 1e-11, 1e-14
-"""Of lengths of a metre and cosines of at most one, some hundred roundings one after the other."""
+"""About a hundred successive roundings of lengths of a metre and cosines of at most one."""
 
 
 def lines(n: int, seed: int) -> Commands:

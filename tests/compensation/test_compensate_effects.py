@@ -24,8 +24,7 @@ from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
 from twin.compensation.backlash import Backlash
 from twin.compensation.execute import execute
-from twin.compensation.toolpath import Path as ToolPath
-from twin.compensation.toolpath import WordSpace, follow
+from twin.compensation.toolpath import ToolPath, WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions

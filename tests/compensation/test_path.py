@@ -30,7 +30,7 @@ from twin.machine.machine import Machine
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 SAMPLES = Path(twin.__file__).parent / "samples"
 READ = 1e-9
-"""mm: what reading decimal numbers and adding them up may differ by."""
+"""Difference (mm) that parsing and adding decimal numbers may cause."""
 
 
 # -------------------------------------------------------------------- independent distances and interpreters

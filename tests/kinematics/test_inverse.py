@@ -54,8 +54,8 @@ def test_a_step_has_the_derivatives_of_the_residual(name: str) -> None:
     """Matrices of Newton's step, from twists, compared with central differences of the residual in `check`, which uses no derivatives.
 
     They are compared at the solution, where the residual is zero and its derivatives are those of the step. `twin.kinematics.newton`
-    omits the second term of Exp's derivative, an angular error (to 1 mrad here) times a slope (to 20 mrad per radian): 1e-5 of an axis's
-    motion.
+    omits the second term of Exp's derivative, an angular error (to 1 mrad here) times a slope (to 20 mrad per radian): 1e-5 of an
+    axis's motion.
     """
     machine = Machine.load(name)
     rng = np.random.default_rng(17)

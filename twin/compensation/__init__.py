@@ -54,8 +54,8 @@ end points by an independent machine model that shares no code with `twin`, tool
 #
 #   program          twin.nc                      bytes                  → Program
 #   blocks           Dialect.moves                Program                → Reading
-#   tool path        toolpath.follow              Reading                → Path
-#   pieces           solving.Pieces               Path                   → Pieces
+#   tool path        toolpath.follow              Reading                → ToolPath
+#   pieces           solving.Pieces               ToolPath               → Pieces
 #   correction       solving.correct              Pieces                 → Corrected
 #   output           solving.new_positions        Corrected              → NewPositions, text
 #   check            checked.check                NewPositions, output read back

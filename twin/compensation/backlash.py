@@ -23,7 +23,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ControlCorrection, Reversal, ReversalCurve
 
@@ -84,7 +84,7 @@ class Backlash:
         self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]
         self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
-    def sides(self, path: Path, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    def sides(self, path: ToolPath, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Return the approach directions that result from commands given one after the other.
 
         Args:
@@ -102,7 +102,7 @@ class Backlash:
             found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._side_reached(way, axis))[own]
         return found
 
-    def commanded_sides(self, path: Path, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
+    def commanded_sides(self, path: ToolPath, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
         """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
 
         Returns:
@@ -164,7 +164,7 @@ def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     return found
 
 
-def _with_passages(path: Path, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+def _with_passages(path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Return one axis's positions with those of passed-through lines inserted, and a mask of the original ones."""
     moved = [passage for passage in path.passages if passage.moved[axis]]
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")

@@ -256,7 +256,7 @@ class CorrectionAim:
         """
         if self.orientation is None:
             return None
-        names = [{effect.name for effect in one.calibration.effects} for one in (self.orientation, self.point)]
+        names = [{effect.name for effect in machine.calibration.effects} for machine in (self.orientation, self.point)]
         return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation)
 
     @cached_property

@@ -87,27 +87,29 @@ class PoseComparison:
     def __init__(self, real: Kinematics, nominal: Kinematics) -> None:
         self._real, self._nominal = real, nominal
 
-    def distance_mm(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> np.ndarray:
+    def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
         """Return (n,) distances between the functional points.
 
         Args:
-            meant: n nominal commands, for the machine without errors.
-            given: n commands given to the machine with errors.
+            nominal: n nominal commands, for the machine without errors.
+            commanded: n commands given to the machine with errors.
             approach: (n, axes) approach directions, as in `Kinematics.directed`.
         """
-        (distance,) = self._distance(*self._inputs(meant, given, approach))
+        (distance,) = self._distance(*self._inputs(nominal, commanded, approach))
         return distance[:, 0]
 
-    def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
+    def poses(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation; arguments as for `distance_mm`."""
-        distance, axis_gap, axis_in_nominal_frame, beyond = self._poses(*self._inputs(meant, given, approach))
+        distance, axis_gap, axis_in_nominal_frame, beyond = self._poses(*self._inputs(nominal, commanded, approach))
         known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
         angle = 2.0 * np.arcsin(np.minimum(axis_gap[:, 0] / 2.0, 1.0))
         return ComparedPoses(distance[:, 0], angle, axis_in_nominal_frame, known)
 
-    def _inputs(self, meant: Commands, given: Commands, approach: np.ndarray | None) -> Iterator[np.ndarray | Taken]:
-        yield from meant.inputs
-        yield from given.inputs
+    def _inputs(
+        self, nominal: Commands, commanded: Commands, approach: np.ndarray | None
+    ) -> Iterator[np.ndarray | Taken]:
+        yield from nominal.inputs
+        yield from commanded.inputs
         if self._real.directed:
             yield np.zeros(len(self._real.machine.axes)) if approach is None else approach
 
@@ -118,9 +120,9 @@ class PoseComparison:
 
     @cached_property
     def _poses(self) -> BatchFunction:
-        inputs, distance, (meant, real), beyond = self._expressions
-        axis_gap = ca.norm_2(real - meant[:, 2])
-        return BatchFunction(ca.Function("poses", inputs, [distance, axis_gap, meant.T @ real, beyond]))
+        inputs, distance, (nominal, real), beyond = self._expressions
+        axis_gap = ca.norm_2(real - nominal[:, 2])
+        return BatchFunction(ca.Function("poses", inputs, [distance, axis_gap, nominal.T @ real, beyond]))
 
     @cached_property
     def _expressions(self) -> tuple[list[Any], Any, tuple[Any, Any], Any]:
@@ -132,9 +134,9 @@ class PoseComparison:
             inputs += [begin, way, share]
             commands.append(begin + share * way)
         sides = self._real.symbols()[1:]
-        meant, given = (command * ca.DM(machine.scale) for command in commands)
-        frame, target = self._nominal.pose_at(meant)
-        rotation, point = self._real.pose_at(given, *sides)
+        nominal, commanded = (command * ca.DM(machine.scale) for command in commands)
+        frame, target = self._nominal.pose_at(nominal)
+        rotation, point = self._real.pose_at(commanded, *sides)
         beyond = ca.SX(-1.0)
         for q, (lower, upper) in zip(ca.vertsplit(commands[1]), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)

@@ -22,8 +22,7 @@ from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import check, motionless, unreadable
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
-from twin.compensation.toolpath import Path as ToolPath
-from twin.compensation.toolpath import follow, turns_tool
+from twin.compensation.toolpath import ToolPath, follow, turns_tool
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
@@ -145,11 +144,11 @@ class Compensator:
         """Read the output back and compare it with the intended positions."""
         axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
         try:
-            again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
+            read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
         new = new_positions([found], len(reading.moves), len(axes.names))
-        got = np.array([move.position for move in again.moves]).reshape(-1, len(axes.names))
+        got = np.array([move.position for move in read_back.moves]).reshape(-1, len(axes.names))
         check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
 
     def compensate_file(
@@ -194,7 +193,7 @@ class Compensator:
         """Yield the input files of this compensation."""
         calibration, machine = self.bench.calibration, self.bench.machine
         tables = () if calibration.control is None else calibration.control.tables
-        files = (program, machine.path, machine.urdf, calibration.path, *(one.file for one in tables))
+        files = (program, machine.path, machine.urdf, calibration.path, *(table.file for table in tables))
         return (path for path in files if path is not None)
 
 
@@ -222,9 +221,9 @@ def compensate(
         OutputError: as for `Compensator.compensate`.
     """
     chosen = Options() if options is None else options
-    given = chosen.conditions
+    base = chosen.conditions
     conditions = Conditions(
-        given.temperature_degC if temperature is None else temperature, given.time_s if time_s is None else time_s
+        base.temperature_degC if temperature is None else temperature, base.time_s if time_s is None else time_s
     )
     errors = Calibration.default(machine) if calibration is None else calibration
     read, dialect = read_program(program)

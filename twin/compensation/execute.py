@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
 from twin.compensation.backlash import Backlash
-from twin.compensation.toolpath import Path, PathMotion, Setup, WordSpace, check_domains, follow, outside_range
+from twin.compensation.toolpath import PathMotion, Setup, ToolPath, WordSpace, check_domains, follow, outside_range
 from twin.display import card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -71,7 +71,7 @@ class Execution:
 
 
 def execute_file(
-    program: str | FilePath,
+    program: str | Path,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
@@ -103,7 +103,7 @@ def execute_file(
     return execute(read, path, space, Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at))
 
 
-def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) -> Execution:
+def execute(program: Program, path: ToolPath, space: WordSpace, real: Kinematics) -> Execution:
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
     Args:
@@ -123,13 +123,13 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
     sides = Backlash(real.calibration).sides(path, of, positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
-    meant, reached = space.nominal.forward(positions), real.forward(positions, sides)
+    nominal, reached = space.nominal.forward(positions), real.forward(positions, sides)
     return Execution(
         positions=positions,
-        meant_mm=meant.point_mm,
+        meant_mm=nominal.point_mm,
         sides=sides,
         reached_mm=reached.point_mm,
-        tilt_urad=reached.tilt_urad(meant),
+        tilt_urad=reached.tilt_urad(nominal),
         cutting=~columns.rapid[of][keep],
         ends=ends[keep],
         lines=lines[keep],

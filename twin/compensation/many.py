@@ -213,14 +213,14 @@ def compensate_files(
     try:
         # In the same file system, so that finished outputs are renamed into place and unfinished ones vanish with the scratch folder.
         with scratch_folder(folder) as scratch:
-            there, targets_of = [], []
+            files, targets_of = [], []
             for program, target in targets.items():
                 try:
-                    there.append((find_program(program), scratch / target.name))
+                    files.append((find_program(program), scratch / target.name))
                     targets_of.append((program, target))
                 except InputError as error:
                     yield ProgramOutcome(program, None, {}, error)
-            tasks = _ProgramTasks(there, travel=own.scheduler is not None)
+            tasks = _ProgramTasks(files, travel=own.scheduler is not None)
             say("programs", 0.0)
             answers = finished(
                 ProgramCompensator.compensate, worker, tasks, own, name=lambda task: str(task.program), refusals=True
@@ -229,7 +229,7 @@ def compensate_files(
                 for count, (index, found) in enumerate(answers, 1):
                     program, target = targets_of[index]
                     if isinstance(found, ProgramAnswer):
-                        _keep(found, there[index][1], target)
+                        _keep(found, files[index][1], target)
                         outcome = ProgramOutcome(program, target, found.report, None)
                     else:  # an error in one program, even one that ends its worker, does not stop the others
                         outcome = ProgramOutcome(program, None, {}, found)
@@ -244,8 +244,8 @@ def compensate_files(
 class _ProgramTasks(Sequence[ProgramTask]):
     """Sequence of orders; programs to be sent are read only when their order is requested, not all at once."""
 
-    def __init__(self, there: Sequence[tuple[Path, Path]], *, travel: bool) -> None:
-        self._there = there
+    def __init__(self, files: Sequence[tuple[Path, Path]], *, travel: bool) -> None:
+        self._there = files
         self._travel = travel
 
     def __len__(self) -> int:

@@ -46,7 +46,7 @@ class Poses:
         """(n, 3) tool axis (i, j, k), from tip to spindle."""
         return self.rotation[:, :, 2]
 
-    def tilt_urad(self, meant: Poses) -> np.ndarray:
+    def tilt_urad(self, nominal: Poses) -> np.ndarray:
         """Return the tilt of the tool axis from its nominal direction: fused-like angles, order-free (`twin.numerics.spatial.tilt`).
 
         The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
@@ -54,7 +54,7 @@ class Poses:
         its z and ill-conditioned close to that. There are two angles because a rotation of the tool about its own axis has no effect.
 
         Args:
-            meant: the nominal poses, the same number.
+            nominal: the nominal poses, the same number.
 
         Returns:
             (n, 2) µrad about x and about y.
@@ -62,9 +62,9 @@ class Poses:
         Raises:
             InputError: another number of poses, or an axis that deviates by a right angle or more.
         """
-        if len(meant) != len(self):
-            raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(meant))
-        return locked(tilt(np.einsum("nij,ni->nj", meant.rotation, self.axis)) / URAD)
+        if len(nominal) != len(self):
+            raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(nominal))
+        return locked(tilt(np.einsum("nij,ni->nj", nominal.rotation, self.axis)) / URAD)
 
     def __len__(self) -> int:
         return len(self.point_mm)
@@ -141,8 +141,8 @@ class Kinematics:
         sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
         errors = error_vector(machine, self.calibration.effects, q, sides | self.conditions.channels)
         self.directed = bool(ca.depends_on(errors, side))
-        given, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
-        self.errors = ca.Function("errors", given, [errors], names, ["e"])
+        inputs, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
+        self.errors = ca.Function("errors", inputs, [errors], names, ["e"])
 
     def _repr_html_(self) -> str:
         known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
@@ -194,14 +194,14 @@ class Kinematics:
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         rotation, point = self.chain(q, e, self.tool_length_mm * MM)
         # Relative to a fixed rotation the change is a rotation vector: three rows to differentiate instead of nine.
-        held = ca.SX.sym("held", 3, 3)
-        turn = rotation @ held.T
+        fixed = ca.SX.sym("held", 3, 3)
+        turn = rotation @ fixed.T
         pose = ca.vertcat(point, ca.inv_skew(turn - turn.T) / 2.0)
         errors = self.errors(*at)
         by_error = ca.jacobian(pose, e)
         # Errors follow the axes: total derivative.
         by_command = ca.jacobian(pose, q) + by_error @ ca.jacobian(errors, q)
-        results = ca.substitute([by_command, by_error], [held], [rotation])
+        results = ca.substitute([by_command, by_error], [fixed], [rotation])
         results = ca.cse(ca.substitute(results, [e], [errors]))
         return BatchFunction(ca.Function("sensitivities", at, results))
 

@@ -128,7 +128,7 @@ class Steps:
         """Residual of the tool from its target, both in the frame where the chains to tool and work branch."""
         by_position = ca.jacobian(self._errors, self._at[0])
         (tool, tool_twists), (work, work_twists) = (
-            one.twists(self._errors, by_position, terms) for one in self._branches
+            branch.twists(self._errors, by_position, terms) for branch in self._branches
         )
         tip = tool.rotation @ self._tip + tool.translation
         goal = work.rotation @ self._point + work.translation
@@ -273,8 +273,10 @@ def _bounded_move(a: Any, b: Any, limit: float) -> Any:
     tangent = ca.if_else(below > 0.0, sign * 2.0 * dot / ca.if_else(below > 0.0, below, 1.0), 0.0)
     cosine = 1.0 / ca.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine
-    one, two = ca.vertcat(cosine, -sine), ca.vertcat(sine, cosine)
-    return _along(a @ one, -b, one, limit) + _along(a @ two, -b, two, limit)
+    first_direction, second_direction = ca.vertcat(cosine, -sine), ca.vertcat(sine, cosine)
+    return _along(a @ first_direction, -b, first_direction, limit) + _along(
+        a @ second_direction, -b, second_direction, limit
+    )
 
 
 def _along(column: Any, right: Any, direction: Any, limit: float) -> Any:

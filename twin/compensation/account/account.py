@@ -102,7 +102,7 @@ class CompensationAccount:
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
         unused = options.conditions.unused(bench.calibration)
-        left = self._shortfalls.shortfalls()
+        not_corrected = self._shortfalls.shortfalls()
         return Report(
             program=self._source,
             machine=bench.machine.name,
@@ -126,8 +126,8 @@ class CompensationAccount:
             after=Deviation.of(self._after),
             rounding_um=self._residual_um["rounding"],
             solver_um=self._residual_um["solver"],
-            classes=tuple(self._classes(all_corrected=not left)),
-            not_corrected=left,
+            classes=tuple(self._classes(all_corrected=not not_corrected)),
+            not_corrected=not_corrected,
             notes=notes,
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
             cutting=self._cutting,
@@ -141,25 +141,27 @@ class CompensationAccount:
 
     def _simulated(self, corrected: Corrected) -> Iterator[SimulatedPoints]:
         """Yield the end points of pieces, then dense points inside the pieces, one portion of legs after the other."""
-        pieces, between, rows = corrected.pieces, corrected.path_errors, corrected.own
+        pieces, path_errors, rows = corrected.pieces, corrected.path_errors, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
-        ways = between.ways(corrected.rows, corrected.rows.printed, as_run=True)
+        ways = path_errors.ways(corrected.rows, corrected.rows.printed, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        sided = bool(self._bench.backlash.axes)
-        if not sided:
+        directed = bool(self._bench.backlash.axes)
+        if not directed:
             yield SimulatedPoints(rows.motion, *ends, valid=~rows.backlash_move)
-        for portion in [dense] if sided else between.portions(dense):
-            samples = between.samples(portion)
-            meant = between.nominal_commands(samples)
-            given = meant if pieces.idle else between.written_commands(samples, ways)
+        for portion in [dense] if directed else path_errors.portions(dense):
+            samples = path_errors.samples(portion)
+            nominal = path_errors.nominal_commands(samples)
+            written = nominal if pieces.idle else path_errors.written_commands(samples, ways)
             motion = legs[samples.leg][samples.piece]
-            if sided:
-                fraction = np.concatenate([rows.fraction, between.fractions(samples)])
-                yield self._with_sides(corrected, ends, (meant, given), np.concatenate([rows.motion, motion]), fraction)
+            if directed:
+                fraction = np.concatenate([rows.fraction, path_errors.fractions(samples)])
+                yield self._with_sides(
+                    corrected, ends, (nominal, written), np.concatenate([rows.motion, motion]), fraction
+                )
             else:
-                yield SimulatedPoints(motion, meant, given)
+                yield SimulatedPoints(motion, nominal, written)
 
     def _with_sides(
         self,
@@ -178,18 +180,18 @@ class CompensationAccount:
             motion: (n,) motion of each point, end points first.
             fraction: (n,) fraction of the motion at which each point lies.
         """
-        taken = np.zeros(len(motion), dtype=bool)
-        taken[: len(corrected.own.backlash_move)] = corrected.own.backlash_move
-        order = np.lexsort((taken, fraction, motion))
+        inserted = np.zeros(len(motion), dtype=bool)
+        inserted[: len(corrected.own.backlash_move)] = corrected.own.backlash_move
+        order = np.lexsort((inserted, fraction, motion))
         commands, sides = [], []
-        for end, between in zip(ends, inside, strict=True):
-            both = np.concatenate([end.as_array(), between.as_array()])
+        for end, dense in zip(ends, inside, strict=True):
+            both = np.concatenate([end.as_array(), dense.as_array()])
             side = np.zeros(both.shape)
             side[order] = self._bench.backlash.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
             sides.append(side)
         # A move that only takes up backlash has no nominal position.
-        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
+        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~inserted)
 
     def _compare(self, points: SimulatedPoints, lines: np.ndarray, first: int) -> None:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
@@ -204,19 +206,19 @@ class CompensationAccount:
         keep = before.known & after.known
         if points.valid is not None:
             keep &= points.valid
-        of = lines[points.motion]
+        line_of = lines[points.motion]
         if not keep.all():
-            before, after, of = before.where(keep), after.where(keep), of[keep]
+            before, after, line_of = before.where(keep), after.where(keep), line_of[keep]
         for tally, found in ((self._before, before), (self._after, after)):
-            _add(tally, found, of)
+            _add(tally, found, line_of)
         self._sample.add(first, points, keep)
 
     def _end_point_residuals_um(self, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good = ~rows.untouched & ~rows.clamped
         residual_um = {}
-        for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(given), rows.approach)
+        for name, commands in (("rounding", rows.commands), ("solver", rows.exact)):
+            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), rows.approach)
             residual_um[name] = distance * 1e3
             self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
         return residual_um
@@ -228,27 +230,27 @@ class CompensationAccount:
         corrected errors at the nominal commands; at the compensated ones it differs by less than a thousandth.
         """
         aim = self._aim
-        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
-        moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(given))
+        compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
+        moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
         keep = ~rows.untouched & ~rows.backlash_move & moved.known
         keep &= every(~self._bench.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
             rows, moved = rows.where(keep), moved.where(keep)
-        of = lines[rows.motion]
+        line_of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
             at_point = _uncertainty(aim.at_point, rows)
-            self._point.add(of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
+            self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
-        asked = aim.scope.orientation and self._bench.thesis is None
-        if asked and aim.at_axis is not None and np.any(turned):
-            known = (
+        orientation_corrected = aim.scope.orientation and self._bench.thesis is None
+        if orientation_corrected and aim.at_axis is not None and np.any(turned):
+            uncertainty = (
                 at_point if at_point is not None and aim.at_axis is aim.at_point else _uncertainty(aim.at_axis, rows)
             )
             size = moved.angle_rad[turned] * 1e6
-            self._axis.add(of[turned], rows.motion[turned], size, known[turned, 1], aim.at_axis)
+            self._axis.add(line_of[turned], rows.motion[turned], size, uncertainty[turned, 1], aim.at_axis)
 
     # --- results -----------------------------------------------------------------------------------------------------
 
@@ -270,20 +272,20 @@ class CompensationAccount:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
         nominal = self._bench.space.nominal
-        meant, reached = nominal.forward(before), nominal.forward(after)
+        nominal_poses, reached = nominal.forward(before), nominal.forward(after)
         for name, alone in self._aim.by_class.items():
             alone_before = alone.forward(before, before_from)
-            share = np.linalg.norm(alone_before.point_mm - meant.point_mm, axis=1) * 1e3
-            turn = angle_between_rad(alone_before.axis, meant.axis) * 1e6
+            share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
+            turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
             corrected = None if self._bench.thesis is not None else name in self._aim.scope.classes
-            left = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
+            residual = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
             yield ClassShare(
                 name=name,
                 corrected=corrected,
                 before_rms_um=_rms(share),
                 before_max_um=float(share.max(initial=0.0)),
                 before_max_urad=float(turn.max(initial=0.0)),
-                left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and all_corrected else None,
+                left_rms_um=_rms(residual) if corrected is False else 0.0 if corrected and all_corrected else None,
             )
 
 

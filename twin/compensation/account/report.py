@@ -87,8 +87,8 @@ class LineNote:
 def grouped(notes: Sequence[LineNote]) -> list[str]:
     """Return one line per text, with the line numbers of all notes of that text."""
     found: dict[str, list[int]] = {}
-    for one in notes:
-        found.setdefault(one.text, []).append(one.line)
+    for line_note in notes:
+        found.setdefault(line_note.text, []).append(line_note.line)
     return [f"{line_numbers(lines)}: {text}" for text, lines in found.items()]
 
 
@@ -205,7 +205,7 @@ class Report:
     @property
     def complete(self) -> bool:
         """Whether something was corrected and no cutting block is out of tolerance (exit status 0, else 3)."""
-        return not (self.nothing_corrected or any(one.missed for one in self.not_corrected))
+        return not (self.nothing_corrected or any(shortfall.missed for shortfall in self.not_corrected))
 
     @property
     def strictly_complete(self) -> bool:
@@ -222,18 +222,18 @@ class Report:
         """Result in one line."""
         if self.idle:
             return NO_ERRORS
-        outside = self._lines_of(lambda one: one.lines if one.kind == "range" else ())
+        outside = self._lines_of(lambda shortfall: shortfall.lines if shortfall.kind == "range" else ())
         hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
         if self.nothing_corrected:
             return f"NOTHING CORRECTED: {outside:,} of {several(self.moves, 'block')} would leave the range of an axis{hint}"
-        missed = self._lines_of(lambda one: one.missed)
+        missed = self._lines_of(lambda shortfall: shortfall.missed)
         if missed:
             return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks remain out of tolerance{hint}"
-        left = self._lines_of(lambda one: one.lines)
+        left = self._lines_of(lambda shortfall: shortfall.lines)
         return f"corrected, except {left:,} of {several(self.moves, 'block')} (listed below)" if left else "corrected"
 
     def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
-        return len({line for one in self.not_corrected for line in lines(one)})
+        return len({line for shortfall in self.not_corrected for line in lines(shortfall)})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON report."""
@@ -346,35 +346,35 @@ class Report:
 
     def _channels_text(self) -> list[str]:
         """Return lines on temperatures, time and backlash."""
-        given = [
+        channels = [
             f"time {value:g} s of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
             for name, value in self.conditions.items()
         ]
-        out = [f"  conditions    {', '.join(given)}, over the whole program"] if given else []
-        for one in self.reversals:
+        out = [f"  conditions    {', '.join(channels)}, over the whole program"] if channels else []
+        for reversal in self.reversals:
             done = (
-                f"taken up by extra moves at {one.taken_up} reversals of {one.axis}"
-                if one.corrected
+                f"taken up by extra moves at {reversal.taken_up} reversals of {reversal.axis}"
+                if reversal.corrected
                 else "not in scope"
             )
-            out.append(f"  backlash      {one.axis} {one.size:.1f} {readable(one.unit)}: {done}")
+            out.append(f"  backlash      {reversal.axis} {reversal.size:.1f} {readable(reversal.unit)}: {done}")
         return out
 
     def _uncertainty_text(self) -> list[str]:
         """Return lines on the uncertainty of the correction, which limits how well the predicted error is known."""
-        known = [one for one in self.uncertainty if one.known]
+        known = [correction for correction in self.uncertainty if correction.known]
         if not known:
             return []
         out = ["", f"  {DEFINITION}; without rounding, repeatability and temperature"]
-        return out + [line for one in known for line in one.to_text(SHOWN)]
+        return out + [line for correction in known for line in correction.to_text(SHOWN)]
 
     def _classes_text(self) -> list[str]:
         corrected = "corrected" if not self.not_corrected else "corrected, except the blocks below"
         out = []
-        for one in self.classes:
-            kept = "" if one.left_rms_um is None else f"{_um(one.left_rms_um)} (not in scope)"
-            left = corrected if one.corrected else kept
-            out.append(f"    {one.name:<22}{_um(one.before_rms_um)} {_um(one.before_max_um)}  {left}")
+        for share in self.classes:
+            kept = "" if share.left_rms_um is None else f"{_um(share.left_rms_um)} (not in scope)"
+            left = corrected if share.corrected else kept
+            out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
         return out
 
 

@@ -101,7 +101,7 @@ class ShortfallTally:
             lines, missed = (tuple(np.unique(np.concatenate(part)).tolist()) for part in zip(*parts, strict=True))
             worst, worst_line = self._worst[kind, reason, unit]
             found.append(Shortfall(kind, reason, lines, missed, worst_line, worst, unit))
-        return tuple(sorted(found, key=lambda one: -len(one.lines)))
+        return tuple(sorted(found, key=lambda shortfall: -len(shortfall.lines)))
 
 
 def line_numbers(lines: Sequence[int]) -> str:

@@ -104,8 +104,8 @@ class ToolCorrection:
             "expanded_max_line": self.expanded_max_line if self.known else None,
             "standard_rms" + end: self.standard_rms,
             "below": [
-                dict(zip(("line", "correction" + end, "expanded" + end), one, strict=True))
-                for one in self.below.tolist()
+                dict(zip(("line", "correction" + end, "expanded" + end), block, strict=True))
+                for block in self.below.tolist()
             ],
             "without_uncertainty": self.without_uncertainty,
         }
@@ -128,9 +128,9 @@ class ToolCorrection:
                 f"    {self.of}: correction not larger than its own uncertainty in {len(self.below)} of {self.blocks} blocks, "
                 "which are not shown to be improved:"
             )
-            for one in self.below[:shown]:
-                size, expanded = rounded(one.correction, one.expanded)
-                out.append(f"      line {one.line}: correction {size} {sign}, U {expanded} {sign}")
+            for block in self.below[:shown]:
+                size, expanded = rounded(block.correction, block.expanded)
+                out.append(f"      line {block.line}: correction {size} {sign}, U {expanded} {sign}")
             if len(self.below) > shown:
                 out.append(f"      … and {len(self.below) - shown} more (all in the JSON report)")
         return out
@@ -168,7 +168,7 @@ class CorrectionTally:
         expanded, standard = known[:, 0], known[:, 1:]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))
-        of_block, u_of_block = (np.sqrt(np.add.reduceat(one**2, first) / count) for one in (size, expanded))
+        of_block, u_of_block = (np.sqrt(np.add.reduceat(values**2, first) / count) for values in (size, expanded))
         below = of_block <= u_of_block
         columns = [lines[first[below]], of_block[below], u_of_block[below]]
         self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
@@ -212,16 +212,16 @@ class Corrections:
 
     def __iter__(self) -> Iterator[ToolCorrection]:
         """Iterate over those that are in scope."""
-        return (one for one in (self.point, self.axis) if one is not None)
+        return (correction for correction in (self.point, self.axis) if correction is not None)
 
     @property
     def unknown(self) -> str | None:
         """Statement of the errors without known uncertainty; None if every uncertainty is known."""
-        missing = dict.fromkeys(name for one in self for name in one.without_uncertainty)
+        missing = dict.fromkeys(name for correction in self for name in correction.without_uncertainty)
         if not missing:
             return None
         names = ", ".join(list(missing)[:NAMED]) + (f" and {len(missing) - NAMED} more" if len(missing) > NAMED else "")
-        what = "known only in part" if any(one.known for one in self) else "unknown"
+        what = "known only in part" if any(correction.known for correction in self) else "unknown"
         return f"uncertainty of the correction: {what} (no covariance in the calibration: {names})"
 
     def to_dict(self) -> dict[str, Any]:

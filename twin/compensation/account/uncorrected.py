@@ -51,16 +51,16 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
     bench, rows = corrected.pieces.bench, corrected.own
     machine = bench.machine
     ranges = machine.limits / machine.scale[:, None]
-    for left, asked, limits in ((rows.untouched, rows.nominal, ranges), (rows.clamped, rows.exact, bench.limits)):
-        at = np.flatnonzero(left)
-        beyond = np.maximum(limits[:, 0] - asked[at], asked[at] - limits[:, 1])
+    for mask, requested, limits in ((rows.untouched, rows.nominal, ranges), (rows.clamped, rows.exact, bench.limits)):
+        at = np.flatnonzero(mask)
+        beyond = np.maximum(limits[:, 0] - requested[at], requested[at] - limits[:, 1])
         beyond = np.where(beyond > SLACK, beyond, 0.0)
         for axes in np.unique(beyond > 0.0, axis=0):
             which = np.flatnonzero(((beyond > 0.0) == axes).all(axis=1))
             names = " ".join(axis.name for axis, out in zip(machine.axes, axes, strict=True) if out)
-            of = rows.motion[at[which]]
-            lines, cuts = corrected.lines[of], _cutting(corrected)[of]
-            if left is rows.clamped:
+            motion = rows.motion[at[which]]
+            lines, cuts = corrected.lines[motion], _cutting(corrected)[motion]
+            if mask is rows.clamped:
                 off = off_um[at[which]]
                 reason = f"the compensated position is beyond the range of {names or 'an axis'}: stopped at the limit"
                 yield FoundShortfalls("range", reason, "um", lines, off, cuts & (off > _allowed_um(bench)))
@@ -76,11 +76,11 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     why = np.array([_why_not(corrected.pieces.bench, rows.commands[row]) for row in at], dtype=object)
     for reason in dict.fromkeys(why.tolist()):
         which = at[why == reason]
-        of = rows.motion[which]
-        missed = _cutting(corrected)[of] & (scope.asked and scope.orientation)
+        motion = rows.motion[which]
+        missed = _cutting(corrected)[motion] & (scope.asked and scope.orientation)
         reason = f"orientation not corrected: {reason}"
         yield FoundShortfalls(
-            "orientation", reason, "urad", corrected.lines[of], rows.orientation_residual_rad[which] * 1e6, missed
+            "orientation", reason, "urad", corrected.lines[motion], rows.orientation_residual_rad[which] * 1e6, missed
         )
 
 
@@ -98,22 +98,24 @@ def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShort
     """Yield blocks for which no axis positions were found that reach the point; ``off_um``: (rows,) remaining distance, µm."""
     rows = corrected.own
     at = np.flatnonzero(~rows.untouched & ~rows.clamped & ~(off_um <= UNSOLVED_UM))
-    of, size = rows.motion[at], np.nan_to_num(off_um[at], nan=np.inf)
+    motion, size = rows.motion[at], np.nan_to_num(off_um[at], nan=np.inf)
     reason = "no axis positions found that reach the point"
-    yield FoundShortfalls("tolerance", reason, "um", corrected.lines[of], size, _cutting(corrected)[of])
+    yield FoundShortfalls("tolerance", reason, "um", corrected.lines[motion], size, _cutting(corrected)[motion])
 
 
 def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Yield blocks whose error between end points exceeds the tolerance."""
     pieces, rows = corrected.pieces, corrected.rows
-    left, count = corrected.path_errors.motion_errors_mm(rows) * 1e3, pieces.count(rows)
-    left[rows.motion[rows.clamped | rows.untouched]] = 0.0
-    left[: corrected.context] = 0.0
-    over = np.flatnonzero(left > 1e3 * pieces.bench.options.tolerance_mm)
+    error_um, count = corrected.path_errors.motion_errors_mm(rows) * 1e3, pieces.count(rows)
+    error_um[rows.motion[rows.clamped | rows.untouched]] = 0.0
+    error_um[: corrected.context] = 0.0
+    over = np.flatnonzero(error_um > 1e3 * pieces.bench.options.tolerance_mm)
     for pieces_each in np.unique(count[over]).tolist():
         which = over[count[over] == pieces_each]
         reason = f"error between end points above the tolerance, with {pieces_each} pieces per block"
-        yield FoundShortfalls("tolerance", reason, "um", corrected.lines[which], left[which], np.full(len(which), True))
+        yield FoundShortfalls(
+            "tolerance", reason, "um", corrected.lines[which], error_um[which], np.full(len(which), True)
+        )
 
 
 def _beginning_off(corrected: Corrected) -> Iterator[FoundShortfalls]:

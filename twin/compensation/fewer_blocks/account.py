@@ -14,7 +14,7 @@ from twin.compensation.fewer_blocks.emit import Shortened
 from twin.compensation.fewer_blocks.report import PathReport, RunReport, ToleranceShares, UncertaintyContribution
 from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
 from twin.compensation.fewer_blocks.verify import Executed, execute_words, path_distance_mm
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 from twin.nc.blocks import Program, Reading
 from twin.nc.dialect import Dialect
 
@@ -39,7 +39,7 @@ class RefitJob:
 
     program: Program
     reading: Reading
-    path: Path
+    path: ToolPath
     fitted: tuple[RefittedRun, ...]
     shares: ToleranceShares
     shortened: Shortened
@@ -59,7 +59,7 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
     bench, errors = refitter.bench, refitter.bench.calibration
     tolerance = bench.options.tolerance_mm
     runs = tuple(_runs(refitter, job))
-    notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.notices)]
+    notes = [LineNote(notice.line + 1, notice.text) for notice in (*job.reading.notices, *job.path.notices)]
     if not runs:
         notes.insert(0, LineNote(1, "no run of short feed blocks found: nothing was refitted"))
     compensation = job.result.report if job.result is not None and refitter.compensated else None
@@ -90,10 +90,12 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
 def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
     """Yield the report of each run, from executing the input, the shortened program and the output."""
     space, nominal = refitter.space, refitter.space.nominal
-    members = {line for one in job.fitted for line in one.end_points.run.lines}
+    members = {line for run in job.fitted for line in run.end_points.run.lines}
     moves, short_moves = job.reading.moves, job.shortened.reading.moves
     in_run = np.array([move.line in members for move in short_moves])
-    meant = execute_words(job.program, job.reading, space, nominal, np.array([move.line in members for move in moves]))
+    nominal_path = execute_words(
+        job.program, job.reading, space, nominal, np.array([move.line in members for move in moves])
+    )
     exact = execute_words(job.shortened.program, job.shortened.reading, space, nominal, in_run)
     rewrites = () if job.result is None else job.result.rewrites
     becomes = {id(rewrite.move): len(rewrite.positions) for rewrite in rewrites}
@@ -103,9 +105,9 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
     ins = {move.line: i for i, move in enumerate(moves)}
     outs = {move.line: i for i, move in enumerate(short_moves)}
     lever, tolerance = refitter.lever, refitter.bench.options.tolerance_mm
-    for one in job.fitted:
-        lines = one.end_points.run.lines
-        kept = np.flatnonzero(one.end_points.kept)
+    for run in job.fitted:
+        lines = run.end_points.run.lines
+        kept = np.flatnonzero(run.end_points.kept)
         first, last = outs[lines[kept[0]]], outs[lines[kept[-1]]]
         executed = done.between(int(begins[first]), int(begins[last] + counts[last] - 1))
         yield RunReport(
@@ -113,31 +115,32 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
             last_line=lines[-1] + 1,
             blocks=len(lines),
             blocks_out=len(kept),
-            corners=one.corners,
-            control_points=one.control_points,
-            degrees=tuple(f"{'t' if p.basis.kind == 'trigonometric' else ''}{p.degree}" for p in one.pieces),
-            fit_share_um=one.tolerance_use.share_mm * 1e3,
-            fit_um=one.tolerance_use.fit_mm * 1e3,
-            chord_um=one.tolerance_use.chord_mm * 1e3,
-            path_um=one.tolerance_use.path_mm * 1e3,
+            corners=run.corners,
+            control_points=run.control_points,
+            degrees=tuple(f"{'t' if p.basis.kind == 'trigonometric' else ''}{p.degree}" for p in run.pieces),
+            fit_share_um=run.tolerance_use.share_mm * 1e3,
+            fit_um=run.tolerance_use.fit_mm * 1e3,
+            chord_um=run.tolerance_use.chord_mm * 1e3,
+            path_um=run.tolerance_use.path_mm * 1e3,
             machine_um=path_distance_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
-            total_um=path_distance_mm(executed, meant.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance) * 1e3,
-            why=one.why,
+            total_um=path_distance_mm(executed, nominal_path.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance)
+            * 1e3,
+            why=run.why,
         )
 
 
 def _done(refitter: RunRefitter, job: RefitJob, dense: np.ndarray, begins: np.ndarray) -> Executed:
     """Return the executed output; ``begins``: index of the first output move of each move of the shortened program."""
-    again = job.dialect.read(job.text.encode("latin-1"), job.program.source)
+    read_back = job.dialect.read(job.text.encode("latin-1"), job.program.source)
     tcp = refitter.bench.options.tcp and not refitter.posted
-    reading = job.dialect.moves(again, refitter.space.axes, tcp=tcp)
-    done = execute_words(again, reading, refitter.space, refitter.bench.real, dense)
+    reading = job.dialect.moves(read_back, refitter.space.axes, tcp=tcp)
+    executed = execute_words(read_back, reading, refitter.space, refitter.bench.real, dense)
     if job.result is None:
-        return done
+        return executed
     # A move that only takes up backlash has no nominal position.
     moves = job.result.moves
     place = np.arange(len(moves)) - np.searchsorted(moves, moves)
-    return done.without((begins[moves] + place)[job.result.backlash_move])
+    return executed.without((begins[moves] + place)[job.result.backlash_move])
 
 
 def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[UncertaintyContribution]:

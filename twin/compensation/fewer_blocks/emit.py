@@ -89,7 +89,7 @@ def shortened(
         for move, words in others
     ]
     exact: dict[int, np.ndarray] = {}
-    gone: set[int] = set()
+    removed: set[int] = set()
     for places in runs:
         lines = places.run.lines
         first = by_line[lines[0]]
@@ -98,7 +98,7 @@ def shortened(
             rewrites.append(_rewrite(by_line[lines[block]], printed[places.assigned[block]], space, turns, vectors))
         for block in np.flatnonzero(places.kept & places.changed):
             exact[lines[block]] = places.words[places.assigned[block]]
-        gone |= {lines[block] for block in np.flatnonzero(~places.kept)}
+        removed |= {lines[block] for block in np.flatnonzero(~places.kept)}
     text = dialect.rewrite(program, space.axes, reading, rewrites) if rewrites else program.text
     written = dialect.read(text.encode("latin-1"), program.source)
     if len(written.texts) != len(program.texts):
@@ -106,7 +106,7 @@ def shortened(
     left = Program(
         program.source,
         program.dialect,
-        tuple("" if index in gone else line for index, line in enumerate(written.texts)),
+        tuple("" if index in removed else line for index, line in enumerate(written.texts)),
     )
     found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)

@@ -261,8 +261,8 @@ class Fitter:
         """Return a piece from a vertex to the end, of the lowest sufficient degree up to ``most``, by bisection."""
         if most < 1:
             return None
-        round_one = self._fit(first, self.end, "trigonometric", 2, tangent) if most >= 2 else None
-        best = round_one or self._fit(first, self.end, "polynomial", most, tangent)
+        arc = self._fit(first, self.end, "trigonometric", 2, tangent) if most >= 2 else None
+        best = arc or self._fit(first, self.end, "polynomial", most, tangent)
         low = 0
         while best is not None and best.degree - low > 1:
             middle = (low + best.degree) // 2
@@ -302,8 +302,8 @@ class Fitter:
         count = _rounded_up(max(32, PARTS * (last - first)))
         curve = self.tool(_values(basis, count) @ control)
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
-        meant, meant_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
-        off = largest_distance(curve, at, meant, meant_at, limit, limit)
+        input_line, input_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
+        off = largest_distance(curve, at, input_line, input_at, limit, limit)
         return CurvePiece(first, last, basis, locked(control), off) if off <= self.allowed else None
 
 

@@ -30,7 +30,7 @@ def points_program(
     """Return a program with one straight block per point of a table, and its language.
 
     Args:
-        path: the table: ``x_mm,y_mm,z_mm``, then nothing, one column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
+        path: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
             ``#`` begins a comment.
         axes: the machine's words.
         dialects: all languages.
@@ -54,7 +54,7 @@ def points_program(
             value=",".join(header),
             setting="output",
         )
-    dialect = next(one for one in dialects if one.cutter_locations) if vectors else written
+    dialect = next(dialect for dialect in dialects if dialect.cutter_locations) if vectors else written
     if vectors:
         size = np.linalg.norm(values[:, 3:], axis=1)
         wrong = np.flatnonzero(np.abs(size - 1.0) > 1e-3)
@@ -75,7 +75,7 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
     """Return header, line number of every row, and (n, columns) values."""
     rotary = tuple(f"{name}_deg" for name in axes.rotary)
     known = [POINT, *([POINT + rotary] if rotary else []), *([POINT + VECTOR] if rotary else [])]
-    expected = "header " + " or ".join(",".join(one) for one in known)
+    expected = "header " + " or ".join(",".join(columns) for columns in known)
     header: tuple[str, ...] | None = None
     lines: list[int] = []
     rows: list[list[float]] = []

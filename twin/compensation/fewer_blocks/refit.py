@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -24,7 +24,7 @@ from twin.compensation.fewer_blocks.points import is_points, points_program
 from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
 from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
-from twin.compensation.toolpath import Path, follow
+from twin.compensation.toolpath import ToolPath, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
@@ -144,20 +144,20 @@ class Refitter:
         )
 
 
-def _others(path: Path, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
+def _others(path: ToolPath, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
     """Return moves outside all runs, with their end points."""
     members = {line for run in runs for line in run.lines}
     return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
 
 
 def refit(
-    program: str | FilePath,
+    program: str | Path,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
     options: Options | None = None,
     compensated: bool = True,
-    output: str | FilePath | None = None,
+    output: str | Path | None = None,
     feed: float | None = None,
     progress: Progress | None = None,
 ) -> Refit:
@@ -179,9 +179,9 @@ def refit(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
-    source = FilePath(program)
+    source = Path(program)
     points = is_points(source)
-    target = dialect_for(FilePath(output)) if output is not None else None
+    target = dialect_for(Path(output)) if output is not None else None
     if points:
         target = target or DIALECTS[0]
         read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target, feed)

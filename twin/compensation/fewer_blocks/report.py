@@ -49,7 +49,7 @@ class UncertaintyContribution:
 
 def combined(contributions: Sequence[UncertaintyContribution]) -> float:
     """Return the expanded uncertainty U = k √Σu² in µm; NaN if a contribution is unknown."""
-    return EXPANSION_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
+    return EXPANSION_FACTOR * sqrt(sum(contribution.standard_um**2 for contribution in contributions))
 
 
 @final
@@ -267,7 +267,7 @@ class PathReport:
             f"  uncertainty at a point of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} contributions (k = 1)",
             *(f"    {one.name:<44}{_um(one.standard_um)}  {one.how}" for one in self.contributions),
         ]
-        kept = tuple(
+        unchanged = tuple(
             LineNote(run.first_line, f"{run.blocks} blocks to line {run.last_line}: {run.why}")
             for run in self.runs
             if run.why
@@ -276,7 +276,7 @@ class PathReport:
         lists = (
             ("not met", grouped(self.not_met)),
             ("not corrected", [] if compensation is None else [one.text for one in compensation.not_corrected]),
-            ("left unchanged", grouped(kept)),
+            ("left unchanged", grouped(unchanged)),
             ("notes", grouped(self.notes)),
         )
         for title, lines in lists:

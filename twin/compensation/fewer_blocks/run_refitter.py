@@ -17,7 +17,7 @@ from twin.compensation.fewer_blocks.emit import RunEndPoints
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
 from twin.compensation.fewer_blocks.report import ToleranceShares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 
 LEVER_MM: Final = 100.0
 """Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""
@@ -84,8 +84,8 @@ class RefittedRun:
     @property
     def control_points(self) -> int:
         """Control points of its curves, plus one for each unchanged block."""
-        standing = len(self.end_points.assigned) - sum(piece.blocks for piece in self.pieces)
-        return sum(piece.degree for piece in self.pieces) + standing + 1
+        unchanged = len(self.end_points.assigned) - sum(piece.blocks for piece in self.pieces)
+        return sum(piece.degree for piece in self.pieces) + unchanged + 1
 
 
 @final
@@ -126,8 +126,8 @@ class RunRefitter:
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0
         rounding = float(np.linalg.norm(half))
         tolerance = self.bench.options.tolerance_mm
-        left = tolerance - rounding
-        if left <= 0.0:
+        available = tolerance - rounding
+        if available <= 0.0:
             raise InputError(
                 "the tolerance does not exceed the rounding error",
                 expected=f"more than {rounding:.6f} mm, half a least increment of every axis"
@@ -135,10 +135,10 @@ class RunRefitter:
                 value=tolerance,
                 setting="tolerance",
             )
-        machine = min(COMPENSATION[0] * left, COMPENSATION[1]) if self.compensated else 0.0
-        return ToleranceShares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (left - machine) * 1e3)
+        machine = min(COMPENSATION[0] * available, COMPENSATION[1]) if self.compensated else 0.0
+        return ToleranceShares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (available - machine) * 1e3)
 
-    def refit(self, run: Run, path: Path) -> RefittedRun:
+    def refit(self, run: Run, path: ToolPath) -> RefittedRun:
         """Return one run with fewer blocks where possible."""
         first = path.motions[run.motions[0]].move
         turning = _turns(run)
@@ -158,12 +158,12 @@ class RunRefitter:
             return self._unchanged(run, shares, "the tool does not move")
         ids = np.cumsum(moving)[1:] - 1
         line = Polyline.of(vertices, tool)
-        allowed -= _coarseness(line, tool)
+        allowed -= _curvature_error_mm(line, tool)
         if allowed <= 0.0:
             return self._unchanged(run, shares, "the blocks deviate too far from straight lines at the tool")
         cuts = corners(line, allowed)
         words: list[np.ndarray] = []
-        given = np.zeros(len(run.lines), dtype=int)
+        assigned = np.zeros(len(run.lines), dtype=int)
         changed = np.full(len(run.lines), self.printed)
         pieces: list[CurvePiece] = []
         figures = ToleranceUse()
@@ -175,16 +175,16 @@ class RunRefitter:
             base = sum(map(len, words))
             if found is None:
                 words.append(run.words[1:][blocks])
-                given[blocks] = base + np.arange(len(blocks))
+                assigned[blocks] = base + np.arange(len(blocks))
                 continue
             words.append(found[0])
-            given[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
+            assigned[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
             changed[blocks] = True
             pieces += found[1]
             figures = ToleranceUse(*map(max, figures, found[2]))
         why = "" if pieces else "fewer blocks would exceed the tolerance"
         return RefittedRun(
-            RunEndPoints(run, np.concatenate(words), given, changed),
+            RunEndPoints(run, np.concatenate(words), assigned, changed),
             shares,
             len(cuts) - 2,
             tuple(pieces),
@@ -211,11 +211,11 @@ class RunRefitter:
         None if no blocks are saved.
         """
         best, least = None, np.inf
-        for part in FIT:
-            line, pieces = self._curve(words, tool, part * allowed)
+        for fraction in FIT:
+            line, pieces = self._curve(words, tool, fraction * allowed)
             if all(piece.blocks == 1 for piece in pieces):
                 continue
-            curve, at = Fitter(line, tool, part * allowed).curve(pieces, STEPS)
+            curve, at = Fitter(line, tool, fraction * allowed).curve(pieces, STEPS)
             # Blocks are straight in the output words.
             straight, out = (
                 (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
@@ -227,7 +227,7 @@ class RunRefitter:
             least = cost
             dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
             chord = largest_distance(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
-            figures = ToleranceUse(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
+            figures = ToleranceUse(fraction * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
             best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
             if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break
@@ -258,7 +258,7 @@ class RunRefitter:
         return place
 
 
-def _coarseness(line: Polyline, tool: Tool) -> float:
+def _curvature_error_mm(line: Polyline, tool: Tool) -> float:
     """Return the largest deviation in mm of blocks, between their dense points, from straight lines at the tool."""
     middle = tool((line.dense[1:] + line.dense[:-1]) / 2.0)
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())

@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.fewer_blocks.fit import PARTS, Polyline
-from twin.compensation.toolpath import Path, PathMotion, WordSpace
+from twin.compensation.toolpath import PathMotion, ToolPath, WordSpace
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect
 
@@ -34,7 +34,7 @@ class Run:
     """Consecutive blocks of a run.
 
     Attributes:
-        motions: their indices in ``Path.motions``, in order.
+        motions: their indices in ``ToolPath.motions``, in order.
         lines: index of each block's line in the program.
         words: (n+1, axes) start of the first block, and end points of all.
     """
@@ -44,7 +44,7 @@ class Run:
     words: np.ndarray
 
 
-def find_runs(program: Program, dialect: Dialect, path: Path, space: WordSpace) -> list[Run]:
+def find_runs(program: Program, dialect: Dialect, path: ToolPath, space: WordSpace) -> list[Run]:
     """Return the runs of a program, in order."""
     plain = _plain_lines(program, dialect, path, space.axes.names)
     passed = {passage.before for passage in path.passages}
@@ -94,8 +94,8 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     half_sine = np.linalg.norm(unit[PARTS::PARTS] - unit[PARTS - 1 : -1 : PARTS], axis=1) / 2.0
     bend = 2.0 * np.arcsin(np.clip(half_sine, 0.0, 1.0))
     rounded = np.minimum(size[:-1], size[1:]) * half_sine / 4.0
-    beside = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
-    isolated = (bend >= ISOLATED_BEND_RAD) & (bend >= ISOLATED_FACTOR * beside)
+    neighbour = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
+    isolated = (bend >= ISOLATED_BEND_RAD) & (bend >= ISOLATED_FACTOR * neighbour)
     long = size > LONG_FACTOR * np.median(size)
     found = (rounded > 2.0 * allowed_mm) | isolated | long[:-1] | long[1:]
     return [0, *(np.flatnonzero(found) + 1).tolist(), len(size)]
@@ -113,14 +113,14 @@ def _follows(before: PathMotion, motion: PathMotion) -> bool:
     return same and bool(np.array_equal(before.end, motion.start))
 
 
-def _plain_lines(program: Program, dialect: Dialect, path: Path, names: tuple[str, ...]) -> dict[int, str]:
+def _plain_lines(program: Program, dialect: Dialect, path: ToolPath, names: tuple[str, ...]) -> dict[int, str]:
     """Return the lines that contain only positions, with the feed in force; none in inverse-time feed mode."""
     moving = {motion.move.line for motion in path.motions}
     found: dict[int, str] = {}
     feed, timed = "", False
     for index, text in enumerate(program.texts):
-        said, times = dialect.feed_said(text)
-        feed, timed = said or feed, timed if times is None else times
+        new_feed, times = dialect.feed_said(text)
+        feed, timed = new_feed or feed, timed if times is None else times
         if index in moving and not timed and dialect.only_moves(text, names):
             found[index] = feed
     return found

@@ -90,12 +90,12 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
-    for one in stretches:
-        own = one.pieces.path.columns.move[one.context :]
-        first[own], count[own] = one.new.first + begin, one.new.count
-        begin += len(one.new.positions)
-    positions = np.concatenate([np.zeros((0, axes)), *(one.new.positions for one in stretches)])
-    vectors = np.concatenate([np.zeros((0, 3)), *(one.new.vectors for one in stretches)])
+    for stretch in stretches:
+        own = stretch.pieces.path.columns.move[stretch.context :]
+        first[own], count[own] = stretch.new.first + begin, stretch.new.count
+        begin += len(stretch.new.positions)
+    positions = np.concatenate([np.zeros((0, axes)), *(stretch.new.positions for stretch in stretches)])
+    vectors = np.concatenate([np.zeros((0, 3)), *(stretch.new.vectors for stretch in stretches)])
     return NewPositions(first, count, positions, vectors)
 
 

@@ -145,4 +145,4 @@ def _resolvable(
             if all(np.any(np.abs(here - there) >= 2.0 * bench.increment) for there in (last, words[-1])):
                 kept.append((motion, place))
                 last = here
-    return np.array([one[0] for one in kept], dtype=int), np.array([one[1] for one in kept], dtype=float)
+    return np.array([point[0] for point in kept], dtype=int), np.array([point[1] for point in kept], dtype=float)

@@ -176,18 +176,18 @@ class PathErrors:
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 
-    def ways(self, rows: Rows, given: np.ndarray, *, as_run: bool = False) -> Ways:
-        """Return the way of each piece, with its end point at the words ``given``.
+    def ways(self, rows: Rows, end_words: np.ndarray, *, as_run: bool = False) -> Ways:
+        """Return the way of each piece, with its end point at the words ``end_words``.
 
         With ``as_run``, a motion after a line left as written starts at its actual position. For splitting it is assumed to start
         compensated, because splitting cannot correct its starting point.
         """
         first = np.append(True, rows.motion[1:] != rows.motion[:-1])
-        begin = np.concatenate([given[:1], given[:-1]])
-        begin[first] = self._start_words(rows, given, as_run=as_run)[rows.motion[first]]
+        begin = np.concatenate([end_words[:1], end_words[:-1]])
+        begin[first] = self._start_words(rows, end_words, as_run=as_run)[rows.motion[first]]
         ends = np.flatnonzero(~rows.backlash_move)
         first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self._pieces.legs.motion)))
-        return Ways(begin, given - begin, ends, first_of_leg)
+        return Ways(begin, end_words - begin, ends, first_of_leg)
 
     def starts_uncorrected(self, rows: Rows) -> np.ndarray:
         """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
@@ -199,11 +199,11 @@ class PathErrors:
         """Return (motions,) the last row of each motion."""
         return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
 
-    def _start_words(self, rows: Rows, given: np.ndarray, *, as_run: bool) -> np.ndarray:
+    def _start_words(self, rows: Rows, end_words: np.ndarray, *, as_run: bool) -> np.ndarray:
         """Return (motions, axes) words at the start of each motion: the last ones of the motion before, if it continues from there."""
         pieces = self._pieces
         begin = np.full_like(pieces.start, np.nan)
-        begin[1:] = given[self._ends_of(rows)[:-1]]
+        begin[1:] = end_words[self._ends_of(rows)[:-1]]
         separate = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
         if separate.size:
             sides = rows.approach[np.searchsorted(rows.motion, separate)]
@@ -225,9 +225,9 @@ class PathErrors:
         standing = np.array(nominal)
         after = separate > 0
         before = separate[after] - 1
-        meant = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
+        expected = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
         reached = self._space.commands(begin[separate[after]], self._pieces.tcp_out[before])
-        standing[after] = np.where(np.abs(meant - nominal[after]) < SAME, reached, nominal[after])
+        standing[after] = np.where(np.abs(expected - nominal[after]) < SAME, reached, nominal[after])
         return standing
 
     @cached_property

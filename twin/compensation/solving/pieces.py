@@ -16,7 +16,7 @@ from twin._common.arrays import every
 from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
 from twin.nc.dialect import Dialect
@@ -51,7 +51,7 @@ class Pieces:
     """
 
     def __init__(
-        self, bench: Bench, path: Path, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
+        self, bench: Bench, path: ToolPath, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
     ) -> None:
         self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
         self.space = bench.space

@@ -106,7 +106,7 @@ class ProgramPart:
     @property
     def moves(self) -> int:
         """Number of moves."""
-        return sum(len(one.moves) for one in self.read)
+        return sum(len(stretch.moves) for stretch in self.read)
 
 
 @final
@@ -149,7 +149,7 @@ class PartReader:
         try:
             for data in self._source.stretches():
                 read.append(self._read(data))
-                motions.append(self._followed(read[-1], sum(len(one.moves) for one in read[:-1])))
+                motions.append(self._followed(read[-1], sum(len(stretch.moves) for stretch in read[:-1])))
                 if self.lines >= full:
                     full += a_part
                     part = self._part(read, motions)

@@ -26,7 +26,7 @@ from twin.compensation.solving.path_errors import SAMPLES_A_PIECE
 from twin.compensation.solving.rows import even_cuts, spacings
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import Path as ToolPath
+from twin.compensation.toolpath import ToolPath
 from twin.nc.iso.bulk import NewPositions
 
 POSES: Final = 12 * PART_LINES

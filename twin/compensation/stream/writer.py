@@ -71,11 +71,11 @@ class PartWriter:
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
         written = Stretch(data, self._lines, self._axes.names)
         try:
-            again = self._checker.read(written)
+            read_back = self._checker.read(written)
         except InputError as error:
             raise unreadable(self._name, error) from error
         self._lines += len(written)
-        check(self._name, moves.line + 1, new, again.position)
+        check(self._name, moves.line + 1, new, read_back.position)
         self._put(data, last=False)
         self.moves += len(moves)
         self.bytes += len(stretch.scan.data)

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.toolpath.motions import MotionColumns, Passage, Path, PathMotion
+from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Kind, Left, Move, Notice, Program, Reading
 from twin.nc.columns import MoveColumns
@@ -17,7 +17,7 @@ TextOf = Callable[[int], str]
 """Function from a line's index in the program to its text."""
 
 
-def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
+def follow(program: Program, reading: Reading, space: WordSpace) -> ToolPath:
     """Return a program as motions with known end points.
 
     Raises:
@@ -26,7 +26,7 @@ def follow(program: Program, reading: Reading, space: WordSpace) -> Path:
     follower = Follower(program.source, space)
     motions = follower.follow(reading, lambda line: program.texts[line])
     columns = MotionColumns.of(motions, len(space.axes.names))
-    return Path(tuple(motions.values()), columns, tuple(follower.notices), tuple(follower.passages))
+    return ToolPath(tuple(motions.values()), columns, tuple(follower.notices), tuple(follower.passages))
 
 
 @final
@@ -79,22 +79,22 @@ class Follower:
         behind = np.searchsorted(moves.line, np.array([one.line for one in left], dtype=int), side="right")
         stops = np.unique([*moves.special, *np.flatnonzero(np.diff(moves.tcp)) + 1, *behind, len(moves)])
         parts: list[MotionColumns] = []
-        loose: dict[int, PathMotion] = {}
+        single: dict[int, PathMotion] = {}
         at = 0
         while at < len(moves):
             self._forget_before(int(moves.line[at]))
             end = int(stops[np.searchsorted(stops, at, side="right")])
             plain = end > at + 1 and at not in moves.special and self._tcp == bool(moves.tcp[at])
             if plain and np.isfinite(self._words).all():
-                parts += [MotionColumns.of(loose, len(self._words)), self._plain(moves, at, end)]
-                loose = {}
+                parts += [MotionColumns.of(single, len(self._words)), self._plain(moves, at, end)]
+                single = {}
                 at = end
                 continue
             motion = self._step(moves[at], vectors.get(at), text_of)
             if motion is not None:
-                loose[at] = motion
+                single[at] = motion
             at += 1
-        return MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))])
+        return MotionColumns.joined([*parts, MotionColumns.of(single, len(self._words))])
 
     def _enter(self, with_vector: Mapping[int, Move], left: Sequence[Left]) -> dict[int, np.ndarray]:
         """Register the next moves, and return the rotary solutions of the tool vectors among them."""
@@ -107,8 +107,8 @@ class Follower:
     def _plain(self, moves: MoveColumns, begin: int, end: int) -> MotionColumns:
         """Return the motions of moves that only name positions, when every axis position is known."""
         part = slice(begin, end)
-        said = moves.position[part]
-        ends = np.where(np.isnan(said), self._words, said)
+        named = moves.position[part]
+        ends = np.where(np.isnan(named), self._words, named)
         starts = np.concatenate([self._words[None, :], ends[:-1]])
         self._words = ends[-1].copy()
         self._count += end - begin
@@ -156,7 +156,7 @@ class Follower:
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
         self._words = end
         if np.isnan(end[:3]).any():
-            self._not_said(move, end, text_of)
+            self._unknown_position(move, end, text_of)
             return None
         self._count += 1
         return PathMotion(move, start, end)
@@ -173,21 +173,23 @@ class Follower:
 
     def _assume(self, line: int, rotary: np.ndarray) -> np.ndarray:
         """Return rotary words, with the set-up's values for unknown ones; a notice is recorded the first time."""
-        space, unsaid = self._space, np.isnan(rotary)
+        space, unknown = self._space, np.isnan(rotary)
         if not self._assumed:
-            taken = {
+            assumed = {
                 name: value
-                for name, value, missing in zip(space.axes.rotary, space.start, unsaid, strict=True)
+                for name, value, missing in zip(space.axes.rotary, space.start, unknown, strict=True)
                 if missing
             }
-            at = ", ".join(f"{name} = {value:g}°" for name, value in taken.items())
+            at = ", ".join(f"{name} = {value:g}°" for name, value in assumed.items())
             self.notices.append(
-                Notice(line, f"the program gives no position of {' and '.join(taken)} before this line: taken as {at}")
+                Notice(
+                    line, f"the program gives no position of {' and '.join(assumed)} before this line: taken as {at}"
+                )
             )
             self._assumed = True
-        return np.where(unsaid, space.start, rotary)
+        return np.where(unknown, space.start, rotary)
 
-    def _not_said(self, move: Move, end: np.ndarray, text_of: TextOf) -> None:
+    def _unknown_position(self, move: Move, end: np.ndarray, text_of: TextOf) -> None:
         """Pass a rapid move to an unknown position through; raise `InputError` for a feed move."""
         space = self._space
         names = ", ".join(name for name, value in zip(space.axes.linear, end, strict=False) if np.isnan(value))

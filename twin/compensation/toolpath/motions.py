@@ -88,12 +88,12 @@ class MotionColumns(Sequence[PathMotion]):
         moves = [motion.move for motion in motions.values()]
         return cls(
             np.array([*motions], dtype=int),
-            np.array([one.line for one in moves], dtype=int),
-            np.array([one.kind is Kind.RAPID for one in moves], dtype=bool),
-            np.array([one.tcp for one in moves], dtype=bool),
+            np.array([move.line for move in moves], dtype=int),
+            np.array([move.kind is Kind.RAPID for move in moves], dtype=bool),
+            np.array([move.tcp for move in moves], dtype=bool),
             np.array([motion.start for motion in motions.values()]).reshape(-1, width),
             np.array([motion.end for motion in motions.values()]).reshape(-1, width),
-            {i: one for i, one in enumerate(moves) if one.arc is not None or one.vector is not None},
+            {i: move for i, move in enumerate(moves) if move.arc is not None or move.vector is not None},
         )
 
     @classmethod
@@ -145,7 +145,7 @@ class Passage:
 
 @final
 @dataclass(frozen=True)
-class Path:
+class ToolPath:
     """A program as motions.
 
     Attributes:
