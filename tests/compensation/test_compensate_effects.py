@@ -338,7 +338,7 @@ def test_sides_with_play_and_with_an_overcompensating_control(dmu50: Machine) ->
     slow = commands[:6].copy()
     slow[:, 1] = [100.0, 101.0, 101.0, 100.9996, 100.9992, 100.998]
     assert of(10.0).sides(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, -1.0]
-    assert of(-10.0).turned(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0, -1.0]
+    assert of(-10.0).commanded_sides(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0, -1.0]
 
 
 def test_sides_after_lines_left_as_written(dmu50: Machine, tmp_path: Path) -> None:
@@ -351,17 +351,17 @@ def test_sides_after_lines_left_as_written(dmu50: Machine, tmp_path: Path) -> No
         (3, 0),
     ]
     effects = tuple(effect_named("reversal", axis, {"size": -10.0}, dmu50) for axis in "YZ")
-    lost = Backlash(replace(Calibration.zero(dmu50), extra=effects))
+    backlash = Backlash(replace(Calibration.zero(dmu50), extra=effects))
     commands = space.commands(
         np.array([motion.end for motion in path.motions]), np.zeros(len(path.motions), dtype=bool)
     )
-    sides = lost.sides(path, np.arange(len(path.motions)), commands)
+    sides = backlash.sides(path, np.arange(len(path.motions)), commands)
     assert sides[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0]
     assert sides[:, 2].tolist() == [0.0, -1.0, -1.0, 0.0, -1.0]
     result = done(text, dmu50, extended(tmp_path, reversal("Y", -12.0), reversal("Z", -8.0)))
     # Z stays where the reference return took it: its side is unknown until the program moves it again.
     assert "G53 Y400\n" in result.text and "G28 Z-50\nG0 X120 Y200\nG0 Z" in result.text
-    assert any("from which side Z comes" in note.text for note in result.report.notes)
+    assert any("approach direction of Z unknown" in note.text for note in result.report.notes)
 
 
 @settings(max_examples=8)

@@ -204,7 +204,7 @@ def test_backlash_corrected_by_the_control_is_not_corrected_again(
         "uncorrected",
         tuple(TableEntry.of(tmp_path / name, "linuxcnc", ["L-POS"]) for name in ("X.comp", "joints.ini")),
     )
-    with pytest.raises(InputError, match="changes along the axis"):
+    with pytest.raises(InputError, match="varies along the axis"):
         compensate(text, dmu50, played.with_control(uneven))
 
 

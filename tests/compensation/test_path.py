@@ -550,19 +550,19 @@ def test_reversals_are_taken_up_and_the_path_kept(dmu50: Machine, tmp_path: Path
 
 def test_a_path_out_of_tolerance_is_reported(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """The final check is independent of the fit: blocks moved by 30 µm are reported as 30 µm off, whatever the fit reports."""
-    from twin.compensation.fewer_blocks import fewer
+    from twin.compensation.fewer_blocks import run_refitter
 
-    honest = fewer.few_blocks
+    original = run_refitter.few_blocks
 
     def shifted(*arguments: Any) -> Any:
-        found = honest(*arguments)
+        found = original(*arguments)
         if found is None:
             return None
         words = np.array(found[0])
         words[:-1, 2] += 0.03
         return words, found[1], found[2]
 
-    monkeypatch.setattr(fewer, "few_blocks", shifted)
+    monkeypatch.setattr(run_refitter, "few_blocks", shifted)
     report = refitted(dmu50, program_of(circle()), 0.01).report
     assert not report.complete
     assert report.not_met[0].line == 4

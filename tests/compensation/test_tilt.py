@@ -67,7 +67,7 @@ def test_a_turn_about_the_tool_itself_is_no_tilt(dmu50: Machine) -> None:
     poses = Kinematics(dmu50).forward(COMMANDS)
     spun = Poses(poses.point_mm, poses.rotation @ Rotation.from_rotvec([0.0, 0.0, 0.3]).as_matrix())
     assert np.abs(spun.tilt_urad(poses)).max() <= 1e-9
-    with pytest.raises(InputError, match="belong together"):
+    with pytest.raises(InputError, match="number of nominal poses differs"):
         poses.tilt_urad(Poses(poses.point_mm[:2], poses.rotation[:2]))
 
 
@@ -153,7 +153,7 @@ def test_tilt_of_the_tool_axis_in_report_and_execution(dmu50: Machine) -> None:
         assert np.hypot(*side.tilt_rms_urad) == pytest.approx(side.rms_urad, rel=1e-6)
         assert max(side.tilt_max_urad) <= side.max_urad * (1.0 + 1e-6)
     x, y = report.before.tilt_rms_urad
-    assert f"about x / y of the tool, RMS: before {x:.1f} / {y:.1f}" in report.to_text()
+    assert f"about x / y of the tool frame, RMS: before {x:.1f} / {y:.1f}" in report.to_text()
     assert tuple(report.to_dict()["before"]["tilt_rms_urad"]) == report.before.tilt_rms_urad
     space = WordSpace(dmu50, Setup(), None)
     path = follow(read, dialect.moves(read, space.axes, tcp=False), space)

@@ -113,7 +113,7 @@ class PathReport:
 
     Attributes:
         warnings: warnings on the origin of the calibration's numbers; none if the program is not compensated.
-        shares: division of the tolerance, for the run with the smallest share for its path (of several, one that turns rotary axes).
+        shares: division of the tolerance, for the run with the smallest share for its path: one with rotary motion, if any.
         lever_mm: distance from the tool tip at which the tool axis must keep the tolerance.
         angle_deg: resulting tolerance of the rotary words: the tolerance divided by the lever.
         blocks_out: feed blocks of the output in place of the runs, before compensation split any.
